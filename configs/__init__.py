@@ -1,0 +1,1 @@
+"""Configuration files and the one strict loader that reads them."""

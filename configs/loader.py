@@ -1,0 +1,170 @@
+"""The one strict reader of configuration: YAML fills a tree of frozen, typed records, and every fault is named.
+
+YAML here is what people expect of it: `1e-4` is a number, `no` and `on` are words, and a key that stands twice
+is an error. Records are pydantic models that refuse unknown keys, wrong types and values out of range.
+"""
+
+import re
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+CONFIG_DIRECTORY = Path(__file__).resolve().parent
+
+
+class ConfigError(Exception):
+    """A configuration that cannot be used. The message is one line a fault: file, path, value, what is allowed."""
+
+
+class Record(BaseModel):
+    """Base of every configuration record: strict, frozen, unknown keys refused."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+RecordT = TypeVar("RecordT", bound=BaseModel)
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with YAML 1.2's scalars and without silent duplicate keys."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[Hashable] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [
+        (tag, pattern)
+        for tag, pattern in resolvers
+        if tag
+        not in {
+            "tag:yaml.org,2002:bool",
+            "tag:yaml.org,2002:float",
+            "tag:yaml.org,2002:int",
+            "tag:yaml.org,2002:timestamp",
+        }
+    ]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"^(?:true|false)$"), list("tf"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?$"),
+    list("-+.0123456789"),
+)
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """The plain tree that a YAML text stands for.
+
+    Raises
+    ------
+    ConfigError
+        If the text is not YAML, or a key stands twice; the message names `source` and the line.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{source}: {' '.join(str(error).split())}") from None
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """The mapping a YAML file holds.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not YAML, or does not hold a mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+    tree = parse_yaml(text, str(path))
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: holds {type(tree).__name__}, expected a mapping of keys")
+    return tree
+
+
+def fill(record_type: type[RecordT], tree: Mapping[str, Any], source: str, at: str = "") -> RecordT:
+    """A record filled from a plain tree; every fault is named in one error.
+
+    Parameters
+    ----------
+    source: the file (or option) the tree came from, for the message.
+    at: path of the tree within the file, such as "onboard.".
+
+    Raises
+    ------
+    ConfigError
+        One line per fault: source, path, the value and what is allowed.
+    """
+    try:
+        return record_type.model_validate(_lists_as_tuples(tree), strict=True)
+    except ValidationError as error:
+        raise ConfigError("\n".join(_describe(fault, source, at) for fault in error.errors())) from None
+
+
+def load(record_type: type[RecordT], path: Path) -> RecordT:
+    """A record filled from a YAML file. Raises ConfigError."""
+    return fill(record_type, read_tree(path), str(path))
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the keys of `over` laid over it, mappings merged, everything else replaced."""
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        merged[key] = merge(below, value) if isinstance(value, Mapping) and isinstance(below, Mapping) else value
+    return merged
+
+
+def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
+    """`tree` with one `path.to.key=value` assignment (the value is YAML) laid over it.
+
+    Raises
+    ------
+    ConfigError
+        If the assignment has no `=`, or its path runs through something that is not a mapping.
+    """
+    path, equals, text = assignment.partition("=")
+    if not equals or not path.strip():
+        raise ConfigError(f"--set {assignment}: expected path.to.key=value")
+    over: Any = parse_yaml(text, f"--set {assignment}")
+    node: Any = tree
+    keys = path.strip().split(".")
+    for depth, key in enumerate(keys):
+        if not isinstance(node, Mapping):
+            raise ConfigError(f"--set {assignment}: {'.'.join(keys[:depth])} holds no keys")
+        node = node.get(key)
+    for key in reversed(keys):
+        over = {key: over}
+    return merge(tree, over)
+
+
+def _lists_as_tuples(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _lists_as_tuples(below) for key, below in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(_lists_as_tuples(below) for below in value)
+    return value
+
+
+def _describe(fault: Any, source: str, at: str) -> str:
+    path = at + ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        return f"{source}: {path}: unknown key"
+    if fault["type"] == "missing":
+        return f"{source}: {path}: missing"
+    return f"{source}: {path}: {fault['input']!r}: {fault['msg']}"

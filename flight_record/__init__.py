@@ -1,0 +1,1 @@
+"""The flight record: write, read, view and report what happened in a flight."""

@@ -1,0 +1,88 @@
+"""A version of the learnt features: the one definition of the network's shape, shared by both sides.
+
+Phi(x) = [tanh(W_L ... tanh(W_1 z + b_1) ... + b_L); 1] with z = (x - offset) / scale, and
+nu_ad = last_layer' Phi(x). The constant 1 is the bias feature.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.signals import input_indices
+
+LAYERS_MAX: Final = 4
+WIDTH_MAX: Final = 128
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelFeatures:
+    """Features of one adaptive channel, m inputs, k features (the constant included), 3 outputs.
+
+    Raises ValueError on construction when shapes do not fit, a name is unknown or a value is not finite.
+    """
+
+    inputs: tuple[str, ...]
+    """Names of the inputs, from protocol.signals."""
+    offset: Array
+    """[m], in the inputs' units."""
+    scale: Array
+    """[m], in the inputs' units, all positive."""
+    weights: tuple[Array, ...]
+    """Inner layers W_i, [out, in] each."""
+    biases: tuple[Array, ...]
+    """b_i, [out] each."""
+    last_layer: Array
+    """[k, 3]: the trained last layer theta_n, in units of the channel's u."""
+
+    def __post_init__(self) -> None:
+        input_indices(self.inputs)
+        m = len(self.inputs)
+        if not 1 <= len(self.weights) == len(self.biases) <= LAYERS_MAX:
+            raise ValueError(f"{len(self.weights)} layers with {len(self.biases)} biases, allowed 1 to {LAYERS_MAX}")
+        if self.offset.shape != (m,) or self.scale.shape != (m,):
+            raise ValueError(f"offset {self.offset.shape} and scale {self.scale.shape}, expected ({m},)")
+        width = m
+        for W, b in zip(self.weights, self.biases, strict=True):
+            if W.ndim != 2 or W.shape[1] != width or b.shape != W.shape[:1] or not 1 <= W.shape[0] <= WIDTH_MAX:
+                raise ValueError(f"layer of shape {W.shape} with bias {b.shape} after width {width}")
+            width = W.shape[0]
+        if self.last_layer.shape != (width + 1, 3):
+            raise ValueError(f"last_layer of shape {self.last_layer.shape}, expected {(width + 1, 3)}")
+        arrays = (self.offset, self.scale, *self.weights, *self.biases, self.last_layer)
+        if not all(bool(np.isfinite(array).all()) for array in arrays):
+            raise ValueError("a value is not finite")
+        if not bool((self.scale > 0).all()):
+            raise ValueError("scale must be positive")
+
+    @property
+    def feature_count(self) -> int:
+        """k, the constant feature included."""
+        return int(self.last_layer.shape[0])
+
+    def lipschitz_bound(self) -> float:
+        """Lipschitz constant of Phi in the scaled inputs z: the product of the spectral norms."""
+        return float(np.prod([np.linalg.norm(W, 2) for W in self.weights]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureSet:
+    """One trained version for the channels it covers."""
+
+    version: int
+    """From 1, growing; 0 is reserved for the random start features."""
+    parent: int
+    """The version it was trained from; 0 for none."""
+    samples: int
+    """Number of training samples behind it."""
+    position: ChannelFeatures | None
+    attitude: ChannelFeatures | None
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.version < 2**32 and 0 <= self.parent < 2**32 and self.samples >= 0):
+            raise ValueError("version, parent or samples out of range")
+        if self.position is None and self.attitude is None:
+            raise ValueError("a feature set without any channel")

@@ -1,0 +1,165 @@
+"""The messages between onboard and offboard: frozen records, valid by construction.
+
+Up is onboard to offboard, down is offboard to onboard. Times are in ns of the sender's own monotonic clock.
+`protocol.codec` is the only place that knows their bytes.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.signals import CHANNELS, SIGNAL_COUNT
+
+DATAGRAM_MAX_BYTES: Final = 1200
+SAMPLES_PER_BATCH_MAX: Final = 8
+CHUNK_DATA_MAX_BYTES: Final = 1100
+CHUNK_COUNT_MAX: Final = 64
+DIGEST_BYTES: Final = 16
+ABSOLUTE_VALUE_MAX: Final = 1e6
+"""No number in a message may exceed this; anything larger is a fault of the sender."""
+
+
+def _require(condition: bool, what: str) -> None:
+    if not condition:
+        raise ValueError(what)
+
+
+def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...]) -> None:
+    _require(array.shape == shape, f"{name}: shape {array.shape}, expected {shape}")
+    _require(bool((np.abs(array) <= ABSOLUTE_VALUE_MAX).all()), f"{name}: a value is not finite or too large")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBatch:
+    """Up: consecutive samples of one flight. A jump of `first_index` between batches is a gap.
+
+    Raises ValueError on construction when a field has the wrong shape, or is not finite.
+    """
+
+    first_index: int
+    """Running number of the first sample, from 0 at start of the onboard process."""
+    time_ns: int
+    """Time of the first sample; the others follow at `period_ns`."""
+    period_ns: int
+    feature_version: int
+    """The version that was flying; 0 means the random start features."""
+    signals: NDArray[np.float32]
+    """[n, SIGNAL_COUNT], units in protocol.signals."""
+    delivered: NDArray[np.float32]
+    """[n, 2, 3]: u_hat of each channel, averaged over the period that ends at the sample; m/s^2, rad/s^2."""
+    adaptive: NDArray[np.float32]
+    """[n, 2, 3]: nu_ad of each channel at the sample; m/s^2, rad/s^2."""
+
+    def __post_init__(self) -> None:
+        n = self.signals.shape[0]
+        _require(1 <= n <= SAMPLES_PER_BATCH_MAX, f"{n} samples, allowed 1 to {SAMPLES_PER_BATCH_MAX}")
+        _require(self.first_index >= 0 and self.feature_version >= 0, "negative index or version")
+        _require(self.time_ns >= 0 and 0 < self.period_ns <= 10**9, "time or period out of range")
+        _require_array("signals", self.signals, (n, SIGNAL_COUNT))
+        _require_array("delivered", self.delivered, (n, len(CHANNELS), 3))
+        _require_array("adaptive", self.adaptive, (n, len(CHANNELS), 3))
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Up, several times a second: what onboard flies, what it has received, how it is."""
+
+    mode: int
+    """onboard.supervisor.FlightMode as a number."""
+    feature_version: int
+    """Version in use; 0 for the random start features."""
+    transfer_version: int
+    """Version being received; 0 for none."""
+    received_chunks: bytes
+    """Bitmap of the chunks of `transfer_version` that arrived, bit i of byte i // 8; at most 8 bytes."""
+    refused_version: int
+    """Newest version that was refused; 0 for none."""
+    refusal: int
+    """protocol.messages.REFUSALS index that says why."""
+    ticks: int
+    missed_ticks: int
+    pose_age_ms: int
+    """Age of the newest relayed pose; -1 when there was none."""
+    received: int
+    """Datagrams accepted from the peer since start."""
+    lost: int
+    """Sequence numbers of the peer that never came."""
+    rejected: int
+
+    def __post_init__(self) -> None:
+        _require(len(self.received_chunks) <= CHUNK_COUNT_MAX // 8, "bitmap too long")
+        numbers = (self.mode, self.feature_version, self.transfer_version, self.refused_version, self.refusal)
+        _require(all(0 <= number < 2**32 for number in numbers), "a number is out of range")
+        _require(self.refusal < len(REFUSALS), f"refusal {self.refusal} unknown")
+
+
+REFUSALS: Final[tuple[str, ...]] = (
+    "",
+    "undecodable",
+    "digest",
+    "inputs",
+    "not_finite",
+    "lipschitz",
+    "weight_norm",
+    "swap_jump",
+    "stale",
+    "not_accepting",
+)
+"""Why a feature version was refused on board; the index travels in Status."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureChunk:
+    """Down: one piece of an encoded feature set."""
+
+    version: int
+    index: int
+    count: int
+    digest: bytes
+    """BLAKE2b, 16 bytes, of the whole encoded feature set."""
+    data: bytes
+
+    def __post_init__(self) -> None:
+        _require(1 <= self.version < 2**32, f"version {self.version} out of range")
+        _require(1 <= self.count <= CHUNK_COUNT_MAX, f"count {self.count}, allowed 1 to {CHUNK_COUNT_MAX}")
+        _require(0 <= self.index < self.count, f"index {self.index} not below count {self.count}")
+        _require(len(self.digest) == DIGEST_BYTES, f"digest of {len(self.digest)} bytes")
+        _require(1 <= len(self.data) <= CHUNK_DATA_MAX_BYTES, f"chunk of {len(self.data)} bytes")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Down: the motion capture's view of the vehicle, relayed."""
+
+    time_ns: int
+    """When the pose was true, in the sender's clock."""
+    position_ned_m: NDArray[np.float32]
+    """[3], world NED."""
+    quaternion: NDArray[np.float32]
+    """[4], wxyz, body FRD to world NED, unit length within 1e-3."""
+
+    def __post_init__(self) -> None:
+        _require_array("position_ned_m", self.position_ned_m, (3,))
+        _require_array("quaternion", self.quaternion, (4,))
+        _require(abs(float(np.linalg.norm(self.quaternion)) - 1.0) < 1e-3, "quaternion: not of unit length")
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSyncRequest:
+    """Up: asks for the peer's clock. Answered at once by TimeSyncReply."""
+
+    origin_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSyncReply:
+    """Down: offset = ((receive - origin) + (transmit - arrival)) / 2."""
+
+    origin_ns: int
+    receive_ns: int
+    transmit_ns: int
+
+
+Message = SampleBatch | Status | FeatureChunk | Pose | TimeSyncRequest | TimeSyncReply

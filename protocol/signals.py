@@ -1,0 +1,58 @@
+"""The vehicle's signal vector: every quantity a feature network may see, by name and unit, defined once.
+
+A sample sent off board holds one such vector, and a feature network selects its inputs from it by name, so
+that both sides agree on what input 3 is without agreeing on anything else.
+"""
+
+from typing import Final
+
+SIGNALS: Final[dict[str, str]] = {
+    "position_n": "m, world NED",
+    "position_e": "m, world NED",
+    "position_d": "m, world NED",
+    "velocity_n": "m/s, world NED",
+    "velocity_e": "m/s, world NED",
+    "velocity_d": "m/s, world NED",
+    "roll": "rad",
+    "pitch": "rad",
+    "yaw": "rad",
+    "rate_p": "rad/s, body FRD",
+    "rate_q": "rad/s, body FRD",
+    "rate_r": "rad/s, body FRD",
+    "body_velocity_x": "m/s, body FRD",
+    "body_velocity_y": "m/s, body FRD",
+    "body_velocity_z": "m/s, body FRD",
+    "motor_thrust_1": "N, estimated, PX4 motor 1 (front right)",
+    "motor_thrust_2": "N, estimated, PX4 motor 2 (rear left)",
+    "motor_thrust_3": "N, estimated, PX4 motor 3 (front left)",
+    "motor_thrust_4": "N, estimated, PX4 motor 4 (rear right)",
+    "battery_voltage": "V",
+    "vibration": "m/s^2, high-passed accelerometer magnitude, smoothed",
+}
+"""Name and unit of each signal, in the order in which it stands in a signal vector."""
+
+SIGNAL_NAMES: Final[tuple[str, ...]] = tuple(SIGNALS)
+SIGNAL_COUNT: Final[int] = len(SIGNAL_NAMES)
+SIGNAL_INDEX: Final[dict[str, int]] = {name: index for index, name in enumerate(SIGNAL_NAMES)}
+
+CHANNELS: Final[tuple[str, ...]] = ("position", "attitude")
+"""The adaptive channels, in the order in which arrays with a channel axis hold them.
+
+position: u is an acceleration, world NED, m/s^2. attitude: u is an angular acceleration, body FRD, rad/s^2.
+"""
+
+
+def input_indices(names: tuple[str, ...]) -> list[int]:
+    """Indices of the named signals in a signal vector.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or stands twice; the message lists what is allowed.
+    """
+    unknown = [name for name in names if name not in SIGNAL_INDEX]
+    if unknown:
+        raise ValueError(f"unknown signal {unknown[0]!r}; allowed are {', '.join(SIGNAL_NAMES)}")
+    if len(set(names)) != len(names):
+        raise ValueError(f"a signal stands twice in {names}")
+    return [SIGNAL_INDEX[name] for name in names]

@@ -1,0 +1,1 @@
+"""The simulated Parrot Mambo, its world, its sensors and its lossy radio."""
