@@ -145,9 +145,9 @@ def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
     node: Any = tree
     keys = path.strip().split(".")
     for depth, key in enumerate(keys):
-        if not isinstance(node, Mapping):
+        if not isinstance(node, Mapping | None):
             raise ConfigError(f"--set {assignment}: {'.'.join(keys[:depth])} holds no keys")
-        node = node.get(key)
+        node = None if node is None else node.get(key)
     for key in reversed(keys):
         over = {key: over}
     return merge(tree, over)

@@ -1,0 +1,189 @@
+"""Who may import whom, and what a core may touch: the rules of the house, read from the sources themselves."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("configs", "protocol", "onboard", "offboard", "sim_vehicle", "flight_record", "experiments")
+HEAVY = {"torch", "numba", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed"}
+"""What only extras install; the base install (onboard) must live without."""
+
+MAY_IMPORT: dict[str, tuple[str, ...]] = {
+    "configs": (),
+    "protocol": (),
+    "onboard": ("configs", "protocol"),
+    "offboard": ("configs", "protocol"),
+    "sim_vehicle": ("configs", "protocol"),
+    "flight_record": ("configs",),
+    "experiments": PACKAGES,
+}
+FOR_EVERYONE = ("configs.loader", "flight_record.schema")
+MAY_NOT_USE: dict[str, set[str]] = {
+    "configs": HEAVY,
+    "protocol": HEAVY,
+    "onboard": HEAVY,
+    "offboard": HEAVY - {"torch"},
+    "sim_vehicle": HEAVY - {"numba"},
+    "flight_record": HEAVY - {"matplotlib", "rerun"},
+    "experiments": set(),
+}
+
+SHELL_NAMES = {"process", "realtime", "__main__"}
+NAMED_SHELLS = {"protocol.keys", "offboard.experience"}
+"""Modules outside the shells' names that touch files, and why they may: key files; checkpoints on disk."""
+WITH_CORES = ("protocol", "onboard", "offboard", "sim_vehicle")
+NOT_IN_A_CORE = {
+    *("asyncio", "concurrent", "ctypes", "multiprocessing", "queue", "random", "secrets", "select", "selectors"),
+    *("signal", "socket", "ssl", "subprocess", "tempfile", "threading", "time", "uuid"),
+}
+NAMES_NOT_IN_A_CORE = {
+    *("os.environ", "os.getenv", "os.urandom", "os.getpid", "datetime.now", "datetime.datetime.now"),
+    *("torch.manual_seed", "torch.seed", "input", "open", "print"),
+}
+GENERATORS = {"BitGenerator", "Generator", "PCG64", "Philox", "SeedSequence", "default_rng"}
+PURE_STANDARD_LIBRARY = {
+    *("abc", "bisect", "collections", "dataclasses", "enum", "functools", "hashlib", "heapq", "hmac", "itertools"),
+    *("math", "operator", "struct", "types", "typing", "zlib"),
+}
+PROTOCOL_MAY_USE = {"numpy", "msgpack", "pydantic", "configs", "flight_record", "protocol", *PURE_STANDARD_LIBRARY}
+
+
+def is_shell(module: str) -> bool:
+    return module.rpartition(".")[2] in SHELL_NAMES or module in NAMED_SHELLS
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Every imported module; `from a import b` counts as `a.b`, which may be a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative imports hide who imports whom"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def border_faults(module: str, tree: ast.AST) -> Iterator[str]:
+    package = module.partition(".")[0]
+    for name in imports(tree):
+        top = name.partition(".")[0]
+        if top in MAY_NOT_USE[package]:
+            yield f"{module} imports {top}"
+        if top not in PACKAGES or top == package or top in MAY_IMPORT[package]:
+            continue
+        writes = is_shell(module) and name.startswith("flight_record.writer")
+        if not (writes or name.startswith(FOR_EVERYONE)):
+            yield f"{module} imports {name}"
+
+
+def core_faults(module: str, tree: ast.AST) -> Iterator[str]:
+    """What touches the world from a module that must not: imports, clocks, environment, global random state."""
+    for name in imports(tree):
+        top = name.partition(".")[0]
+        if top in NOT_IN_A_CORE:
+            yield f"{module} is a core and imports {top}"
+        if module.startswith("protocol.") and top not in PROTOCOL_MAY_USE:
+            yield f"{module} imports {top}"
+    for node in ast.walk(tree):
+        text = ast.unparse(node) if isinstance(node, ast.Attribute | ast.Call) else ""
+        if isinstance(node, ast.Attribute) and (text in NAMES_NOT_IN_A_CORE or is_global_random(text)):
+            yield f"{module} is a core and uses {text}"
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in NAMES_NOT_IN_A_CORE - {"torch.manual_seed"}:
+            yield f"{module} is a core and calls {ast.unparse(node.func)}"
+        if text.endswith("default_rng()"):
+            yield f"{module} is a core and seeds from the operating system"
+
+
+def is_global_random(text: str) -> bool:
+    parts = text.split(".")
+    return len(parts) == 3 and parts[:2] in (["np", "random"], ["numpy", "random"]) and parts[2] not in GENERATORS
+
+
+def faults(module: str, source: str) -> list[str]:
+    tree = ast.parse(source)
+    found = list(border_faults(module, tree))
+    if module.startswith(tuple(f"{package}." for package in WITH_CORES)) and not is_shell(module):
+        found += core_faults(module, tree)
+    return found
+
+
+def modules() -> dict[str, Path]:
+    paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    return {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+
+
+def test_every_module_keeps_the_rules() -> None:
+    found = [fault for module, path in modules().items() for fault in faults(module, path.read_text(encoding="utf-8"))]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("protocol.codec", "import socket"),
+        ("protocol.codec", "import yaml"),
+        ("protocol.codec", "from onboard.core import OnboardCore"),
+        ("onboard.core", "import torch.nn as nn"),
+        ("onboard.process", "def f():\n    import torch"),
+        ("onboard.core", "from flight_record.writer import FlightLogWriter"),
+        ("onboard.core", "from offboard import labels"),
+        ("onboard.core", "import os\nx = os.environ['A']"),
+        ("onboard.core", "from time import monotonic_ns"),
+        ("onboard.core", "f = open('a')"),
+        ("offboard.core", "import sim_vehicle.radio"),
+        ("sim_vehicle.lockstep", "from onboard.core import OnboardCore"),
+        ("sim_vehicle.world", "import numpy as np\nnp.random.normal()"),
+        ("sim_vehicle.world", "import numpy as np\nrng = np.random.default_rng()"),
+        ("flight_record.writer", "import torch"),
+    ],
+)
+def test_the_rules_catch(module: str, source: str) -> None:
+    assert faults(module, source)
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("protocol.transfer", "from configs.loader import Record\nimport numpy as np\nimport hashlib"),
+        ("onboard.process", "import socket, time\nfrom flight_record.writer import FlightLogWriter"),
+        ("onboard.records", "from flight_record.schema import RecordType"),
+        ("sim_vehicle.world", "import numpy as np\nrng = np.random.default_rng([seed, 3])"),
+        ("experiments.fly", "from onboard.core import OnboardCore\nimport offboard.core, time"),
+    ],
+)
+def test_the_rules_allow(module: str, source: str) -> None:
+    assert not faults(module, source)
+
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+packages, blocked = sys.argv[1].split(","), set(sys.argv[2].split(","))
+
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in blocked:
+            raise ModuleNotFoundError(f"No module named {name!r} (blocked)", name=name)
+
+sys.meta_path.insert(0, Block())
+for package in packages:
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
+        importlib.import_module(module.name)
+"""
+
+
+@pytest.mark.parametrize(
+    ("packages", "blocked"),
+    [
+        ("onboard,protocol,configs", {*HEAVY, "offboard", "sim_vehicle", "experiments"}),
+        ("sim_vehicle", {*HEAVY, "onboard", "offboard", "experiments"} - {"numba"}),
+        ("offboard", {*HEAVY, "onboard", "sim_vehicle", "experiments"} - {"torch"}),
+    ],
+)
+def test_a_package_runs_without_what_it_may_not_use(packages: str, blocked: set[str]) -> None:
+    command = [sys.executable, "-c", IMPORT_ALL, packages, ",".join(sorted(blocked))]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert result.returncode == 0, result.stderr
