@@ -121,6 +121,14 @@ def load(record_type: type[RecordT], path: Path) -> RecordT:
     return fill(record_type, read_tree(path), str(path))
 
 
+def load_section(record_type: type[RecordT], path: Path, name: str) -> RecordT:
+    """A record filled from one top-level section of a YAML file. Raises ConfigError."""
+    tree = read_tree(path)
+    if not isinstance(tree.get(name), dict):
+        raise ConfigError(f"{path}: {name}: missing, expected a mapping of keys")
+    return fill(record_type, tree[name], str(path), at=f"{name}.")
+
+
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """`base` with the keys of `over` laid over it, mappings merged, everything else replaced."""
     merged = dict(base)

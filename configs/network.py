@@ -1,0 +1,81 @@
+"""Addresses of the three processes of a flight and the key that protects the link between two of them."""
+
+import ipaddress
+from typing import Annotated, Final, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from configs.loader import Record
+
+RESERVED_PORTS: Final = (24099, 26061)
+"""The Mambo's firmware listens there."""
+
+
+def _check_address(address: str) -> str:
+    host, colon, port = address.rpartition(":")
+    if not colon or not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+        raise ValueError("expected HOST:PORT with a port from 1 to 65535")
+    if int(port) in RESERVED_PORTS:
+        raise ValueError(f"port {port} is reserved by the Mambo's firmware; choose another")
+    return address
+
+
+Address = Annotated[str, AfterValidator(_check_address)]
+"""An IPv4 address or host name and a UDP port, "host:port"."""
+
+
+def is_loopback(address: str) -> bool:
+    """Whether the address stays within this machine."""
+    host = address.rpartition(":")[0]
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class NetworkConfig(Record):
+    """Who binds what. Each process binds its own addresses and sends from there to its peer's."""
+
+    vehicle: Address = Field(description="the vehicle's MAVLink socket: motor commands arrive here")
+    onboard_vehicle: Address = Field(description="onboard's socket towards the vehicle: sensors arrive here")
+    radio_onboard: Address = Field(description="the vehicle radio's side towards onboard; without radio, offboard")
+    onboard_link: Address = Field(description="onboard's socket towards the radio")
+    radio_offboard: Address = Field(description="the vehicle radio's side towards offboard; without radio, onboard")
+    offboard_link: Address = Field(description="offboard's socket towards the radio")
+    motion_capture: Address = Field(description="offboard's socket for the motion capture's ODOMETRY")
+    ground: Address = Field(description="the ground station onboard reports to")
+    key_file: str | None = Field(
+        default=None, description="file with the shared key of onboard and offboard, 16 to 64 bytes, not in the log"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        bound = self.bound_by_sim() | self.bound_by_onboard() | self.bound_by_offboard()
+        taken: dict[str, str] = {}
+        for name, address in bound.items():
+            if address in taken:
+                raise ValueError(f"{taken[address]} and {name} are both {address}")
+            taken[address] = name
+        link = (self.radio_onboard, self.onboard_link, self.radio_offboard, self.offboard_link)
+        for address in link:
+            if self.key_file is None and not is_loopback(address):
+                raise ValueError(f"{address} leaves this machine, and without key_file only 127.0.0.0/8 is accepted")
+        return self
+
+    def bound_by_sim(self) -> dict[str, str]:
+        """Addresses the simulated vehicle binds, by name."""
+        return {
+            "vehicle": self.vehicle,
+            "radio_onboard": self.radio_onboard,
+            "radio_offboard": self.radio_offboard,
+        }
+
+    def bound_by_onboard(self) -> dict[str, str]:
+        """Addresses the onboard process binds, by name."""
+        return {"onboard_vehicle": self.onboard_vehicle, "onboard_link": self.onboard_link}
+
+    def bound_by_offboard(self) -> dict[str, str]:
+        """Addresses the offboard process binds, by name."""
+        return {"offboard_link": self.offboard_link, "motion_capture": self.motion_capture}

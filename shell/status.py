@@ -1,0 +1,72 @@
+"""Status lines of a process: JSON for the program that supervises it, words for a person; never a wait."""
+
+import json
+import os
+import stat
+import sys
+from typing import Any, Final
+
+STATUS_PERIOD_NS: Final = 333_000_000
+PLAIN_EVERY: Final = 6
+"""A person gets every sixth line, one in two seconds."""
+
+
+class StatusLines:
+    """Writes what a process reports of itself to standard output and drops it when nobody takes it.
+
+    Parameters
+    ----------
+    process: "onboard", "offboard" or "sim".
+    as_json: one JSON object a line, non-blocking when standard output is a pipe.
+    """
+
+    def __init__(self, process: str, as_json: bool) -> None:
+        self._process = process
+        self._json = as_json
+        self._descriptor = sys.stdout.fileno()
+        self._next_ns = 0
+        self._count = 0
+        self.dropped = 0
+        if as_json and stat.S_ISFIFO(os.fstat(self._descriptor).st_mode):
+            os.set_blocking(self._descriptor, False)
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a status is wanted now; at most three times a second."""
+        if now_ns < self._next_ns:
+            return False
+        self._next_ns = now_ns + STATUS_PERIOD_NS
+        return True
+
+    def write(self, values: dict[str, Any]) -> None:
+        """Report the values of the moment."""
+        self._count += 1
+        if self._json:
+            self._put({"process": self._process, "kind": "status", **values})
+        elif self._count % PLAIN_EVERY == 1:
+            words = "  ".join(f"{name} {_short(value)}" for name, value in values.items())
+            self._line(f"{self._process}: {words}")
+
+    def say(self, text: str) -> None:
+        """Report something that happened."""
+        if self._json:
+            self._put({"process": self._process, "kind": "event", "text": text})
+        else:
+            self._line(f"{self._process}: {text}")
+
+    def _put(self, entry: dict[str, Any]) -> None:
+        self._line(json.dumps(entry, default=_plain))
+
+    def _line(self, line: str) -> None:
+        try:
+            os.write(self._descriptor, line.encode() + b"\n")  # below PIPE_BUF: whole or not at all
+        except OSError:
+            self.dropped += 1
+
+
+def _plain(value: Any) -> Any:
+    """JSON's view of a numpy scalar or array."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
