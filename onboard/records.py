@@ -1,4 +1,4 @@
-"""What the onboard blocks hand to each other: sensor readings (immutable) and the vehicle's state (updated in place)."""
+"""What onboard blocks hand to each other: sensor readings (immutable) and the vehicle's state (rewritten in place)."""
 
 from typing import Final, NamedTuple
 
