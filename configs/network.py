@@ -1,14 +1,19 @@
 """Addresses of the three processes of a flight and the key that protects the link between two of them."""
 
 import ipaddress
+from pathlib import Path
 from typing import Annotated, Final, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from configs.loader import Record
+from configs.loader import Record, fill, merge, read_tree
 
 RESERVED_PORTS: Final = (24099, 26061)
 """The Mambo's firmware listens there."""
+
+
+WITHOUT_RADIO: Final = ({"radio_onboard", "offboard_link"}, {"radio_offboard", "onboard_link"})
+"""Pairs that are one address when onboard and offboard talk directly, as with a real vehicle."""
 
 
 def _check_address(address: str) -> str:
@@ -55,7 +60,7 @@ class NetworkConfig(Record):
         bound = self.bound_by_sim() | self.bound_by_onboard() | self.bound_by_offboard()
         taken: dict[str, str] = {}
         for name, address in bound.items():
-            if address in taken:
+            if address in taken and {taken[address], name} not in WITHOUT_RADIO:
                 raise ValueError(f"{taken[address]} and {name} are both {address}")
             taken[address] = name
         link = (self.radio_onboard, self.onboard_link, self.radio_offboard, self.offboard_link)
@@ -79,3 +84,17 @@ class NetworkConfig(Record):
     def bound_by_offboard(self) -> dict[str, str]:
         """Addresses the offboard process binds, by name."""
         return {"offboard_link": self.offboard_link, "motion_capture": self.motion_capture}
+
+
+def load_network(path: Path, options: dict[str, str | None]) -> NetworkConfig:
+    """The network section of a resolved configuration, with the addresses given as options laid over it.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, the address and what is allowed.
+    """
+    section = read_tree(path).get("network")
+    given = {name: address for name, address in options.items() if address is not None}
+    source = f"{path} with {', '.join(given)} from options" if given else str(path)
+    return fill(NetworkConfig, merge(section if isinstance(section, dict) else {}, given), source, at="network.")
