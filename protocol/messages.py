@@ -4,6 +4,7 @@ Up is onboard to offboard, down is offboard to onboard. Times are in ns of the s
 `protocol.codec` is the only place that knows their bytes.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,7 +19,9 @@ CHUNK_DATA_MAX_BYTES: Final = 1100
 CHUNK_COUNT_MAX: Final = 64
 DIGEST_BYTES: Final = 16
 ABSOLUTE_VALUE_MAX: Final = 1e6
-"""No number in a message may exceed this; anything larger is a fault of the sender."""
+"""No number in an array may exceed this; anything larger is a fault of the sender."""
+COUNTER_MAX: Final = 2**63 - 1
+"""Times, indices and counters are non-negative and fit 63 bits."""
 
 
 def _require(condition: bool, what: str) -> None:
@@ -26,9 +29,14 @@ def _require(condition: bool, what: str) -> None:
         raise ValueError(what)
 
 
+def _require_counters(names: str, *values: int) -> None:
+    _require(all(0 <= value <= COUNTER_MAX for value in values), f"{names}: negative or beyond 63 bits")
+
+
 def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...]) -> None:
     _require(array.shape == shape, f"{name}: shape {array.shape}, expected {shape}")
-    _require(bool((np.abs(array) <= ABSOLUTE_VALUE_MAX).all()), f"{name}: a value is not finite or too large")
+    # written so that NaN fails: max() of an array with a NaN is NaN, which is not below anything
+    _require(float(np.abs(array).max()) <= ABSOLUTE_VALUE_MAX, f"{name}: a value is not finite or too large")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +63,9 @@ class SampleBatch:
     def __post_init__(self) -> None:
         n = self.signals.shape[0]
         _require(1 <= n <= SAMPLES_PER_BATCH_MAX, f"{n} samples, allowed 1 to {SAMPLES_PER_BATCH_MAX}")
-        _require(self.first_index >= 0 and self.feature_version >= 0, "negative index or version")
-        _require(self.time_ns >= 0 and 0 < self.period_ns <= 10**9, "time or period out of range")
+        _require_counters("first_index, time_ns", self.first_index, self.time_ns)
+        _require(0 <= self.feature_version < 2**32, "feature_version out of range")
+        _require(0 < self.period_ns <= 10**9, f"period of {self.period_ns} ns, allowed 1 to 10^9")
         _require_array("signals", self.signals, (n, SIGNAL_COUNT))
         _require_array("delivered", self.delivered, (n, len(CHANNELS), 3))
         _require_array("adaptive", self.adaptive, (n, len(CHANNELS), 3))
@@ -93,6 +102,8 @@ class Status:
         numbers = (self.mode, self.feature_version, self.transfer_version, self.refused_version, self.refusal)
         _require(all(0 <= number < 2**32 for number in numbers), "a number is out of range")
         _require(self.refusal < len(REFUSALS), f"refusal {self.refusal} unknown")
+        _require_counters("counters", self.ticks, self.missed_ticks, self.received, self.lost, self.rejected)
+        _require(-1 <= self.pose_age_ms < 2**32, "pose_age_ms out of range")
 
 
 REFUSALS: Final[tuple[str, ...]] = (
@@ -141,9 +152,14 @@ class Pose:
     """[4], wxyz, body FRD to world NED, unit length within 1e-3."""
 
     def __post_init__(self) -> None:
-        _require_array("position_ned_m", self.position_ned_m, (3,))
-        _require_array("quaternion", self.quaternion, (4,))
-        _require(abs(float(np.linalg.norm(self.quaternion)) - 1.0) < 1e-3, "quaternion: not of unit length")
+        _require_counters("time_ns", self.time_ns)
+        _require(self.position_ned_m.shape == (3,), f"position_ned_m: shape {self.position_ned_m.shape}, expected (3,)")
+        _require(self.quaternion.shape == (4,), f"quaternion: shape {self.quaternion.shape}, expected (4,)")
+        # plain numbers: two small arrays a hundred times a second are cheaper without numpy; NaN fails every test
+        n, e, d = self.position_ned_m.tolist()
+        largest_ok = abs(n) <= ABSOLUTE_VALUE_MAX and abs(e) <= ABSOLUTE_VALUE_MAX and abs(d) <= ABSOLUTE_VALUE_MAX
+        _require(largest_ok, "position_ned_m: a value is not finite or too large")
+        _require(abs(math.hypot(*self.quaternion.tolist()) - 1.0) < 1e-3, "quaternion: not of unit length")
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +167,10 @@ class TimeSyncRequest:
     """Up: asks for the peer's clock. Answered at once by TimeSyncReply."""
 
     origin_ns: int
+    """Clock of the asking side when it sent this; the reply repeats it, which proves that the reply is fresh."""
+
+    def __post_init__(self) -> None:
+        _require_counters("origin_ns", self.origin_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +178,15 @@ class TimeSyncReply:
     """Down: offset = ((receive - origin) + (transmit - arrival)) / 2."""
 
     origin_ns: int
+    """As in the request."""
     receive_ns: int
+    """Clock of the answering side when the request arrived."""
     transmit_ns: int
+    """Clock of the answering side when this left, not before `receive_ns`."""
+
+    def __post_init__(self) -> None:
+        _require_counters("origin_ns, receive_ns, transmit_ns", self.origin_ns, self.receive_ns, self.transmit_ns)
+        _require(self.transmit_ns >= self.receive_ns, "transmit_ns before receive_ns")
 
 
 Message = SampleBatch | Status | FeatureChunk | Pose | TimeSyncRequest | TimeSyncReply

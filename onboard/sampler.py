@@ -1,0 +1,134 @@
+"""From 200 Hz ticks to the sample batches that go off board, within a byte budget.
+
+A sample is due each period of `rate_hz` on a grid that starts with the first tick. Of u_hat ("delivered") it
+carries the mean over the ticks of its period; signals and nu_ad are those of its tick. Samples are numbered by
+their place on the grid, so whatever is missing, a missed tick or samples dropped for want of budget, shows as a
+jump of the index. When the budget does not suffice the newest samples are kept.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from configs.loader import Record
+from protocol.messages import SAMPLES_PER_BATCH_MAX, SampleBatch
+from protocol.signals import CHANNELS, SIGNAL_COUNT
+
+SAMPLE_BYTES: Final = 4 * (SIGNAL_COUNT + 2 * len(CHANNELS) * 3)
+BATCH_OVERHEAD_BYTES: Final = 116
+"""Header, MAC, msgpack framing and numbers of a batch (at most 88), and the 28 of UDP and IPv4."""
+
+Array = NDArray[np.float64]
+
+
+class SamplerConfig(Record):
+    """How samples are taken and sent."""
+
+    rate_hz: float = Field(default=50.0, gt=0.0, le=200.0, description="Hz, samples a second")
+    batch_samples: int = Field(default=5, ge=1, le=SAMPLES_PER_BATCH_MAX, description="samples a datagram")
+    budget_bytes_s: float = Field(default=16_000.0, ge=1500.0, description="B/s up for samples, UDP and IP included")
+    kept_samples: int = Field(default=16, ge=SAMPLES_PER_BATCH_MAX, le=1024, description="samples held while waiting")
+
+
+@dataclass(slots=True)
+class _Sample:
+    index: int
+    time_ns: int
+    version: int | None
+    signals: NDArray[np.float32]
+    delivered: NDArray[np.float32]
+    adaptive: NDArray[np.float32]
+
+
+class SampleQueue:
+    """Takes every tick, gives out batches."""
+
+    def __init__(self, config: SamplerConfig) -> None:
+        self._config = config
+        self._period_ns = round(1e9 / config.rate_hz)
+        self._waiting: deque[_Sample] = deque(maxlen=config.kept_samples)
+        self._sum = np.zeros((len(CHANNELS), 3))
+        self._ticks = 0
+        self._start_ns: int | None = None
+        self._due_ns = 0
+        self._allowance_bytes = self._burst_bytes
+        self._refilled_ns: int | None = None
+        self.taken = 0
+        """Samples taken since start."""
+        self.dropped = 0
+        """Samples dropped for want of budget."""
+
+    @property
+    def _burst_bytes(self) -> float:
+        return 2.0 * (BATCH_OVERHEAD_BYTES + SAMPLES_PER_BATCH_MAX * SAMPLE_BYTES)
+
+    def push(self, time_ns: int, signals: Array, delivered: Array, adaptive: Array) -> None:
+        """Takes in one tick: signals [SIGNAL_COUNT]; delivered u_hat and adaptive nu_ad [2, 3] each; all are copied."""
+        if self._start_ns is None:
+            self._start_ns = self._due_ns = time_ns
+        self._sum += delivered
+        self._ticks += 1
+        if time_ns < self._due_ns:
+            return
+        place = (time_ns - self._start_ns) // self._period_ns
+        self._due_ns = self._start_ns + (place + 1) * self._period_ns
+        self._take(place, time_ns, signals, adaptive)
+
+    def _take(self, index: int, time_ns: int, signals: Array, adaptive: Array) -> None:
+        mean = (self._sum / self._ticks).astype(np.float32)
+        self._sum[:] = 0.0
+        self._ticks = 0
+        self.dropped += len(self._waiting) == self._config.kept_samples
+        self._waiting.append(
+            _Sample(index, time_ns, None, signals.astype(np.float32), mean, adaptive.astype(np.float32))
+        )
+        self.taken += 1
+
+    def poll(self, now_ns: int, feature_version: int) -> list[SampleBatch]:
+        """The batches to send now. Samples taken since the last poll count as flown with `feature_version`."""
+        for sample in reversed(self._waiting):
+            if sample.version is not None:
+                break
+            sample.version = feature_version
+        self._refill(now_ns)
+        batches: list[SampleBatch] = []
+        while run := self._ready_run():
+            cost = BATCH_OVERHEAD_BYTES + run * SAMPLE_BYTES
+            if cost > self._allowance_bytes:
+                break
+            self._allowance_bytes -= cost
+            batches.append(self._batch([self._waiting.popleft() for _ in range(run)]))
+        return batches
+
+    def _refill(self, now_ns: int) -> None:
+        since_ns = 0 if self._refilled_ns is None else max(0, now_ns - self._refilled_ns)
+        self._refilled_ns = now_ns
+        earned = since_ns * 1e-9 * self._config.budget_bytes_s
+        self._allowance_bytes = min(self._burst_bytes, self._allowance_bytes + earned)
+
+    def _ready_run(self) -> int:
+        """Length of the batch at the head: full, or cut short by a gap or a change of version; 0 when to wait."""
+        if not self._waiting:
+            return 0
+        head = self._waiting[0]
+        for place, sample in enumerate(self._waiting):
+            is_next = sample.index == head.index + place and sample.version == head.version
+            if place == self._config.batch_samples or not is_next:
+                return place
+        return self._config.batch_samples if len(self._waiting) == self._config.batch_samples else 0
+
+    def _batch(self, samples: list[_Sample]) -> SampleBatch:
+        first = samples[0]
+        return SampleBatch(
+            first.index,
+            first.time_ns,
+            self._period_ns,
+            first.version or 0,
+            np.array([sample.signals for sample in samples]),
+            np.array([sample.delivered for sample in samples]),
+            np.array([sample.adaptive for sample in samples]),
+        )

@@ -1,0 +1,173 @@
+"""The bytes of a datagram's header and body; docs/protocol.md specifies every one of them.
+
+A datagram is header (28 bytes), body, MAC (16 bytes, `protocol.authentication`).
+
+A body is one msgpack array with the message's fields in the order of `protocol.messages`. Integers are msgpack
+integers, arrays are little-endian float32 in msgpack bin whose shape the message type fixes. Nothing else is
+accepted: no maps, no text, no extension types, no nesting. The bytes of a feature set, which travel in chunks,
+are in `protocol.feature_codec` and found here too.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import ProtocolError
+from protocol.feature_codec import decode_feature_set, encode_feature_set
+from protocol.messages import (
+    CHUNK_DATA_MAX_BYTES,
+    SAMPLES_PER_BATCH_MAX,
+    FeatureChunk,
+    Message,
+    Pose,
+    SampleBatch,
+    Status,
+    TimeSyncReply,
+    TimeSyncRequest,
+)
+from protocol.signals import CHANNELS, SIGNAL_COUNT
+
+__all__ = ["decode_body", "decode_feature_set", "encode_body", "encode_feature_set"]
+
+PROTOCOL_VERSION: Final = 1
+HEADER: Final = struct.Struct("<BBHQQQ")
+"""Version, type, vehicle id, session, sequence, sender time in ns; little-endian, no padding, 28 bytes."""
+_SIGNAL_BYTES: Final = 4 * SIGNAL_COUNT
+_FIELDS_MAX: Final = 12
+
+
+def _float32(array: NDArray[np.floating]) -> bytes:
+    return np.ascontiguousarray(array, dtype="<f4").tobytes()
+
+
+def _pack_sample_batch(m: SampleBatch) -> tuple[Any, ...]:
+    arrays = (_float32(m.signals), _float32(m.delivered), _float32(m.adaptive))
+    return (m.first_index, m.time_ns, m.period_ns, m.feature_version, *arrays)
+
+
+def _unpack_sample_batch(fields: list[Any]) -> SampleBatch:
+    first_index, time_ns, period_ns, version, signals, delivered, adaptive = _typed(fields, "iiiibbb")
+    n, rest = divmod(len(signals), _SIGNAL_BYTES)
+    if rest or not 1 <= n <= SAMPLES_PER_BATCH_MAX:
+        raise ProtocolError("body", f"signals of {len(signals)} bytes")
+    return SampleBatch(
+        first_index,
+        time_ns,
+        period_ns,
+        version,
+        _array(signals, (n, SIGNAL_COUNT)),
+        _array(delivered, (n, len(CHANNELS), 3)),
+        _array(adaptive, (n, len(CHANNELS), 3)),
+    )
+
+
+def _pack_status(m: Status) -> tuple[Any, ...]:
+    transfer = (m.transfer_version, m.received_chunks, m.refused_version, m.refusal)
+    return (
+        m.mode,
+        m.feature_version,
+        *transfer,
+        m.ticks,
+        m.missed_ticks,
+        m.pose_age_ms,
+        m.received,
+        m.lost,
+        m.rejected,
+    )
+
+
+def _pack_feature_chunk(m: FeatureChunk) -> tuple[Any, ...]:
+    return (m.version, m.index, m.count, m.digest, m.data)
+
+
+def _pack_pose(m: Pose) -> tuple[Any, ...]:
+    return (m.time_ns, _float32(m.position_ned_m), _float32(m.quaternion))
+
+
+def _unpack_pose(fields: list[Any]) -> Pose:
+    time_ns, position, quaternion = _typed(fields, "ibb")
+    return Pose(time_ns, _array(position, (3,)), _array(quaternion, (4,)))
+
+
+# One row a message type: its number on the wire, its class, fields out of a message, a message out of fields.
+_ROWS: Final[tuple[tuple[int, type[Any], Callable[[Any], tuple[Any, ...]], Callable[[list[Any]], Message]], ...]] = (
+    (1, SampleBatch, _pack_sample_batch, _unpack_sample_batch),
+    (2, Status, _pack_status, lambda fields: Status(*_typed(fields, "iiibiiiiiiii"))),
+    (3, TimeSyncRequest, lambda m: (m.origin_ns,), lambda fields: TimeSyncRequest(*_typed(fields, "i"))),
+    (65, FeatureChunk, _pack_feature_chunk, lambda fields: FeatureChunk(*_typed(fields, "iiibb"))),
+    (66, Pose, _pack_pose, _unpack_pose),
+    (
+        67,
+        TimeSyncReply,
+        lambda m: (m.origin_ns, m.receive_ns, m.transmit_ns),
+        lambda fields: TimeSyncReply(*_typed(fields, "iii")),
+    ),
+)
+TYPE_NUMBERS: Final[dict[type[Any], int]] = {cls: number for number, cls, _, _ in _ROWS}
+UP_TYPES: Final = frozenset(number for number, *_ in _ROWS if number < 64)
+"""Types that only onboard sends; the types from 64 on come only from offboard."""
+DOWN_TYPES: Final = frozenset(number for number, *_ in _ROWS if number >= 64)
+_PACK: Final = {cls: pack for _, cls, pack, _ in _ROWS}
+_UNPACK: Final = {number: unpack for number, _, _, unpack in _ROWS}
+_KINDS: Final[dict[str, type]] = {"i": int, "b": bytes}
+
+
+def encode_body(message: Message) -> bytes:
+    """The msgpack body of a message."""
+    body: bytes = msgpack.packb(_PACK[type(message)](message))
+    return body
+
+
+def decode_body(type_number: int, body: bytes) -> Message:
+    """The message that a body of the given type stands for.
+
+    Raises
+    ------
+    ProtocolError
+        "body" when the bytes are not the type's msgpack array, "value" when a value is not allowed.
+    """
+    fields = _unpack_msgpack(body)
+    try:
+        return _UNPACK[type_number](fields)
+    except ValueError as error:
+        raise ProtocolError("value", str(error)) from None
+
+
+def _unpack_msgpack(body: bytes) -> list[Any]:
+    try:
+        fields = msgpack.unpackb(
+            body,
+            max_bin_len=CHUNK_DATA_MAX_BYTES,
+            max_array_len=_FIELDS_MAX,
+            max_str_len=0,
+            max_map_len=0,
+            max_ext_len=0,
+        )
+    except (ValueError, msgpack.UnpackException) as error:
+        raise ProtocolError("body", f"not msgpack within the limits ({error})") from None
+    if type(fields) is not list:
+        raise ProtocolError("body", "not an array")
+    return fields
+
+
+def _typed(fields: list[Any], kinds: str) -> list[Any]:
+    """`fields` when they are as many and of the types as `kinds` says ("i": int, "b": bytes)."""
+    if len(fields) != len(kinds):
+        raise ProtocolError("body", f"{len(fields)} fields, expected {len(kinds)}")
+    for field, kind in zip(fields, kinds, strict=True):
+        if type(field) is not _KINDS[kind]:  # not isinstance: True is no integer here
+            raise ProtocolError("body", f"a field is {type(field).__name__}, expected {_KINDS[kind].__name__}")
+    return fields
+
+
+def _array(data: bytes, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """A read-only float32 array over `data`."""
+    array = np.frombuffer(data, dtype="<f4") if len(data) % 4 == 0 else np.empty(0, dtype="<f4")
+    if array.size != math.prod(shape):
+        raise ProtocolError("body", f"an array of {len(data)} bytes, expected shape {shape}")
+    return array.reshape(shape)

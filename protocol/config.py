@@ -1,0 +1,29 @@
+"""Settings of the link that a user may choose."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from configs.loader import Record
+from protocol.messages import CHUNK_DATA_MAX_BYTES
+
+
+class TransferConfig(Record):
+    """How feature sets are sent."""
+
+    dtype: Literal["float16", "float32"] = Field(default="float16", description="size of the parameters on the wire")
+    chunk_bytes: int = Field(default=CHUNK_DATA_MAX_BYTES, ge=64, le=CHUNK_DATA_MAX_BYTES, description="bytes a chunk")
+    chunks_per_second: float = Field(
+        default=40.0, gt=0.0, le=2000.0, description="pace; 40 is about 0.4 Mbit/s at most"
+    )
+    chunks_per_poll: int = Field(
+        default=4, ge=1, le=64, description="most chunks one call gives out, however late it is"
+    )
+    resend_after_s: float = Field(
+        0.08,
+        gt=0.0,
+        le=10.0,
+        description="a chunk still missing this long after it left is sent again: round trip plus"
+        " the period of the status",
+    )
+    resend_max_s: float = Field(default=1.0, gt=0.0, le=60.0, description="where the back-off ends that silence starts")

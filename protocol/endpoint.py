@@ -1,0 +1,185 @@
+"""One end of the link, sans I/O: messages in, authenticated datagrams out, and the reverse.
+
+`decode` does the cheap and the safe first: length, version, type and vehicle id, then the MAC, then session and
+sequence, and only then does msgpack see a byte. Whatever is wrong is counted by reason and dropped; no datagram
+raises. The work a datagram can cause is bounded (about 3 us for a forged one); how many are taken in a step is the
+socket shell's limit, `DATAGRAMS_PER_STEP_MAX`.
+"""
+
+from typing import Final, Literal
+
+from protocol.authentication import MAC_BYTES, Authenticator
+from protocol.clock import ClockEstimate
+from protocol.codec import DOWN_TYPES, HEADER, PROTOCOL_VERSION, TYPE_NUMBERS, UP_TYPES, decode_body, encode_body
+from protocol.errors import ProtocolError
+from protocol.messages import DATAGRAM_MAX_BYTES, Message, TimeSyncReply, TimeSyncRequest
+from protocol.session import SILENCE_BEFORE_OLDER_NS, PeerSessions
+from protocol.statistics import LinkStatistics
+
+DATAGRAM_MIN_BYTES: Final = HEADER.size + 2 + MAC_BYTES
+BODY_MAX_BYTES: Final = DATAGRAM_MAX_BYTES - HEADER.size - MAC_BYTES
+DATAGRAMS_PER_STEP_MAX: Final = 64
+"""Most datagrams a shell hands over in one 5 ms step; the rest wait in the socket's buffer or are dropped there."""
+RATE_MAX_HZ: Final = 2000
+RATE_BURST: Final = 256
+
+Role = Literal["onboard", "offboard"]
+
+
+class Endpoint:
+    """Encodes our messages and decodes the peer's.
+
+    Parameters
+    ----------
+    role: which side this is; it decides which message types may be sent and which are heard.
+    session: this process's session number, larger at each start (`protocol.session.session_number`).
+    key: pre-shared key, 16 to 64 bytes; None only between loopback addresses.
+    vehicle_id: 0 to 65535; datagrams of another vehicle are rejected.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range.
+    """
+
+    def __init__(self, role: Role, session: int, key: bytes | None, vehicle_id: int = 1) -> None:
+        if not 0 <= session < 2**64 or not 0 <= vehicle_id < 2**16:
+            raise ValueError(f"session {session} or vehicle id {vehicle_id} out of range")
+        onboard = role == "onboard"
+        self._send = Authenticator(key, "up" if onboard else "down")
+        self._hear = Authenticator(key, "down" if onboard else "up")
+        self._send_types, self._hear_types = (UP_TYPES, DOWN_TYPES) if onboard else (DOWN_TYPES, UP_TYPES)
+        self._session = session
+        self._vehicle_id = vehicle_id
+        self._sequence = 0
+        self._peer = PeerSessions()
+        self._clock = ClockEstimate()
+        self._fastest_ns: int | None = None
+        self._allowance_ns = RATE_BURST * 10**9 // RATE_MAX_HZ
+        self._allowance_at_ns: int | None = None
+        self.statistics = LinkStatistics()
+
+    @property
+    def peer_session(self) -> int | None:
+        """The peer's session; None before the first genuine datagram. It changes when the peer restarts."""
+        return self._peer.current
+
+    @property
+    def clock_offset_ns(self) -> int | None:
+        """Peer clock minus ours; None until this session of the peer has answered a time sync request.
+
+        Not None also proves that the peer is alive now and not a recording.
+        """
+        return self._clock.offset_ns
+
+    @property
+    def round_trip_ns(self) -> int | None:
+        """Round trip of the exchange behind `clock_offset_ns`."""
+        return self._clock.round_trip_ns
+
+    @property
+    def clock_jumps(self) -> int:
+        """How often one of the two clocks was seen to jump."""
+        return self._clock.jumps
+
+    def encode(self, message: Message, now_ns: int) -> bytes:
+        """The datagram of a message, with the next sequence number.
+
+        Raises
+        ------
+        ValueError
+            If this role does not send such messages, or the message does not fit a datagram.
+        """
+        number = TYPE_NUMBERS[type(message)]
+        if number not in self._send_types:
+            raise ValueError(f"{type(message).__name__} does not go this way")
+        body = encode_body(message)
+        if len(body) > BODY_MAX_BYTES:
+            raise ValueError(f"body of {len(body)} bytes, allowed are {BODY_MAX_BYTES}")
+        header = HEADER.pack(PROTOCOL_VERSION, number, self._vehicle_id, self._session, self._sequence, now_ns)
+        signed = header + body
+        if type(message) is TimeSyncRequest:
+            self._clock.asked(message.origin_ns)
+        self._sequence += 1
+        self.statistics.sent += 1
+        self.statistics.sent_bytes += len(signed) + MAC_BYTES
+        return signed + self._send.mac(signed)
+
+    def decode(self, datagram: bytes, now_ns: int) -> Message | None:
+        """The peer's message, or None where the datagram was rejected (`statistics.rejected`) or a duplicate."""
+        try:
+            return self._decode(datagram, now_ns)
+        except ProtocolError as error:
+            if error.reason == "duplicate":
+                self.statistics.duplicate += 1
+            else:
+                self.statistics.rejected[error.reason] += 1
+            return None
+
+    def _decode(self, datagram: bytes, now_ns: int) -> Message:
+        if not DATAGRAM_MIN_BYTES <= len(datagram) <= DATAGRAM_MAX_BYTES:
+            raise ProtocolError("length")
+        version, number, vehicle_id, session, sequence, sent_ns = HEADER.unpack_from(datagram)
+        if version != PROTOCOL_VERSION:
+            raise ProtocolError("version")
+        if number not in self._hear_types:
+            raise ProtocolError("type")
+        if vehicle_id != self._vehicle_id:
+            raise ProtocolError("vehicle")
+        if not self._hear.is_genuine(datagram):
+            raise ProtocolError("mac")
+        body = datagram[HEADER.size : -MAC_BYTES]
+        if session == self._peer.current:
+            self._require_new(sequence)
+        elif self._peer.is_newer(session) or self._answers_us(session, number, body, now_ns):
+            self._start_session(session, sequence)
+        else:
+            raise ProtocolError("session")
+        self._count(sequence, sent_ns, len(datagram), now_ns)
+        self._spend_allowance(now_ns)
+        message = decode_body(number, body)
+        if type(message) is TimeSyncReply and not self._clock.answered(
+            message.origin_ns, message.receive_ns, message.transmit_ns, now_ns
+        ):
+            raise ProtocolError("time_sync")
+        return message
+
+    def _require_new(self, sequence: int) -> None:
+        verdict = self._peer.window.verdict(sequence)
+        if verdict:
+            raise ProtocolError(verdict)
+
+    def _answers_us(self, session: int, number: int, body: bytes, now_ns: int) -> bool:
+        """Rule 3 of protocol.session: an older, never heard session that answers our open time sync request."""
+        silent_ns = self.statistics.age_ns(now_ns)
+        if number != TYPE_NUMBERS[TimeSyncReply] or silent_ns is None or silent_ns < SILENCE_BEFORE_OLDER_NS:
+            return False
+        reply = decode_body(number, body)
+        fresh = type(reply) is TimeSyncReply and self._clock.is_open(reply.origin_ns, now_ns)
+        return fresh and self._peer.may_return(session)
+
+    def _start_session(self, session: int, sequence: int) -> None:
+        self._peer.start(session, sequence)
+        self._clock.forget()
+        self._fastest_ns = None
+        self.statistics.sessions += 1
+
+    def _count(self, sequence: int, sent_ns: int, size_bytes: int, now_ns: int) -> None:
+        if self._peer.window.accept(sequence):
+            self.statistics.reordered += 1
+        self.statistics.lost = self._peer.lost
+        apart_ns = now_ns - sent_ns
+        self._fastest_ns = apart_ns if self._fastest_ns is None else min(self._fastest_ns, apart_ns)
+        offset_ns = self._clock.offset_ns
+        delay_ns = apart_ns - self._fastest_ns if offset_ns is None else max(0, apart_ns + offset_ns)
+        self.statistics.count_received(size_bytes, delay_ns, now_ns)
+
+    def _spend_allowance(self, now_ns: int) -> None:
+        """Bounds what even a genuine peer can make us decode: RATE_MAX_HZ, in bursts of RATE_BURST."""
+        since_ns = 0 if self._allowance_at_ns is None else max(0, now_ns - self._allowance_at_ns)
+        self._allowance_at_ns = now_ns
+        full_ns = RATE_BURST * 10**9 // RATE_MAX_HZ
+        self._allowance_ns = min(full_ns, self._allowance_ns + since_ns)
+        if self._allowance_ns < 10**9 // RATE_MAX_HZ:
+            raise ProtocolError("rate")
+        self._allowance_ns -= 10**9 // RATE_MAX_HZ

@@ -1,0 +1,135 @@
+"""The bytes of a feature set, which the transfer splits into chunks; docs/protocol.md specifies them.
+
+[format, float size, version, parent, samples, position | nil, attitude | nil], a channel being
+[[input names], offset, scale, [layer widths], parameters]. `parameters` holds W_1 (row by row), b_1, ..., W_L,
+b_L, last_layer one after the other in float16 or float32; offset and scale are float32, since inputs have units.
+"""
+
+import math
+from typing import Any, Final, Literal
+
+import msgpack
+import numpy as np
+
+from protocol.errors import ProtocolError
+from protocol.feature_set import LAYERS_MAX, WIDTH_MAX, Array, ChannelFeatures, FeatureSet
+from protocol.messages import ABSOLUTE_VALUE_MAX, CHUNK_COUNT_MAX, CHUNK_DATA_MAX_BYTES
+from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
+
+FEATURE_SET_MAX_BYTES: Final = CHUNK_COUNT_MAX * CHUNK_DATA_MAX_BYTES
+FORMAT: Final = 1
+_NAME_MAX_BYTES: Final = 32
+_DTYPES: Final[dict[int, str]] = {2: "<f2", 4: "<f4"}
+
+FloatName = Literal["float16", "float32"]
+
+
+def encode_feature_set(features: FeatureSet, dtype: FloatName) -> bytes:
+    """The bytes of a feature set with its parameters rounded to `dtype`.
+
+    What flies are the rounded parameters: a sender that judges a feature set should judge `decode(encode(...))`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is too large for `dtype`, or the whole for a transfer of FEATURE_SET_MAX_BYTES.
+    """
+    float_size = 2 if dtype == "float16" else 4
+    channels = [_pack_channel(channel, float_size) for channel in (features.position, features.attitude)]
+    data: bytes = msgpack.packb((FORMAT, float_size, features.version, features.parent, features.samples, *channels))
+    if len(data) > FEATURE_SET_MAX_BYTES:
+        raise ValueError(f"feature set of {len(data)} bytes, allowed are {FEATURE_SET_MAX_BYTES}")
+    return data
+
+
+def _pack_channel(channel: ChannelFeatures | None, float_size: int) -> tuple[Any, ...] | None:
+    if channel is None:
+        return None
+    layers = [part.ravel() for W, b in zip(channel.weights, channel.biases, strict=True) for part in (W, b)]
+    parameters = np.concatenate([*layers, channel.last_layer.ravel()])
+    if float(np.abs(parameters).max()) > (float(np.finfo(np.float16).max) if float_size == 2 else ABSOLUTE_VALUE_MAX):
+        raise ValueError(f"a parameter of {float(np.abs(parameters).max()):g} is too large to send")
+    widths = [W.shape[0] for W in channel.weights]
+    offset, scale = (array.astype("<f4").tobytes() for array in (channel.offset, channel.scale))
+    return (list(channel.inputs), offset, scale, widths, parameters.astype(_DTYPES[float_size]).tobytes())
+
+
+def decode_feature_set(data: bytes) -> FeatureSet:
+    """The feature set that `data` stands for, valid by construction.
+
+    Raises
+    ------
+    ProtocolError
+        With a reason of protocol.messages.REFUSALS: "undecodable", "inputs" (an unknown signal) or "not_finite".
+    """
+    fields = _unpack(data)
+    numbers_ok = len(fields) == 7 and all(type(field) is int for field in fields[:5])
+    if not numbers_ok or fields[0] != FORMAT or fields[1] not in _DTYPES:
+        raise ProtocolError("undecodable", "not a feature set of a known format")
+    try:
+        position, attitude = (_unpack_channel(fields[i], _DTYPES[fields[1]]) for i in (5, 6))
+        return FeatureSet(fields[2], fields[3], fields[4], position, attitude)
+    except ValueError as error:
+        raise ProtocolError("undecodable", str(error)) from None
+
+
+def _unpack(data: bytes) -> list[Any]:
+    try:
+        fields = msgpack.unpackb(
+            data,
+            max_bin_len=FEATURE_SET_MAX_BYTES,
+            max_array_len=SIGNAL_COUNT,
+            max_str_len=_NAME_MAX_BYTES,
+            max_map_len=0,
+            max_ext_len=0,
+        )
+    except (ValueError, msgpack.UnpackException) as error:
+        raise ProtocolError("undecodable", f"not msgpack within the limits ({error})") from None
+    if type(fields) is not list:
+        raise ProtocolError("undecodable", "not an array")
+    return fields
+
+
+def _unpack_channel(fields: Any, dtype: str) -> ChannelFeatures | None:
+    if fields is None:
+        return None
+    if type(fields) is not list or [type(field) for field in fields] != [list, bytes, bytes, list, bytes]:
+        raise ProtocolError("undecodable", "a channel has other fields than expected")
+    inputs, offset, scale, widths, parameters = fields
+    unknown = [name for name in inputs if type(name) is not str or name not in SIGNAL_INDEX]
+    if unknown:
+        raise ProtocolError("inputs", f"unknown signal {unknown[0]!r}")
+    widths_ok = all(type(width) is int and 1 <= width <= WIDTH_MAX for width in widths)
+    if not widths_ok or not 1 <= len(widths) <= LAYERS_MAX or not inputs:
+        raise ProtocolError("undecodable", f"{len(inputs)} inputs and layers of width {widths}")
+    m = len(inputs)
+    shapes = _shapes(m, widths)
+    arrays = _split(_floats(parameters, dtype), shapes)
+    vectors = [_split(_floats(data, "<f4"), [(m,)])[0] for data in (offset, scale)]
+    if not all(bool(np.isfinite(array).all()) for array in (*arrays, *vectors)):
+        raise ProtocolError("not_finite", "a parameter is not finite")
+    return ChannelFeatures(
+        tuple(inputs), vectors[0], vectors[1], tuple(arrays[0:-1:2]), tuple(arrays[1:-1:2]), arrays[-1]
+    )
+
+
+def _shapes(m: int, widths: list[int]) -> list[tuple[int, ...]]:
+    """Shapes of W_1, b_1, ..., W_L, b_L, last_layer."""
+    shapes: list[tuple[int, ...]] = []
+    for width_in, width in zip([m, *widths], widths, strict=False):
+        shapes += [(width, width_in), (width,)]
+    return [*shapes, (widths[-1] + 1, 3)]
+
+
+def _floats(data: bytes, dtype: str) -> Array:
+    if len(data) % int(dtype[-1]):
+        raise ProtocolError("undecodable", f"{len(data)} bytes are no whole number of floats")
+    return np.frombuffer(data, dtype=dtype).astype(np.float64)
+
+
+def _split(flat: Array, shapes: list[tuple[int, ...]]) -> list[Array]:
+    sizes = [math.prod(shape) for shape in shapes]
+    if sum(sizes) != flat.size:
+        raise ProtocolError("undecodable", f"{flat.size} parameters, expected {sum(sizes)}")
+    parts = np.split(flat, np.cumsum(sizes)[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
