@@ -1,0 +1,37 @@
+"""What a log says about the process that wrote it: versions, start, and the clock its times are in."""
+
+import platform
+import time
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+PACKAGES = ("async-dmrac", "numpy", "mcap", "torch", "numba")
+LOCKSTEP_CLOCK = "lockstep"
+"""Clock name of a virtual-time flight."""
+
+
+def describe_process() -> dict[str, str]:
+    """Versions of Python, system and packages, when the process started to log, and its clock."""
+    found = {
+        "clock": monotonic_clock_name(),
+        "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "started_monotonic_ns": str(time.monotonic_ns()),
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+    }
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def monotonic_clock_name() -> str:
+    """Name of this machine's monotonic clock since its start: two processes with the same name share a time base."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        boot = platform.node()
+    return f"monotonic/{boot}"
