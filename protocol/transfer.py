@@ -5,6 +5,9 @@ sooner than `resend_after_s` after it last left. When status falls silent the in
 to `resend_max_s`; any status resets it. A newer version replaces the one on its way on both sides, an older one is
 ignored. The receiver holds one transfer, at most CHUNK_COUNT_MAX chunks, and gives out a feature set only when it
 is whole, its digest right and its decoding valid.
+
+Version numbers outlive a sender: one that starts anew numbers its feature sets from `next_version`, above all that
+the peer's status names, or the peer would take them for old ones.
 """
 
 import hashlib
@@ -60,6 +63,11 @@ class FeatureSender:
         """Time from offer to the first status that says whole, of the last version that arrived."""
 
     @property
+    def next_version(self) -> int:
+        """The number to give the next feature set: above every one offered here or named in a status."""
+        return self._newest_version + 1
+
+    @property
     def outstanding_version(self) -> int:
         """The version on its way; 0 when the peer is known to have, or to have refused, the newest."""
         return self._chunks[0].version if self._chunks else 0
@@ -70,10 +78,10 @@ class FeatureSender:
         Raises
         ------
         ValueError
-            If its version is not above every one offered before, or it is too large to send.
+            If its version is below `next_version`, or it is too large to send.
         """
-        if features.version <= self._newest_version:
-            raise ValueError(f"version {features.version} offered after {self._newest_version}")
+        if features.version < self.next_version:
+            raise ValueError(f"version {features.version} offered, the next one is {self.next_version}")
         data = encode_feature_set(features, self._config.dtype)
         self._chunks = split(data, features.version, self._config.chunk_bytes)
         self._newest_version = features.version
@@ -85,6 +93,8 @@ class FeatureSender:
     def on_status(self, status: Status, now_ns: int) -> None:
         """Takes in what the peer has."""
         self._status_ns = now_ns
+        named = max(status.feature_version, status.transfer_version, status.refused_version)
+        self._newest_version = max(self._newest_version, named)
         self._interval_ns = round(self._config.resend_after_s * 1e9)
         version = self.outstanding_version
         if not version:
@@ -97,12 +107,6 @@ class FeatureSender:
             self.delivery_ns = now_ns - self._started_ns
         if has_it or status.refused_version == version or status.transfer_version > version:
             self._chunks = ()
-
-    def restart(self, now_ns: int) -> None:
-        """Sends the outstanding version from its first chunk again, as when the peer restarted."""
-        self._missing = list(range(len(self._chunks)))
-        self._last_sent_ns = [_NEVER] * len(self._chunks)
-        self._started_ns = now_ns
 
     def poll(self, now_ns: int) -> list[FeatureChunk]:
         """The chunks to send now: paced, at most `chunks_per_poll`, empty most of the time."""

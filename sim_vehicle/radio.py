@@ -8,6 +8,7 @@ same luck whatever else is configured. What became of each datagram is kept and 
 """
 
 import heapq
+import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ Direction = Literal["up", "down"]
 DIRECTIONS: Final[tuple[Direction, Direction]] = ("up", "down")
 IN_FLIGHT_MAX: Final = 20_000
 """Most datagrams on their way in a direction; beyond it the queue counts as full."""
+FATES_MAX: Final = 1_000_000
+"""Most fates kept in a direction, over an hour of flight; later ones are counted but not kept."""
 _DRAWS: Final = 10
 _BLOCK: Final = 128
 
@@ -209,7 +212,8 @@ class _Path:
         counts.lost += fate.outcome != "delivered"
         counts.duplicated += fate.copy_delay_ns >= 0
         counts.corrupted += fate.flipped_bit >= 0
-        self.fates.append(fate)
+        if len(self.fates) < FATES_MAX:
+            self.fates.append(fate)
 
     def _decide(self, datagram: bytes, now_ns: int, since_start_s: float, luck: list[float]) -> Fate:
         c = self._config
@@ -243,7 +247,7 @@ class _Path:
 
     def _arrival(self, left_ns: int, luck: list[float]) -> int:
         c = self._config
-        delay_s = c.delay_s - c.jitter_s * float(np.log1p(-luck[3]))
+        delay_s = c.delay_s - c.jitter_s * math.log1p(-luck[3])
         if luck[4] < c.tail_probability:  # the same number, stretched, says how long
             delay_s += c.tail_min_s + (c.tail_max_s - c.tail_min_s) * luck[4] / c.tail_probability
         in_turn_ns = max(self._in_order_ns, left_ns + round(delay_s * 1e9))
