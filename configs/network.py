@@ -52,7 +52,8 @@ class NetworkConfig(Record):
     motion_capture: Address = Field(description="offboard's socket for the motion capture's ODOMETRY")
     ground: Address = Field(description="the ground station onboard reports to")
     key_file: str | None = Field(
-        default=None, description="file with the shared key of onboard and offboard, 16 to 64 bytes, not in the log"
+        default=None,
+        description="file with the key shared by onboard and offboard, made by dmrac keygen, not in the log",
     )
 
     @model_validator(mode="after")

@@ -10,12 +10,13 @@ import stat
 from pathlib import Path
 from typing import Final
 
+from configs.loader import ConfigError
 from protocol.authentication import KEY_BYTES
 
 _FILE_MAX_BYTES: Final = 256
 
 
-class KeyFileError(ValueError):
+class KeyFileError(ConfigError):
     """A key file that cannot be used. The message names the file and what to do, never what stands in it."""
 
 
@@ -35,6 +36,11 @@ def write_key(path: Path) -> None:
         raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
         file.write(secrets.token_hex(KEY_BYTES) + "\n")
+
+
+def load_key(key_file: str | None) -> bytes | None:
+    """The key that the configuration names; None where it names no file. Raises KeyFileError."""
+    return None if key_file is None else read_key(Path(key_file))
 
 
 def read_key(path: Path) -> bytes:

@@ -49,8 +49,8 @@ NAMES_NOT_IN_A_CORE = {
 }
 GENERATORS = {"BitGenerator", "Generator", "PCG64", "Philox", "SeedSequence", "default_rng"}
 PURE_STANDARD_LIBRARY = {
-    *("abc", "bisect", "collections", "dataclasses", "enum", "functools", "hashlib", "heapq", "hmac", "itertools"),
-    *("math", "operator", "struct", "types", "typing", "zlib"),
+    *("abc", "bisect", "collections", "dataclasses", "enum", "functools", "hashlib", "heapq", "hmac", "ipaddress"),
+    *("itertools", "math", "operator", "struct", "types", "typing", "zlib"),
 }
 PROTOCOL_MAY_USE = {"numpy", "msgpack", "pydantic", "configs", "flight_record", "protocol", *PURE_STANDARD_LIBRARY}
 
