@@ -204,7 +204,7 @@ class FrameWriter:
         struct.error
             If a field does not fit its type: our own mistake.
         """
-        payload = kind.unpacker.pack(*fields).rstrip(b"\0") or b"\0"
+        payload: bytes = kind.unpacker.pack(*fields).rstrip(b"\0") or b"\0"
         message_id = kind.id
         sequence = self._sequence
         self._sequence = (sequence + 1) & 0xFF
@@ -224,7 +224,7 @@ class FrameWriter:
             )
             + payload
         )
-        checksum = _checksum(bytes((kind.crc_extra,)), _checksum(body))
+        checksum: int = _checksum(bytes((kind.crc_extra,)), _checksum(body))
         frame = b"\xfd" + body + checksum.to_bytes(2, "little")
         if self._key is None:
             return frame

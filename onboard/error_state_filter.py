@@ -1,0 +1,390 @@
+"""An error-state Kalman filter for position, velocity, attitude and the two biases of an IMU.
+
+Theory of operation
+-------------------
+The nominal state runs through the full, nonlinear equations; a 15-dimensional error with covariance P runs beside it:
+
+    error = (dp, dv, phi, dbg, dba), each 3 long; p_true = p + dp, v_true = v + dv, R_true = exp(phi) R,
+    gyro_bias_true = gyro_bias + dbg, accelerometer_bias_true = accelerometer_bias + dba.
+
+The attitude error phi is a rotation vector in the *world* frame (a left error): a measured attitude then observes phi
+directly, and the transition matrix has only four blocks that differ from identity (Sola, "Quaternion kinematics for
+the error-state Kalman filter", 2017, section 7, global angular errors):
+
+    dp' = dp + dv dt          dv' = dv - [f]x phi dt - R dba dt          phi' = phi - R dbg dt
+
+with f = R (accelerometer - bias) in the world frame. The transition is gathered over `covariance_every` samples and
+then applied at once, which halves the cost and changes P by less than the noise models are known.
+
+Delayed measurements. A history of past states is kept. A measurement taken at t_c < now is compared with the state of
+t_c. Since the error moves as above, the error then was dp - tau dv and phi (tau = now - t_c) in terms of the error now:
+that is the measurement matrix, and the correction applies to the present. Corrections made since t_c are part of the
+present but not of the stored past; their running sums, stored with each state, put that right without touching the
+history: dp_sum, dv_sum, phi_sum, and (dv t)_sum for the way a velocity correction moves the positions before it.
+
+All 3-vectors are tuples of floats: scalar arithmetic on them is several times cheaper than numpy's.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from onboard.records import Array, Vector
+
+Rotation = tuple[float, float, float, float, float, float, float, float, float]
+"""A rotation matrix, row by row."""
+Quaternion = tuple[float, float, float, float]
+
+GRAVITY_M_S2: Final = 9.80665
+HISTORY_LENGTH: Final = 128
+"""Past states kept: 0.64 s at 200 Hz."""
+POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, ACCELEROMETER_BIAS = 0, 3, 6, 9, 12
+"""Where each part of the error begins."""
+ERROR_SIZE: Final = 15
+_ZERO: Final[Vector] = (0.0, 0.0, 0.0)
+
+
+class PastState(NamedTuple):
+    """The nominal state at one IMU sample, and the sums of all corrections up to then."""
+
+    time_ns: int
+    position: Vector
+    velocity: Vector
+    rotation: Rotation
+    rate_world: Vector
+    dp_sum: Vector
+    dv_sum: Vector
+    dvt_sum: Vector
+    phi_sum: Vector
+
+
+def rotation_of(q: Quaternion) -> Rotation:
+    """Rotation matrix (body to world) of a unit quaternion wxyz."""
+    w, x, y, z = q
+    xx, yy, zz = x * x, y * y, z * z
+    xy, xz, yz = x * y, x * z, y * z
+    wx, wy, wz = w * x, w * y, w * z
+    return (
+        1.0 - 2.0 * (yy + zz),
+        2.0 * (xy - wz),
+        2.0 * (xz + wy),
+        2.0 * (xy + wz),
+        1.0 - 2.0 * (xx + zz),
+        2.0 * (yz - wx),
+        2.0 * (xz - wy),
+        2.0 * (yz + wx),
+        1.0 - 2.0 * (xx + yy),
+    )
+
+
+def quaternion_of(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Unit quaternion wxyz of the yaw-pitch-roll sequence; rad."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product, scaled to unit length to first order."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
+    return (w * scale, x * scale, y * scale, z * scale)
+
+
+def exponential(phi: Vector) -> Quaternion:
+    """Unit quaternion of a rotation vector, rad."""
+    x, y, z = phi
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle < 1e-6:
+        return (1.0, 0.5 * x, 0.5 * y, 0.5 * z)
+    s = math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), s * x, s * y, s * z)
+
+
+def rotation_between(measured: Quaternion, rotation: Rotation) -> Vector:
+    """World-frame rotation vector that turns `rotation` into `measured`: log(R_m R^T), rad."""
+    m = rotation_of(measured)
+    a, b, c, d, e, f, g, h, i = rotation
+    r10 = m[3] * a + m[4] * b + m[5] * c
+    r20 = m[6] * a + m[7] * b + m[8] * c
+    r01 = m[0] * d + m[1] * e + m[2] * f
+    r21 = m[6] * d + m[7] * e + m[8] * f
+    r02 = m[0] * g + m[1] * h + m[2] * i
+    r12 = m[3] * g + m[4] * h + m[5] * i
+    trace = (m[0] * a + m[1] * b + m[2] * c) + (m[3] * d + m[4] * e + m[5] * f) + (m[6] * g + m[7] * h + m[8] * i)
+    x, y, z = r21 - r12, r02 - r20, r10 - r01
+    s = 0.5 * math.sqrt(x * x + y * y + z * z)
+    angle = math.atan2(s, 0.5 * (trace - 1.0))
+    if s < 1e-9:
+        # Either no rotation or half a turn; for half a turn any axis is as good: it is far outside every gate.
+        return _ZERO if angle < 1.0 else (math.pi, 0.0, 0.0)
+    scale = 0.5 * angle / s
+    return (x * scale, y * scale, z * scale)
+
+
+class ErrorStateFilter:
+    """Nominal state, its covariance, and the two things one can do to them: predict and correct."""
+
+    def __init__(self, covariance_every: int) -> None:
+        """`covariance_every`: IMU samples per covariance step."""
+        self._every = covariance_every
+        self.position: Vector = _ZERO
+        self.velocity: Vector = _ZERO
+        self.quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self.rotation: Rotation = rotation_of(self.quaternion)
+        self.gyro_bias: Vector = _ZERO
+        self.accelerometer_bias: Vector = _ZERO
+        self.P: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
+        self._P_diagonal = self.P.reshape(-1)[:: ERROR_SIZE + 1]
+        self._Phi: Array = np.eye(ERROR_SIZE)
+        self._Phi_velocity_bias = self._Phi[3:6, 12:15]
+        self._Phi_attitude_bias = self._Phi[6:9, 9:12]
+        self._Q: Array = np.zeros(ERROR_SIZE)
+        self._scratch: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
+        self._gathered = 0
+        self._gathered_s = 0.0
+        self._gathered_dv: Vector = _ZERO
+        self._last_rate: Vector | None = None
+        self._last_force: Vector = (0.0, 0.0, -GRAVITY_M_S2)
+        self._sums = (_ZERO, _ZERO, _ZERO, _ZERO)
+        self._time_s = 0.0
+        self._history: list[PastState | None] = [None] * HISTORY_LENGTH
+        self._newest = -1
+
+    def start(self, quaternion: Quaternion, gyro_bias: Vector, sigmas: tuple[float, ...]) -> None:
+        """Sets the attitude and gyro bias at rest in the origin. `sigmas`: standard deviations of the 15 errors."""
+        self.quaternion = quaternion
+        self.rotation = rotation_of(quaternion)
+        self.gyro_bias = gyro_bias
+        self.P[:] = np.diag(np.square(sigmas))
+
+    def predict(
+        self,
+        time_ns: int,
+        dt: float,
+        accelerometer: Vector,
+        gyroscope: Vector,
+        noise: tuple[float, float, float, float],
+    ) -> None:
+        """Moves the state by one IMU sample (trapezoidal rule over the sample and its predecessor).
+
+        `noise`: standard deviations of accelerometer (m/s^2) and gyroscope (rad/s) samples, and the densities of the
+        biases' random walks (rad/s and m/s^2 per sqrt(s)).
+        """
+        bx, by, bz = self.gyro_bias
+        gx, gy, gz = gyroscope
+        ox, oy, oz = self._last_rate or gyroscope
+        half = 0.5 * dt
+        self.quaternion = product(
+            self.quaternion,
+            exponential(((gx + ox) * half - bx * dt, (gy + oy) * half - by * dt, (gz + oz) * half - bz * dt)),
+        )
+        self.rotation = a, b, c, d, e, f, g, h, i = rotation_of(self.quaternion)
+        cx, cy, cz = self.accelerometer_bias
+        ax, ay, az = accelerometer
+        ax -= cx
+        ay -= cy
+        az -= cz
+        fx, fy, fz = a * ax + b * ay + c * az, d * ax + e * ay + f * az, g * ax + h * ay + i * az
+        px, py, pz = self._last_force
+        dvx, dvy, dvz = (fx + px) * half, (fy + py) * half, (fz + pz) * half + GRAVITY_M_S2 * dt
+        vx, vy, vz = self.velocity
+        x, y, z = self.position
+        self.position = (x + (vx + 0.5 * dvx) * dt, y + (vy + 0.5 * dvy) * dt, z + (vz + 0.5 * dvz) * dt)
+        self.velocity = (vx + dvx, vy + dvy, vz + dvz)
+        self._last_rate = gyroscope
+        self._last_force = (fx, fy, fz)
+        gx -= bx
+        gy -= by
+        gz -= bz
+        rate_world = (a * gx + b * gy + c * gz, d * gx + e * gy + f * gz, g * gx + h * gy + i * gz)
+        self._time_s = time_ns * 1e-9
+        self._newest = (self._newest + 1) % HISTORY_LENGTH
+        self._history[self._newest] = PastState(
+            time_ns, self.position, self.velocity, self.rotation, rate_world, *self._sums
+        )
+        kx, ky, kz = self._gathered_dv
+        self._gathered_dv = (kx + dvx, ky + dvy, kz + dvz - GRAVITY_M_S2 * dt)
+        self._gathered_s += dt
+        self._gathered += 1
+        if self._gathered >= self._every:
+            self._predict_covariance(noise)
+
+    def _predict_covariance(self, noise: tuple[float, float, float, float]) -> None:
+        """P = Phi P Phi^T + Q over the samples gathered."""
+        Phi, dt = self._Phi, self._gathered_s
+        sample_s = dt / self._gathered
+        Phi[0, 3] = Phi[1, 4] = Phi[2, 5] = dt
+        fx, fy, fz = self._gathered_dv
+        Phi[3, 7], Phi[3, 8], Phi[4, 8] = fz, -fy, fx
+        Phi[4, 6], Phi[5, 6], Phi[5, 7] = -fz, fy, -fx
+        block = np.array(self.rotation).reshape(3, 3)
+        block *= -dt
+        self._Phi_velocity_bias[:] = block
+        self._Phi_attitude_bias[:] = block
+        np.dot(Phi, self.P, out=self._scratch)
+        np.dot(self._scratch, Phi.T, out=self.P)
+        accelerometer, gyroscope, gyro_walk, accelerometer_walk = noise
+        Q = self._Q
+        Q[3:6] = accelerometer * accelerometer * sample_s * dt
+        Q[6:9] = gyroscope * gyroscope * sample_s * dt
+        Q[9:12] = gyro_walk * gyro_walk * dt
+        Q[12:15] = accelerometer_walk * accelerometer_walk * dt
+        self._P_diagonal += Q
+        self._gathered, self._gathered_s, self._gathered_dv = 0, 0.0, _ZERO
+
+    def at(self, time_ns: int) -> PastState | None:
+        """The state at `time_ns` as we know it now, all later corrections included; None when it is not in the history.
+
+        Between samples position and attitude run on at constant rate.
+        """
+        index = self._newest
+        for _ in range(HISTORY_LENGTH):
+            past = self._history[index]
+            if past is None:
+                return None
+            if past.time_ns <= time_ns:
+                return self._corrected(past, time_ns)
+            index -= 1
+        return None
+
+    def _corrected(self, past: PastState, time_ns: int) -> PastState:
+        dp, dv, dvt, phi = self._sums
+        stamp_s = past.time_ns * 1e-9
+        ahead_s = (time_ns - past.time_ns) * 1e-9
+        du = (dv[0] - past.dv_sum[0], dv[1] - past.dv_sum[1], dv[2] - past.dv_sum[2])
+        vx, vy, vz = past.velocity[0] + du[0], past.velocity[1] + du[1], past.velocity[2] + du[2]
+        position = (
+            past.position[0] + dp[0] - past.dp_sum[0] - (dvt[0] - past.dvt_sum[0] - stamp_s * du[0]) + vx * ahead_s,
+            past.position[1] + dp[1] - past.dp_sum[1] - (dvt[1] - past.dvt_sum[1] - stamp_s * du[1]) + vy * ahead_s,
+            past.position[2] + dp[2] - past.dp_sum[2] - (dvt[2] - past.dvt_sum[2] - stamp_s * du[2]) + vz * ahead_s,
+        )
+        wx, wy, wz = past.rate_world
+        turn = (
+            phi[0] - past.phi_sum[0] + wx * ahead_s,
+            phi[1] - past.phi_sum[1] + wy * ahead_s,
+            phi[2] - past.phi_sum[2] + wz * ahead_s,
+        )
+        a, b, c, d, e, f, g, h, i = past.rotation
+        tx, ty, tz = turn  # R + [turn]x R: the turn is small, being a few corrections and at most one sample
+        rotation = (
+            a - tz * d + ty * g,
+            b - tz * e + ty * h,
+            c - tz * f + ty * i,
+            d + tz * a - tx * g,
+            e + tz * b - tx * h,
+            f + tz * c - tx * i,
+            g - ty * a + tx * d,
+            h - ty * b + tx * e,
+            i - ty * c + tx * f,
+        )
+        return PastState(time_ns, position, (vx, vy, vz), rotation, past.rate_world, dp, dv, dvt, phi)
+
+    def correct_scalar(self, h: Array | int, innovation: float, variance: float, gate: float) -> float:
+        """One scalar measurement of the error: h . error (or error[h]) = innovation + noise.
+
+        Returns the squared innovation over its variance; the state changes only when that is within `gate`.
+        """
+        P = self.P
+        if isinstance(h, int):
+            PHt = P[:, h].copy()
+            S = float(PHt[h]) + variance
+        else:
+            PHt = P.dot(h)
+            S = float(PHt.dot(h)) + variance
+        score = innovation * innovation / S
+        if score <= gate:
+            K = PHt / S
+            np.multiply(K[:, None], PHt[None, :], out=self._scratch)
+            P -= self._scratch
+            K *= innovation
+            self._apply(K)
+        return score
+
+    def correct_position(self, innovation: Vector, delay_s: float, variance: float, gate: float) -> float:
+        """A position measured `delay_s` ago: H = [I, -tau I, 0, 0, 0]. Returns the score, as correct_scalar does."""
+        PHt = self.P[:, 3:6] * -delay_s
+        PHt += self.P[:, 0:3]
+        S = PHt[0:3] - delay_s * PHt[3:6]
+        return self._correct_three(PHt, S, innovation, variance, gate)
+
+    def correct_attitude(self, innovation: Vector, variance: float, gate: float) -> float:
+        """A measured attitude: H = [0, 0, I, 0, 0]. Returns the score, as correct_scalar does."""
+        PHt = self.P[:, 6:9].copy()
+        return self._correct_three(PHt, PHt[6:9].copy(), innovation, variance, gate)
+
+    def _correct_three(self, PHt: Array, S: Array, innovation: Vector, variance: float, gate: float) -> float:
+        (a, b, c), (_, d, e), (_, _, f) = S.tolist()
+        a += variance
+        d += variance
+        f += variance
+        A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+        determinant = a * A + b * B + c * C
+        D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+        S_inverse = np.array(((A, B, C), (B, D, E), (C, E, F)))
+        S_inverse /= determinant
+        y = np.array(innovation)
+        weighted = S_inverse.dot(y)
+        score = float(y.dot(weighted))
+        if score <= gate:
+            np.dot(PHt.dot(S_inverse), PHt.T, out=self._scratch)
+            self.P -= self._scratch
+            self._symmetrise()
+            self._apply(PHt.dot(weighted))
+        return score
+
+    def _symmetrise(self) -> None:
+        np.add(self.P, self.P.T, out=self._scratch)
+        np.multiply(self._scratch, 0.5, out=self.P)
+
+    def _apply(self, error: Array) -> None:
+        """Moves the estimated error into the nominal state."""
+        e = error.tolist()
+        self.shift((e[0], e[1], e[2]), (e[3], e[4], e[5]), (e[6], e[7], e[8]))
+        x, y, z = self.gyro_bias
+        self.gyro_bias = (x + e[9], y + e[10], z + e[11])
+        x, y, z = self.accelerometer_bias
+        self.accelerometer_bias = (x + e[12], y + e[13], z + e[14])
+
+    def shift(self, dp: Vector, dv: Vector, phi: Vector) -> None:
+        """Corrects position, velocity and attitude, and with them the whole history."""
+        x, y, z = self.position
+        self.position = (x + dp[0], y + dp[1], z + dp[2])
+        x, y, z = self.velocity
+        self.velocity = (x + dv[0], y + dv[1], z + dv[2])
+        self.quaternion = product(exponential(phi), self.quaternion)
+        self.rotation = rotation_of(self.quaternion)
+        t = self._time_s
+        p_sum, v_sum, vt_sum, phi_sum = self._sums
+        self._sums = (
+            (p_sum[0] + dp[0], p_sum[1] + dp[1], p_sum[2] + dp[2]),
+            (v_sum[0] + dv[0], v_sum[1] + dv[1], v_sum[2] + dv[2]),
+            (vt_sum[0] + dv[0] * t, vt_sum[1] + dv[1] * t, vt_sum[2] + dv[2] * t),
+            (phi_sum[0] + phi[0], phi_sum[1] + phi[1], phi_sum[2] + phi[2]),
+        )
+
+    def forget_history(self) -> None:
+        """Drops the past: after a turn too large for sums of small rotations."""
+        self._history = [None] * HISTORY_LENGTH
+
+    def restart_error(self, start: int, sigma: float) -> None:
+        """Makes three errors from `start` on uncorrelated with all others, with standard deviation `sigma`."""
+        self.P[start : start + 3, :] = 0.0
+        self.P[:, start : start + 3] = 0.0
+        self._P_diagonal[start : start + 3] = sigma * sigma
+
+    def inflate(self, start: int, sigma: float) -> None:
+        """Adds an uncertainty of `sigma` to three errors from `start` on."""
+        self._P_diagonal[start : start + 3] += sigma * sigma

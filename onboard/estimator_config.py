@@ -1,0 +1,62 @@
+"""Settings of the estimator: noise of each sensor, gates, and times after which it changes its mind."""
+
+from pydantic import Field
+
+from configs.loader import Record
+
+
+class EstimatorConfig(Record):
+    """Standard deviations unless said otherwise. The defaults fit the Mambo's bench and flight logs."""
+
+    accelerometer_sigma: float = Field(
+        default=0.3, gt=0, description="m/s^2 per sample, motors off; grows by vibration"
+    )
+    accelerometer_sigma_max: float = Field(default=3.0, gt=0, description="m/s^2, limit of that growth")
+    vibration_to_sigma: float = Field(default=0.74, ge=0, description="1; accelerometer sigma per vibration measure")
+    gyro_sigma: float = Field(default=0.03, gt=0, description="rad/s per sample, in flight")
+    gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
+    accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")
+    gyro_delay_s: float = Field(default=0.0, ge=0, le=0.05, description="s; rates are this old when they are stamped")
+
+    start_samples: int = Field(default=50, ge=10, le=2000, description="still IMU samples that find the attitude")
+    start_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; a faster rotation is not stillness")
+    start_tilt_sigma_rad: float = Field(default=0.05, gt=0, description="rad, from accelerometer bias")
+    start_yaw_sigma_rad: float = Field(default=0.05, gt=0, description="rad; without pose the start defines north")
+    start_gyro_bias_sigma: float = Field(default=0.02, gt=0, description="rad/s")
+    start_accelerometer_bias_sigma: float = Field(default=0.35, gt=0, description="m/s^2")
+    start_position_sigma_m: float = Field(
+        default=0.02, gt=0, description="m; without pose the start defines the origin"
+    )
+
+    pose_position_sigma_m: float = Field(default=0.01, gt=0, description="m, per axis")
+    pose_attitude_sigma_rad: float = Field(default=0.02, gt=0, description="rad, per axis")
+    pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
+    pose_delay_max_s: float = Field(default=0.4, gt=0, le=0.6, description="s; older poses are refused")
+    pose_reset_count: int = Field(default=5, ge=2, description="refused poses in a row that agree: state jumps to them")
+    pose_agree_m: float = Field(default=0.2, gt=0, description="m between successive refused poses that agree")
+    jump_threshold_m: float = Field(default=0.05, gt=0, description="m; a larger correction is announced as a jump")
+
+    flow_rate_sigma_rad_s: float = Field(default=0.08, gt=0, description="rad/s, per axis, of the flow rate")
+    flow_scale_sigma: float = Field(default=0.05, ge=0, description="1; relative error of the flow velocity")
+    flow_quality_min: int = Field(default=30, ge=0, le=255, description="worse flow is ignored")
+    flow_height_min_m: float = Field(default=0.12, gt=0, description="m; nearer to the floor there is no flow")
+    flow_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
+
+    range_sigma_m: float = Field(default=0.04, gt=0, description="m")
+    range_floor_m: float = Field(default=0.44, gt=0, description="m; the ultrasonic sensor reads nothing below")
+    range_margin_m: float = Field(default=0.04, ge=0, description="m above the floor reading at which readings count")
+    range_max_m: float = Field(default=4.0, gt=0, description="m")
+    range_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
+
+    pressure_sigma_pa: float = Field(default=4.0, gt=0, description="Pa, of a mean of some samples, drift included")
+    pressure_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 1 degree of freedom")
+
+    still_velocity_sigma_m_s: float = Field(default=0.05, gt=0, description="m/s on the ground")
+    still_height_sigma_m: float = Field(default=0.03, gt=0, description="m on the ground, when no pose says better")
+    unaided_velocity_sigma_m_s: float = Field(
+        default=2.0, gt=0, description="m/s; all that is known with no aid at all"
+    )
+    recovery_s: float = Field(default=1.0, gt=0, description="s of refused aids after which uncertainty is widened")
+    aid_fresh_s: float = Field(default=0.5, gt=0, description="s; an aid younger than this is present")
+    covariance_every: int = Field(default=2, ge=1, le=8, description="IMU samples per covariance step")
+    gap_s: float = Field(default=0.05, gt=0, description="s; an IMU gap longer than this widens the uncertainty")
