@@ -155,7 +155,7 @@ class FlightLogWriter:
     @property
     def dropped(self) -> int:
         """Records lost because a ring was full."""
-        return sum(ring.dropped for ring in (*self._vectors.values(), *self._texts.values()))
+        return sum(ring.dropped for ring in self._rings().values())
 
     def declare(self, record_type: RecordType) -> _VectorRing:
         """Makes room for a record type ahead of its first record, which is then as cheap as the others."""
@@ -241,8 +241,11 @@ class FlightLogWriter:
             self._wake.clear()
             self._try(self._flush)
 
+    def _rings(self) -> dict[str, _VectorRing | _BytesRing]:
+        return {**self._vectors, **self._texts}
+
     def _flush(self) -> None:
-        rings = {**self._vectors, **self._texts}
+        rings = self._rings()
         for topic, ring in rings.items():
             dropped = ring.dropped
             new = dropped - self._reported_drops.get(topic, 0)
@@ -250,7 +253,8 @@ class FlightLogWriter:
                 self._reported_drops[topic] = dropped
                 text = f"flight log: {new} records of {topic} lost, the disk was too slow"
                 self._own_events.push(max(self._newest_ns, 0), _cdr_string(text))
-        blocks = [block for ring in (*rings.values(), self._own_events) if (block := ring.drain()) is not None]
+        drained = [ring.drain() for ring in rings.values()]
+        blocks = [block for block in (*drained, self._own_events.drain()) if block is not None]
         if blocks:
             self._file.write_chunk(blocks)
 
