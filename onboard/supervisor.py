@@ -1,0 +1,382 @@
+"""Which mode the flight is in, and what changes it: one table.
+
+Each mode has a row of (event, next mode), the most urgent first. In every step the row of the present mode is read
+from the left, and the first event whose condition holds decides. A condition that needs to last (`_LASTING`) counts
+only after it has held without a break, in one mode, for that long.
+
+What each silence does in flight: IMU 50 ms: motors off. Velocity aid (pose or flow) 2 s: level and descend. Pose
+0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). Battery report, ground
+station: landing, if configured. Offboard: nothing but a message; what it learns can wait.
+"""
+
+import math
+from collections.abc import Callable
+from enum import Enum, IntEnum
+from typing import Final, Literal, NamedTuple
+
+from pydantic import Field
+
+from configs.loader import Record
+
+
+class FlightMode(IntEnum):
+    """What the vehicle is doing. The number travels in protocol.messages.Status."""
+
+    BOOT = 0
+    """On the ground, motors off, waiting for healthy sensors."""
+    READY = 1
+    """On the ground, motors off, may be armed."""
+    ARMED = 2
+    """On the ground, motors idle."""
+    TAKE_OFF = 3
+    FLYING = 4
+    """Following the trajectory."""
+    HOLD = 5
+    """Holding the place where the pose was lost, on optical flow."""
+    HOLD_LEVEL = 6
+    """No velocity is known: level attitude, slow descent on thrust alone."""
+    LANDING = 7
+    LANDED = 8
+    """On the ground after a flight, motors off."""
+    EMERGENCY = 9
+    """Motors off because of a fault. Left by a disarm command only."""
+    TERMINATED = 10
+    """Motors off by command, for good."""
+
+
+class Command(Enum):
+    """What a pilot, a ground station or the flight plan may ask for."""
+
+    ARM = "arm"
+    DISARM = "disarm"
+    TAKE_OFF = "take off"
+    LAND = "land"
+    TERMINATE = "terminate"
+
+
+class Event(Enum):
+    """Everything that can change the mode; the value says it in words."""
+
+    TERMINATE = "flight terminated by command"
+    IMU_SILENT = "IMU silent"
+    FAULT = "fault in the flight computation"
+    TILTED = "tilt beyond the limit"
+    VELOCITY_LOST = "no velocity aid"
+    VELOCITY_BACK = "velocity aid back"
+    POSITION_LOST = "position lost"
+    POSITION_BACK = "position back"
+    BATTERY_LOW = "battery low"
+    BATTERY_SILENT = "battery silent"
+    GROUND_SILENT = "ground station silent"
+    OUT_OF_BOUNDS = "outside the fence"
+    TIME_UP = "took too long"
+    TOUCHED_DOWN = "touched down"
+    AT_HEIGHT = "take-off height reached"
+    ARM = "armed by command"
+    DISARM = "disarmed by command"
+    TAKE_OFF = "take-off by command"
+    LAND = "landing by command"
+    HEALTHY = "sensors healthy"
+    UNHEALTHY = "sensors not healthy"
+
+
+M, E = FlightMode, Event
+Row = tuple[tuple[Event, FlightMode], ...]
+
+_MOTORS_OFF: Final[Row] = (
+    (E.TERMINATE, M.TERMINATED),
+    (E.IMU_SILENT, M.EMERGENCY),
+    (E.FAULT, M.EMERGENCY),
+    (E.TILTED, M.EMERGENCY),
+)
+_COME_DOWN: Final[Row] = (
+    (E.VELOCITY_LOST, M.HOLD_LEVEL),
+    (E.LAND, M.LANDING),
+    (E.BATTERY_LOW, M.LANDING),
+    (E.BATTERY_SILENT, M.LANDING),
+    (E.GROUND_SILENT, M.LANDING),
+    (E.OUT_OF_BOUNDS, M.LANDING),
+)
+
+TRANSITIONS: Final[dict[FlightMode, Row]] = {
+    M.BOOT: ((E.TERMINATE, M.TERMINATED), (E.HEALTHY, M.READY)),
+    M.READY: ((E.TERMINATE, M.TERMINATED), (E.UNHEALTHY, M.BOOT), (E.ARM, M.ARMED)),
+    M.ARMED: (
+        *_MOTORS_OFF,
+        (E.DISARM, M.READY),
+        (E.LAND, M.READY),
+        (E.UNHEALTHY, M.BOOT),
+        (E.TAKE_OFF, M.TAKE_OFF),
+        (E.TIME_UP, M.READY),
+    ),
+    M.TAKE_OFF: (*_MOTORS_OFF, *_COME_DOWN, (E.TIME_UP, M.LANDING), (E.AT_HEIGHT, M.FLYING)),
+    M.FLYING: (*_MOTORS_OFF, *_COME_DOWN, (E.POSITION_LOST, M.HOLD)),
+    M.HOLD: (*_MOTORS_OFF, *_COME_DOWN, (E.POSITION_BACK, M.FLYING), (E.TIME_UP, M.LANDING)),
+    M.HOLD_LEVEL: (*_MOTORS_OFF, (E.TOUCHED_DOWN, M.LANDED), (E.VELOCITY_BACK, M.LANDING), (E.TIME_UP, M.LANDED)),
+    M.LANDING: (*_MOTORS_OFF, (E.TOUCHED_DOWN, M.LANDED), (E.VELOCITY_LOST, M.HOLD_LEVEL), (E.TIME_UP, M.HOLD_LEVEL)),
+    M.LANDED: ((E.TERMINATE, M.TERMINATED), (E.DISARM, M.BOOT), (E.TIME_UP, M.BOOT)),
+    M.EMERGENCY: ((E.TERMINATE, M.TERMINATED), (E.DISARM, M.BOOT)),
+    M.TERMINATED: (),
+}
+
+SPINNING: Final = frozenset({M.ARMED, M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
+"""Modes in which the motors may turn."""
+AIRBORNE: Final = frozenset({M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
+
+_COMMAND_EVENTS: Final = {
+    Command.ARM: E.ARM,
+    Command.DISARM: E.DISARM,
+    Command.TAKE_OFF: E.TAKE_OFF,
+    Command.LAND: E.LAND,
+    Command.TERMINATE: E.TERMINATE,
+}
+
+
+class SupervisorConfig(Record):
+    """Limits. Ages are seconds since the newest good input."""
+
+    imu_silent_s: float = Field(default=0.05, gt=0, description="s; motors off")
+    pose_stale_s: float = Field(default=0.5, gt=0, description="s; the pose does not count any more")
+    on_pose_stale: Literal["hold", "continue"] = Field(
+        default="hold", description="hold: stop on flow; continue: fly on while flow and position_sigma_m are good"
+    )
+    position_sigma_max_m: float = Field(default=0.5, gt=0, description="m; worse is no position, with continue")
+    velocity_stale_s: float = Field(default=0.5, gt=0, description="s; flow does not carry the position any more")
+    velocity_lost_s: float = Field(default=2.0, gt=0, description="s; level and descend")
+    offboard_silent_s: float = Field(default=1.0, gt=0, description="s; a message, nothing else")
+    ground_silent_s: float = Field(default=0.0, ge=0, description="s; landing; 0: no ground station is needed")
+    battery_silent_s: float = Field(default=0.0, ge=0, description="s; landing; 0: battery reports are not needed")
+    battery_low_v: float = Field(default=3.2, gt=0, description="V under load; landing")
+    battery_low_remaining: float = Field(default=0.1, ge=0, le=1, description="fraction; landing")
+    battery_low_for_s: float = Field(default=1.0, ge=0, description="s that the battery must be low")
+    battery_arm_v: float = Field(default=3.5, gt=0, description="V; no arming below")
+    tilt_max_rad: float = Field(default=1.4, gt=0, lt=math.pi, description="rad; motors off")
+    fence_m: float = Field(default=10.0, gt=0, description="m from the origin, horizontally; landing")
+    ceiling_m: float = Field(default=5.0, gt=0, description="m above the floor; landing")
+    take_off_height_m: float = Field(default=1.0, gt=0, description="m above the floor")
+    take_off_tolerance_m: float = Field(default=0.15, gt=0, description="m below that height at which flight begins")
+    take_off_max_s: float = Field(default=8.0, gt=0, description="s; then landing")
+    armed_max_s: float = Field(default=10.0, gt=0, description="s on the ground with idle motors; then disarmed")
+    hold_max_s: float = Field(default=20.0, gt=0, description="s on flow alone; then landing")
+    level_max_s: float = Field(default=8.0, gt=0, description="s of level descent; then motors off")
+    landing_max_s: float = Field(default=20.0, gt=0, description="s; then level descent")
+    landed_s: float = Field(default=1.0, gt=0, description="s after touch-down until the next flight may be prepared")
+    touch_down_height_m: float = Field(default=0.12, gt=0, description="m; lower and slower is touch-down")
+    touch_down_speed_m_s: float = Field(default=0.15, gt=0, description="m/s")
+    touch_down_thrust: float = Field(default=0.6, gt=0, lt=1, description="fraction of weight; slower and less is too")
+    touch_down_for_s: float = Field(default=0.3, ge=0, description="s that touch-down must last")
+    healthy_for_s: float = Field(default=0.5, ge=0, description="s that all sensors must be good before arming")
+    back_for_s: float = Field(default=0.3, ge=0, description="s that a lost aid must be back")
+    arm_needs_pose: bool = Field(default=True, description="no arming without a fresh pose")
+    auto_arm: bool = Field(default=False, description="simulation only: arm and take off, once, when ready")
+
+
+class SupervisorInputs(NamedTuple):
+    """What the supervisor sees in one step."""
+
+    now_ns: int
+    imu_age_s: float
+    pose_age_s: float
+    velocity_aid_age_s: float
+    offboard_age_s: float
+    ground_age_s: float
+    battery_age_s: float
+    battery_v: float
+    battery_remaining: float
+    """Fraction; negative when unknown."""
+    tilt_rad: float
+    height_m: float
+    """Above the floor."""
+    climb_m_s: float
+    """Positive upwards."""
+    distance_m: float
+    """From the origin, horizontally."""
+    position_sigma_m: float
+    thrust_to_weight: float
+    """Collective thrust commanded last, over weight."""
+    initialised: bool
+    """The estimator has found the attitude."""
+    preflight: str = ""
+    """Why the vehicle must not be armed; "" when nothing stands against it."""
+    fault: bool = False
+    """An exception escaped a step, or a block gave numbers that are not finite."""
+    command: Command | None = None
+
+
+class Supervisor:
+    """Keeps the mode. Knows no block but this table and its own clock."""
+
+    def __init__(self, config: SupervisorConfig) -> None:
+        self._config = config
+        self._since_ns: dict[Event, int] = {}
+        self._entered_ns: int | None = None
+        self._offboard_silent = True
+        self._flown = False
+        self._events: list[tuple[int, str]] = []
+        self._lasting_ns = {
+            E.HEALTHY: int(config.healthy_for_s * 1e9),
+            E.POSITION_BACK: int(config.back_for_s * 1e9),
+            E.VELOCITY_BACK: int(config.back_for_s * 1e9),
+            E.TOUCHED_DOWN: int(config.touch_down_for_s * 1e9),
+            E.BATTERY_LOW: int(config.battery_low_for_s * 1e9),
+        }
+        self._time_limit_ns = {
+            M.ARMED: int(config.armed_max_s * 1e9),
+            M.TAKE_OFF: int(config.take_off_max_s * 1e9),
+            M.HOLD: int(config.hold_max_s * 1e9),
+            M.HOLD_LEVEL: int(config.level_max_s * 1e9),
+            M.LANDING: int(config.landing_max_s * 1e9),
+            M.LANDED: int(config.landed_s * 1e9),
+        }
+        self.mode = M.BOOT
+
+    @property
+    def spinning(self) -> bool:
+        """The motors may turn."""
+        return self.mode in SPINNING
+
+    @property
+    def airborne(self) -> bool:
+        """The vehicle is meant to be off the ground."""
+        return self.mode in AIRBORNE
+
+    def take_events(self) -> list[tuple[int, str]]:
+        """What happened since the last call: (time_ns, text)."""
+        events, self._events = self._events, []
+        return events
+
+    def refusal(self, command: Command, inputs: SupervisorInputs) -> str:
+        """Why a command would not be obeyed now; "" when it would."""
+        event = _COMMAND_EVENTS[command]
+        if all(entry is not event for entry, _ in TRANSITIONS[self.mode]):
+            return f"{command.value}: not in mode {self.mode.name}"
+        return self.unready(inputs) if command is Command.ARM else ""
+
+    def unready(self, inputs: SupervisorInputs) -> str:
+        """What stands against arming; "" when nothing does."""
+        config = self._config
+        if not inputs.initialised or inputs.imu_age_s > config.imu_silent_s:
+            return "IMU silent or attitude not found"
+        if inputs.preflight:
+            return inputs.preflight
+        if config.arm_needs_pose and inputs.pose_age_s > config.pose_stale_s:
+            return "no fresh pose"
+        if inputs.tilt_rad > 0.35:
+            return "not level"
+        if inputs.battery_v > 0.0 and inputs.battery_v < config.battery_arm_v:
+            return f"battery at {inputs.battery_v:.2f} V"
+        if 0.0 <= inputs.battery_remaining < config.battery_low_remaining:
+            return f"battery at {inputs.battery_remaining:.0%}"
+        if inputs.battery_v <= 0.0 and config.battery_silent_s > 0.0:
+            return "no battery report"
+        if 0.0 < config.ground_silent_s < inputs.ground_age_s:
+            return "no ground station"
+        return ""
+
+    def step(self, inputs: SupervisorInputs) -> FlightMode:
+        """Reads the row of the present mode and makes at most one transition."""
+        if self._entered_ns is None:
+            self._entered_ns = inputs.now_ns
+        for event, target in TRANSITIONS[self.mode]:
+            if self._holds(event, inputs):
+                self._enter(target, event, inputs)
+                break
+        self._watch_offboard(inputs)
+        return self.mode
+
+    def _holds(self, event: Event, inputs: SupervisorInputs) -> bool:
+        """Whether an event's condition holds, and has held long enough."""
+        if not _CONDITIONS[event](self, inputs):
+            self._since_ns.pop(event, None)
+            return False
+        lasting_ns = self._lasting_ns.get(event)
+        if lasting_ns is None:
+            return True
+        return inputs.now_ns - self._since_ns.setdefault(event, inputs.now_ns) >= lasting_ns
+
+    def _enter(self, mode: FlightMode, event: Event, inputs: SupervisorInputs) -> None:
+        self._events.append((inputs.now_ns, f"{self.mode.name} -> {mode.name}: {event.value}"))
+        self.mode = mode
+        self._entered_ns = inputs.now_ns
+        self._since_ns.clear()
+        if mode is M.TAKE_OFF:
+            self._flown = True
+
+    def _watch_offboard(self, inputs: SupervisorInputs) -> None:
+        silent = inputs.offboard_age_s > self._config.offboard_silent_s
+        if silent != self._offboard_silent:
+            self._offboard_silent = silent
+            self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard heard"))
+
+    # -- conditions ---------------------------------------------------------------------------------------------------
+
+    def _healthy(self, inputs: SupervisorInputs) -> bool:
+        return not self.unready(inputs)
+
+    def _sensors_lost(self, inputs: SupervisorInputs) -> bool:
+        return not inputs.initialised or inputs.imu_age_s > self._config.imu_silent_s or bool(inputs.preflight)
+
+    def _wants_arming(self, inputs: SupervisorInputs) -> bool:
+        auto = self._config.auto_arm and not self._flown
+        return (auto or inputs.command is Command.ARM) and self._healthy(inputs)
+
+    def _wants_take_off(self, inputs: SupervisorInputs) -> bool:
+        return inputs.command is Command.TAKE_OFF or (self._config.auto_arm and not self._flown)
+
+    def _position_lost(self, inputs: SupervisorInputs) -> bool:
+        config = self._config
+        if inputs.pose_age_s <= config.pose_stale_s:
+            return False
+        if config.on_pose_stale == "hold":
+            return True
+        carried = inputs.velocity_aid_age_s <= config.velocity_stale_s
+        return not carried or inputs.position_sigma_m > config.position_sigma_max_m
+
+    def _battery_low(self, inputs: SupervisorInputs) -> bool:
+        config = self._config
+        return 0.0 < inputs.battery_v < config.battery_low_v or (
+            0.0 <= inputs.battery_remaining < config.battery_low_remaining
+        )
+
+    def _touched_down(self, inputs: SupervisorInputs) -> bool:
+        """Not moving, and either low or with little thrust: in the air one of these cannot last."""
+        config = self._config
+        if abs(inputs.climb_m_s) > config.touch_down_speed_m_s:
+            return False
+        return inputs.height_m < config.touch_down_height_m or inputs.thrust_to_weight < config.touch_down_thrust
+
+    def _out_of_bounds(self, inputs: SupervisorInputs) -> bool:
+        return inputs.distance_m > self._config.fence_m or inputs.height_m > self._config.ceiling_m
+
+    def _time_up(self, inputs: SupervisorInputs) -> bool:
+        assert self._entered_ns is not None
+        return inputs.now_ns - self._entered_ns >= self._time_limit_ns[self.mode]
+
+    def _at_height(self, inputs: SupervisorInputs) -> bool:
+        return inputs.height_m >= self._config.take_off_height_m - self._config.take_off_tolerance_m
+
+
+_CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] = {
+    E.TERMINATE: lambda s, i: i.command is Command.TERMINATE,
+    E.IMU_SILENT: lambda s, i: i.imu_age_s > s._config.imu_silent_s,
+    E.FAULT: lambda s, i: i.fault,
+    E.TILTED: lambda s, i: not i.tilt_rad <= s._config.tilt_max_rad,
+    E.VELOCITY_LOST: lambda s, i: i.velocity_aid_age_s > s._config.velocity_lost_s,
+    E.VELOCITY_BACK: lambda s, i: i.velocity_aid_age_s <= s._config.velocity_stale_s,
+    E.POSITION_LOST: Supervisor._position_lost,
+    E.POSITION_BACK: lambda s, i: not s._position_lost(i),
+    E.BATTERY_LOW: Supervisor._battery_low,
+    E.BATTERY_SILENT: lambda s, i: 0.0 < s._config.battery_silent_s < i.battery_age_s,
+    E.GROUND_SILENT: lambda s, i: 0.0 < s._config.ground_silent_s < i.ground_age_s,
+    E.OUT_OF_BOUNDS: Supervisor._out_of_bounds,
+    E.TIME_UP: Supervisor._time_up,
+    E.TOUCHED_DOWN: Supervisor._touched_down,
+    E.AT_HEIGHT: Supervisor._at_height,
+    E.ARM: Supervisor._wants_arming,
+    E.DISARM: lambda s, i: i.command is Command.DISARM,
+    E.TAKE_OFF: Supervisor._wants_take_off,
+    E.LAND: lambda s, i: i.command is Command.LAND,
+    E.HEALTHY: Supervisor._healthy,
+    E.UNHEALTHY: Supervisor._sensors_lost,
+}
+"""When each event holds."""
