@@ -113,7 +113,8 @@ class _Parser:
             except (EndOfFile, KeyError, ValueError, struct.error) as error:
                 self._log.damage = f"damaged record at byte {position} ({error})"
                 break
-            if self._log.whole:
+            if opcode == Opcode.DATA_END:
+                self._log.whole = bytes(self._data[-len(MAGIC) :]) == MAGIC
                 break
         self._gather()
 
@@ -142,8 +143,6 @@ class _Parser:
             self._log.attachments[attachment.name] = attachment.data
         elif opcode == Opcode.CHUNK:
             self._take_chunk(body)
-        elif opcode == Opcode.DATA_END:
-            self._log.whole = True
 
     def _take_metadata(self, record: Metadata) -> None:
         if record.name != METADATA_NAME:
