@@ -1,0 +1,232 @@
+"""The sensors: what they would read of the true state, with bias, noise, delay, rate and quantisation.
+
+Optical flow keeps PX4's signs: angles are integrated about the body's axes; turning right-handed about an axis gives
+positive flow about it, moving along +y gives negative flow about x, moving along +x gives positive flow about y. With
+the integrated gyro taken off, v_y = -(flow_x - gyro_x)/dt * distance and v_x = (flow_y - gyro_y)/dt * distance, where
+distance is measured along the body's down axis.
+"""
+
+from dataclasses import dataclass
+from math import acos, cos, sin, sqrt
+
+import numpy as np
+
+from sim_vehicle import layout as at
+from sim_vehicle.draws import Normals, Uniforms
+from sim_vehicle.packing import GRAVITY
+from sim_vehicle.parameters import FlowConfig, ImuConfig, MotionCaptureConfig, UltrasonicConfig
+from sim_vehicle.records import Array
+from sim_vehicle.world import Imbalance
+
+AIR_DENSITY = 1.184
+"""kg/m^3, as in the thrust map."""
+
+
+class Schedule:
+    """Times of a sensor that samples at the first IMU tick at or after each multiple of its period."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._count = 1
+        self._due_ns = round(1e9 / rate_hz)
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether to sample now; True once for each period."""
+        if now_ns < self._due_ns:
+            return False
+        self._count = max(self._count + 1, int(now_ns * 1e-9 * self._rate_hz + 1e-6) + 1)
+        self._due_ns = round(self._count * 1e9 / self._rate_hz)
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """Body FRD."""
+
+    accelerometer_m_s2: tuple[float, float, float]
+    gyroscope_rad_s: tuple[float, float, float]
+    pressure_pa: float
+
+
+class Imu:
+    """Accelerometer (mean specific force since the last sample), delayed gyro, barometer."""
+
+    def __init__(self, config: ImuConfig, hover_thrust_n: float, seed: int, stream: int) -> None:
+        self._config = config
+        self._hover_thrust_n = hover_thrust_n
+        rng = np.random.default_rng([seed, stream])
+        self.accelerometer_bias: list[float] = (rng.standard_normal(3) * config.accelerometer_bias_sigma_m_s2).tolist()
+        """[3] m/s^2"""
+        self.gyroscope_bias: list[float] = (rng.uniform(-1.0, 1.0, 3) * config.gyroscope_bias_bound_rad_s).tolist()
+        """[3] rad/s"""
+        self.pressure_bias = float(rng.standard_normal()) * config.pressure_bias_sigma_pa
+        """Pa"""
+        self._normals = Normals(rng)
+        self._delayed: list[tuple[float, float, float]] = []
+
+    def sample(self, state: Array, sums: Array, imbalances: tuple[Imbalance, ...]) -> ImuSample:
+        """Read the sensors; zeroes the IMU's sums."""
+        config, take = self._config, self._normals.take
+        values: list[float] = state.tolist()
+        time, *force = sums[at.IMU_TIME : at.IMU_FORCE + 3].tolist()
+        sums[at.IMU_TIME : at.IMU_FORCE + 3] = 0.0
+        ax, ay, az = (f / time for f in force)
+        p, q, r = values[at.RATES : at.RATES + 3]
+        for shaking in imbalances:
+            level = values[at.THRUST + shaking.rotor] / self._hover_thrust_n
+            c, s = cos(values[at.ROTOR_PHASE + shaking.rotor]), sin(values[at.ROTOR_PHASE + shaking.rotor])
+            ax += level * shaking.acceleration_m_s2 * c
+            ay += level * shaking.acceleration_m_s2 * s
+            p += level * shaking.rate_rad_s * s
+            q += level * shaking.rate_rad_s * c
+        shake = (
+            config.accelerometer_vibration_m_s2 * sum(values[at.THRUST : at.THRUST + 4]) / (4 * self._hover_thrust_n)
+        )
+        noise = sqrt(config.accelerometer_noise_m_s2**2 + shake * shake)
+        bias, step, full = self.accelerometer_bias, config.accelerometer_step_m_s2, config.accelerometer_range_m_s2
+        accelerometer = (
+            _quantise(ax + bias[0] + noise * take(), step, full),
+            _quantise(ay + bias[1] + noise * take(), step, full),
+            _quantise(az + bias[2] + noise * take(), step, full),
+        )
+        bias, step, full = self.gyroscope_bias, config.gyroscope_step_rad_s, config.gyroscope_range_rad_s
+        noise = config.gyroscope_noise_rad_s
+        gyroscope = (
+            _quantise(p + bias[0] + noise * take(), step, full),
+            _quantise(q + bias[1] + noise * take(), step, full),
+            _quantise(r + bias[2] + noise * take(), step, full),
+        )
+        self._delayed.append(gyroscope)
+        if len(self._delayed) > config.gyroscope_delay_samples + 1:
+            del self._delayed[0]
+        pressure = config.pressure_at_floor_pa + AIR_DENSITY * GRAVITY * values[at.POSITION + 2]
+        pressure += self.pressure_bias + config.pressure_noise_pa * take()
+        return ImuSample(
+            accelerometer, self._delayed[0], config.pressure_step_pa * round(pressure / config.pressure_step_pa)
+        )
+
+
+def _quantise(value: float, step: float, full: float) -> float:
+    return step * round(max(-full, min(full, value)) / step)
+
+
+class Ultrasonic:
+    """Height by ultrasound."""
+
+    def __init__(self, config: UltrasonicConfig, seed: int, stream: int) -> None:
+        self._config = config
+        self.schedule = Schedule(config.rate_hz)
+        rng = np.random.default_rng([seed, stream])
+        self._normals, self._uniforms = Normals(rng), Uniforms(rng.spawn(1)[0])
+
+    def sample(self, state: Array) -> float | None:
+        """Distance in m along the beam, or None without an echo."""
+        config = self._config
+        x, y = float(state[at.QUATERNION + 1]), float(state[at.QUATERNION + 2])
+        tilt = acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
+        outlier, place = self._uniforms.take(), self._uniforms.take()
+        noise = config.noise_m * self._normals.take()
+        if outlier < config.outlier_probability:
+            return config.least_m + place * (config.greatest_m - config.least_m)
+        beyond = max(0.0, tilt - config.half_cone_rad)
+        if beyond > 1.0:
+            return None
+        distance = -float(state[at.POSITION + 2]) / cos(beyond) + noise
+        return None if distance > config.greatest_m else max(config.least_m, distance)
+
+
+@dataclass(frozen=True, slots=True)
+class FlowSample:
+    """Integrals over `time_s`, rad, PX4's signs."""
+
+    time_s: float
+    flow_rad: tuple[float, float]
+    gyroscope_rad: tuple[float, float, float]
+    quality: int
+
+
+class Flow:
+    """Optical flow camera with its own integrated gyro."""
+
+    def __init__(self, config: FlowConfig, seed: int, stream: int) -> None:
+        self._config = config
+        self.schedule = Schedule(config.rate_hz)
+        self._normals = Normals(np.random.default_rng([seed, stream]))
+
+    def sample(self, state: Array, sums: Array) -> FlowSample:
+        """Read the camera; zeroes the flow's sums."""
+        config, take = self._config, self._normals.take
+        time, fx, fy, gx, gy, gz = sums[at.FLOW_TIME : at.FLOW_GYRO + 3].tolist()
+        sums[at.FLOW_TIME : at.FLOW_GYRO + 3] = 0.0
+        noise, gyro_noise = config.noise_rad_s * time, config.gyroscope_noise_rad_s * time
+        flow = (fx + noise * take(), fy + noise * take())
+        gyroscope = (gx + gyro_noise * take(), gy + gyro_noise * take(), gz + gyro_noise * take())
+        height = -float(state[at.POSITION + 2])
+        rate = sqrt(fx * fx + fy * fy) / time
+        sees = config.least_m <= height <= config.greatest_m and rate <= config.rate_limit_rad_s
+        return FlowSample(time, flow, gyroscope, config.quality if sees else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSample:
+    """What motion capture solved."""
+
+    position_m: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    velocity_m_s: tuple[float, float, float]
+    """Body FRD, differences of two frames."""
+
+
+class MotionCapture:
+    """Motion capture of the room."""
+
+    def __init__(self, config: MotionCaptureConfig, seed: int, stream: int) -> None:
+        self.config = config
+        self.schedule = Schedule(config.rate_hz)
+        rng = np.random.default_rng([seed, stream])
+        self._normals, self._uniforms = Normals(rng), Uniforms(rng.spawn(1)[0])
+        self._last: tuple[int, tuple[float, float, float]] | None = None
+
+    def sample(self, state: Array, now_ns: int) -> PoseSample | None:
+        """The pose of this frame, or None when it is not solved."""
+        config, take = self.config, self._normals.take
+        lost = self._uniforms.take() < config.loss_probability
+        n, e, d, _, _, _, w, x, y, z = state[: at.RATES].tolist()
+        noise = config.position_noise_m
+        position = (n + noise * take(), e + noise * take(), d + noise * take())
+        noise = 0.5 * config.attitude_noise_rad
+        turned = _normalised(_times((w, x, y, z), (1.0, noise * take(), noise * take(), noise * take())))
+        now_s = now_ns * 1e-9
+        if lost or any(outage.start_s <= now_s < outage.end_s for outage in config.outages):
+            return None
+        velocity = (0.0, 0.0, 0.0)
+        if self._last is not None:
+            dt = (now_ns - self._last[0]) * 1e-9
+            n, e, d = (new - old for new, old in zip(position, self._last[1], strict=True))
+            velocity = _unturn(turned, (n / dt, e / dt, d / dt))
+        self._last = (now_ns, position)
+        return PoseSample(position, turned, velocity)
+
+
+Quaternion = tuple[float, float, float, float]
+
+
+def _times(a: Quaternion, b: Quaternion) -> Quaternion:
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+def _normalised(q: Quaternion) -> Quaternion:
+    s = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] * s, q[1] * s, q[2] * s, q[3] * s)
+
+
+def _unturn(q: Quaternion, v: tuple[float, float, float]) -> tuple[float, float, float]:
+    """World to body."""
+    inverse = (q[0], -q[1], -q[2], -q[3])
+    turned = _times(_times(inverse, (0.0, *v)), q)
+    return (turned[1], turned[2], turned[3])

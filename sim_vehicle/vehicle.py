@@ -1,0 +1,219 @@
+"""The simulated vehicle: motor commands in, sensor datagrams and truth out. No clock, no socket, no file.
+
+Time is flight time, ns from 0. The vehicle lives on a grid of 1 ms sub-steps; `step` integrates up to the last grid
+point at or before its time, and sensors sample on every fifth one (200 Hz), whatever the calls' times.
+"""
+
+from collections import Counter, deque
+from math import cos, degrees, radians, sin, sqrt
+from typing import Final
+
+import numpy as np
+
+from sim_vehicle import layout as at
+from sim_vehicle.advance import WORK_ROWS, advance, tilt_of
+from sim_vehicle.config import SimVehicleConfig
+from sim_vehicle.draws import Normals, SubstepNormals
+from sim_vehicle.mavlink_link import VehicleCodec
+from sim_vehicle.packing import GRAVITY, SUBSTEP_NS
+from sim_vehicle.records import TRUTH, Array, VehicleOutput
+from sim_vehicle.sensors import Flow, Imu, MotionCapture, Schedule, Ultrasonic
+from sim_vehicle.world import GUST_STREAM, World
+
+SAMPLE_NS: Final = 5 * SUBSTEP_NS
+"""ns, IMU period."""
+IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM = 1, 2, 3, 4, 5
+"""Random streams [seed, n] of the sensors."""
+HARD_TOUCH_M_S: Final = 1.0
+TOUCH_TILT_RAD: Final = radians(35.0)
+LOST_TILT_RAD: Final = radians(80.0)
+LONGEST_RUN: Final = 400
+"""Sub-steps in one call of the compiled step."""
+
+
+class SimVehicle:
+    """One Mambo in its world."""
+
+    def __init__(self, config: SimVehicleConfig, seed: int) -> None:
+        self._config = config
+        self._world = World(config, seed)
+        self._world.apply(0)
+        rows = len(self._world.rows)
+        self._noise = SubstepNormals(np.random.default_rng([seed, GUST_STREAM, 1]), rows, at.NOISE_PER_ROW)
+        self._state = initial_state(config)
+        self._sums: Array = np.zeros(at.SUMS_SIZE)
+        self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
+        self._commands: Array = np.zeros(4)
+        hover_thrust_n = config.body.mass_kg * GRAVITY / 4
+        sensors = config.sensors
+        self._imu = Imu(sensors.imu, hover_thrust_n, seed, IMU_STREAM)
+        self._ultrasonic = Ultrasonic(sensors.ultrasonic, seed, ULTRASONIC_STREAM)
+        self._flow = Flow(sensors.flow, seed, FLOW_STREAM)
+        self._capture = MotionCapture(sensors.motion_capture, seed, CAPTURE_STREAM)
+        self._battery_noise = Normals(np.random.default_rng([seed, BATTERY_STREAM]))
+        self._each_second = Schedule(1.0)
+        self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture)
+        self._poses: deque[tuple[int, bytes]] = deque()
+        self._pending: deque[tuple[int, tuple[float, float, float, float], bool]] = deque()
+        self._armed = False
+        self._commanded_ns = 0
+        self._time_ns = 0
+        self._sample_ns = SAMPLE_NS
+        self._flew = bool(self._state[at.AIRBORNE])
+        self.crash_reason = ""
+        """Why the flight is lost; "" while it is not. The motors are off from then on."""
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Motor frames dropped, by reason."""
+        return self._codec.rejected
+
+    @property
+    def world(self) -> World:
+        """The disturbances as resolved from the seed."""
+        return self._world
+
+    @property
+    def imu(self) -> Imu:
+        """The IMU, with its biases."""
+        return self._imu
+
+    def take_in(self, datagram: bytes, now_ns: int) -> None:
+        """Take a datagram from onboard; its motor command acts from `now_ns` (plus the configured delay) on.
+
+        Anything that is no sound motor command is counted in `rejected` and dropped.
+        """
+        command = self._codec.motor_command(datagram)
+        if command is not None:
+            due_ns = now_ns + round(self._config.motors.command_delay_s * 1e9)
+            self._pending.append((due_ns, command[0], command[1]))
+
+    def step(self, now_ns: int) -> VehicleOutput:
+        """Advance to `now_ns` (at or before the last call's: nothing moves), sampling the sensors that fall due."""
+        to_onboard: list[bytes] = []
+        self._sums[at.TRUTH_TIME : at.TRUTH_RATES + 3] = 0.0
+        end_ns = now_ns - now_ns % SUBSTEP_NS
+        while self._time_ns < end_ns:
+            self._run(min(end_ns, self._sample_ns, self._world.next_event_ns, self._take_command()))
+            if self._time_ns >= self._world.next_event_ns:
+                self._world.apply(self._time_ns)
+            if self._time_ns >= self._sample_ns:
+                self._sample_ns += SAMPLE_NS
+                self._sample(to_onboard)
+        to_motion_capture = []
+        while self._poses and self._poses[0][0] <= now_ns:
+            to_motion_capture.append(self._poses.popleft()[1])
+        return VehicleOutput(to_onboard, to_motion_capture, self._truth())
+
+    def _take_command(self) -> int:
+        """Put the command due into force; gives the time of the next change (ns)."""
+        while self._pending and self._pending[0][0] <= self._time_ns:
+            due_ns, fractions, self._armed = self._pending.popleft()
+            self._commanded_ns = due_ns
+            least = self._config.motors.command_min
+            self._commands[:] = [max(least, value) for value in fractions] if self._armed else 0.0
+        timeout_ns = self._commanded_ns + round(self._config.motors.command_timeout_s * 1e9)
+        if self._armed and self._time_ns >= timeout_ns:
+            self._armed = False
+        if not self._armed or self.crash_reason:
+            self._commands[:] = 0.0
+        next_ns = timeout_ns if self._armed else self._time_ns + LONGEST_RUN * SUBSTEP_NS
+        if self._pending:
+            next_ns = min(next_ns, self._pending[0][0])
+        return -(-next_ns // SUBSTEP_NS) * SUBSTEP_NS
+
+    def _run(self, end_ns: int) -> None:
+        count = (end_ns - self._time_ns) // SUBSTEP_NS
+        world = self._world
+        advance(
+            self._state,
+            self._commands,
+            world.parameters,
+            world.rows,
+            world.row_state,
+            self._noise.take(count),
+            self._sums,
+            self._work,
+            self._time_ns * 1e-9,
+            count,
+        )
+        self._time_ns = end_ns
+        if not self.crash_reason:
+            self.crash_reason = self._judge()
+
+    def _judge(self) -> str:
+        """Why the flight is lost now, or ""."""
+        state, sums = self._state, self._sums
+        touch_speed, touch_tilt = sums[at.TOUCH_SPEED], sums[at.TOUCH_TILT]
+        sums[at.TOUCH_SPEED : at.TOUCH_TILT + 1] = 0.0
+        if touch_speed > HARD_TOUCH_M_S:
+            return f"hit the floor at {touch_speed:.1f} m/s"
+        if touch_tilt > TOUCH_TILT_RAD:
+            return f"touched the floor tilted by {degrees(touch_tilt):.0f} deg"
+        tilt = tilt_of(state)
+        if tilt > LOST_TILT_RAD:
+            return f"tilted by {degrees(tilt):.0f} deg"
+        n, e, d = state[: at.VELOCITY].tolist()
+        if not abs(n) + abs(e) + abs(d) < self._config.box_m and not n * n + e * e + d * d < self._config.box_m**2:
+            return f"left the room, {sqrt(n * n + e * e + d * d):.1f} m from the origin"
+        return ""
+
+    def _sample(self, to_onboard: list[bytes]) -> None:
+        """Sample every sensor that is due at the present time."""
+        now_ns, state, sums, codec = self._time_ns, self._state, self._sums, self._codec
+        time_us = now_ns // 1000 + round(self._config.link.clock_offset_s * 1e6)
+        to_onboard.append(codec.imu(self._imu.sample(state, sums, self._world.imbalances), time_us))
+        if self._flow.schedule.is_due(now_ns):
+            to_onboard.append(codec.flow(self._flow.sample(state, sums), time_us))
+        if self._ultrasonic.schedule.is_due(now_ns):
+            distance_m = self._ultrasonic.sample(state)
+            if distance_m is not None:
+                to_onboard.append(codec.distance(distance_m, time_us))
+        if self._each_second.is_due(now_ns):
+            to_onboard += [codec.heartbeat(self._armed), self._battery_frame()]
+        if self._capture.schedule.is_due(now_ns):
+            pose = self._capture.sample(state, now_ns)
+            if pose is not None:
+                due_ns = now_ns + round(self._capture.config.latency_s * 1e9)
+                self._poses.append((due_ns, codec.pose(pose, time_us)))
+
+    def _battery_frame(self) -> bytes:
+        state = self._state
+        used_mah = float(state[at.CHARGE_USED]) / 3.6
+        voltage = float(state[at.VOLTAGE]) + self._config.sensors.battery_noise_v * self._battery_noise.take()
+        remaining = 1.0 - used_mah / self._config.battery.capacity_mah
+        return self._codec.battery(voltage, float(self._sums[at.CURRENT]), used_mah, remaining)
+
+    def _truth(self) -> Array:
+        """The truth at the present time, see records.TRUTH."""
+        state, sums, P = self._state, self._sums, self._world.parameters
+        truth = np.empty(len(TRUTH.fields))
+        truth[:13] = state[: at.RIGID]
+        scale = 1.0 / max(float(sums[at.TRUTH_TIME]), 1e-9)
+        truth[13:16] = sums[at.TRUTH_VELOCITY : at.TRUTH_VELOCITY + 3] * scale
+        truth[16:19] = sums[at.TRUTH_RATES : at.TRUTH_RATES + 3] * scale
+        truth[19:23] = state[at.THRUST : at.THRUST + 4] * P[at.THRUST_FACTOR : at.THRUST_FACTOR + 4]
+        truth[23:26] = state[at.WIND : at.WIND + 3]
+        truth[26:32] = sums[at.TRUTH_FORCE : at.TRUTH_TORQUE + 3] * scale
+        truth[32] = state[at.VOLTAGE]
+        truth[33] = state[at.AIRBORNE]
+        return truth
+
+
+def initial_state(config: SimVehicleConfig) -> Array:
+    """[STATE_SIZE] at flight time 0."""
+    state = np.zeros(at.STATE_SIZE)
+    initial, floor = config.initial, config.floor
+    weight_n = config.body.mass_kg * GRAVITY
+    rest_d = -floor.foot_drop_m + weight_n / (4 * floor.stiffness_n_m)
+    state[: at.VELOCITY] = (0.0, 0.0, rest_d) if initial.position_ned_m is None else initial.position_ned_m
+    state[at.VELOCITY : at.QUATERNION] = initial.velocity_ned_m_s
+    state[at.QUATERNION] = cos(initial.yaw_rad / 2)
+    state[at.QUATERNION + 3] = sin(initial.yaw_rad / 2)
+    if initial.hovering:
+        state[at.THRUST : at.ROTOR_PHASE] = weight_n / 4
+    state[at.CHARGE_USED] = config.battery.charge_used * config.battery.capacity_mah * 3.6
+    span = config.battery.full_v - config.battery.empty_v
+    state[at.VOLTAGE] = config.battery.full_v - span * config.battery.charge_used
+    state[at.AIRBORNE] = float(state[at.POSITION + 2] < -floor.foot_drop_m - 0.01)
+    return state
