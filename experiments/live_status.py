@@ -1,0 +1,115 @@
+"""What a person sees while a flight goes on: a live table in a terminal, plain lines elsewhere."""
+
+import time
+from collections import deque
+from types import TracebackType
+from typing import Any, Final, Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+PLAIN_PERIOD_S: Final = 2.0
+EVENTS_SHOWN: Final = 6
+
+
+class FlightStatus:
+    """The newest values each process reported, and the latest events. No output of its own."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, dict[str, Any]] = {"onboard": {}, "offboard": {}, "sim": {}}
+        self.events: deque[str] = deque(maxlen=EVENTS_SHOWN)
+
+    def take_in(self, entry: dict[str, Any]) -> None:
+        """One line that a process reported."""
+        process = str(entry.get("process", ""))
+        if entry.get("kind") == "event":
+            self.events.append(f"{process}: {entry.get('text', '')}")
+        elif process in self.values:
+            self.values[process] = entry
+
+    def rows(self) -> list[tuple[str, str]]:
+        """(name, value) of everything worth showing now."""
+        onboard, offboard, sim = (self.values[name] for name in ("onboard", "offboard", "sim"))
+        return [
+            ("time", _number(sim.get("time_s"), "s", 1)),
+            ("mode", str(onboard.get("mode", "-"))),
+            ("tracking error", _number(onboard.get("position_error_m"), "m", 3)),
+            ("features", _features(onboard)),
+            ("link loss", f"up {_loss(sim, 'up')}, down {_loss(sim, 'down')}"),
+            ("missed ticks", str(onboard.get("missed_ticks", "-"))),
+            ("training loss", _number(offboard.get("training_loss"), "", 4)),
+        ]
+
+    def line(self) -> str:
+        """Everything in one line."""
+        return "  ".join(f"{name} {value}" for name, value in self.rows())
+
+    def table(self) -> Group:
+        """Everything as a table with the latest events below."""
+        table = Table(show_header=False, box=None, pad_edge=False)
+        for name, value in self.rows():
+            table.add_row(Text(name, style="dim"), value)
+        return Group(table, *(Text(event, style="dim", no_wrap=True, overflow="ellipsis") for event in self.events))
+
+
+class LiveStatus:
+    """Shows a flight's status while it goes on. A context manager.
+
+    Parameters
+    ----------
+    console: where to; a terminal gets a table that is redrawn, anything else a line every two seconds.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.status = FlightStatus()
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._next_plain = 0.0
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, entry: dict[str, Any]) -> None:
+        """Take one reported line in and show what it changes."""
+        self.status.take_in(entry)
+        if self._live is not None:
+            self._live.update(self.status.table(), refresh=True)
+        elif entry.get("kind") == "event":
+            self._print(f"{entry.get('process')}: {entry.get('text')}")
+        elif time.monotonic() >= self._next_plain and self.status.values["sim"]:
+            self._next_plain = time.monotonic() + PLAIN_PERIOD_S
+            self._print(self.status.line())
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def _number(value: Any, unit: str, digits: int) -> str:
+    if not isinstance(value, int | float) or value != value:
+        return "-"
+    return f"{value:.{digits}f} {unit}".rstrip()
+
+
+def _features(onboard: dict[str, Any]) -> str:
+    version = onboard.get("feature_version")
+    if version is None:
+        return "-"
+    age = onboard.get("feature_age_s")
+    old = f", {age:.1f} s old" if isinstance(age, int | float) and version else ""
+    return f"version {version}{old}"
+
+
+def _loss(sim: dict[str, Any], direction: str) -> str:
+    counts = sim.get("link", {}).get(direction, {})
+    sent = counts.get("sent", 0)
+    return f"{100 * counts['lost'] / sent:.1f} %" if sent else "-"

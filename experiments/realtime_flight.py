@@ -1,0 +1,262 @@
+"""A flight in real time: starts the three processes, supervises them, and leaves none behind.
+
+The processes are ours only as long as this one lives: the kernel kills them when it dies. Each is in a process group
+of its own, so that Ctrl-C reaches only this one, which then lets onboard land. An offboard process that dies is not
+replaced: the flight must go on without it, and it is told how to start another.
+"""
+
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from configs.network import NetworkConfig
+from shell.signals import StopRequest, die_with_parent
+from shell.sockets import require_free
+
+MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
+"""In the order of starting; onboard's first motor command starts the flight."""
+READY_LIMIT_S: Final = 20.0
+END_LIMIT_S: Final = 5.0
+OVERTIME_S: Final = 30.0
+"""A flight that is this much over its time is ended."""
+LINE_MAX_BYTES: Final = 65_536
+
+OnStatus = Callable[[dict[str, Any]], None]
+
+
+class FlightError(Exception):
+    """A flight that could not be started. The message says which process failed and what it said."""
+
+
+@dataclass(slots=True)
+class RealtimeResult:
+    """What the three processes left."""
+
+    onboard: dict[str, Any] | None = None
+    """onboard_summary.json; None if the process did not live to write it."""
+    offboard: dict[str, Any] | None = None
+    sim: dict[str, Any] | None = None
+    exit_status: dict[str, int | None] = field(default_factory=dict)
+    interrupted: bool = False
+    notes: list[str] = field(default_factory=list)
+    """What went otherwise than planned, a line each."""
+
+
+class Child:
+    """One process of the flight."""
+
+    def __init__(self, name: str, config_path: Path, out: Path) -> None:
+        self.name = name
+        self.ready = False
+        self.command = [sys.executable, "-m", MODULES[name], "--config", str(config_path), "--out", str(out)]
+        self._errors = out / f"{name}_errors.txt"
+        self._rest = b""
+        with self._errors.open("ab") as errors:
+            self.process = subprocess.Popen(
+                [*self.command, "--json"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                start_new_session=True,
+                preexec_fn=die_with_parent(),
+                cwd=Path(__file__).resolve().parents[1],
+            )
+        assert self.process.stdout is not None
+        self.pipe = self.process.stdout
+        os.set_blocking(self.pipe.fileno(), False)
+
+    @property
+    def running(self) -> bool:
+        """Whether the process lives."""
+        return self.process.poll() is None
+
+    def lines(self) -> list[dict[str, Any]]:
+        """The whole lines that have come; anything that is not one of ours is passed over."""
+        try:
+            self._rest += os.read(self.pipe.fileno(), LINE_MAX_BYTES)
+        except BlockingIOError:
+            return []
+        *whole, self._rest = self._rest.split(b"\n")
+        entries = []
+        for line in whole:
+            try:
+                entry = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(entry, dict):
+                entries.append(entry)
+                self.ready = self.ready or entry.get("text") == "ready"
+        return entries
+
+    def ask(self, number: signal.Signals) -> None:
+        """Send a signal, if the process lives."""
+        if self.running:
+            self.process.send_signal(number)
+
+    def end(self, limit_s: float) -> None:
+        """Ask to end, wait, and kill what does not."""
+        self.ask(signal.SIGTERM)
+        try:
+            self.process.wait(limit_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+
+    def kill(self) -> None:
+        """End the process and whatever it started, at once."""
+        if self.running:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def said(self) -> str:
+        """The last line it wrote to standard error."""
+        lines = self._errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1] if lines else ""
+
+    def tidy(self) -> None:
+        """Close the pipe; drop an empty error file."""
+        self.pipe.close()
+        if self._errors.stat().st_size == 0:
+            self._errors.unlink()
+
+
+class Supervisor:
+    """Starts, watches and ends the processes of one flight."""
+
+    def __init__(self, config_path: Path, out: Path, duration_s: float, on_status: OnStatus) -> None:
+        self._config_path = config_path
+        self._out = out
+        self._duration_s = duration_s
+        self._on_status = on_status
+        self._children: dict[str, Child] = {}
+        self._selector = selectors.DefaultSelector()
+        self._stop = StopRequest()
+        self._stops_passed_on = 0
+        self.result = RealtimeResult()
+
+    def fly(self) -> None:
+        """The whole flight. Raises FlightError if a process does not start; ends every process in any case."""
+        try:
+            self._start("sim")
+            self._start("offboard")
+            if self._wait_until_ready("sim", "offboard"):
+                self._start("onboard")
+                self._watch()
+        finally:
+            self._end_all()
+
+    def _start(self, name: str) -> None:
+        child = Child(name, self._config_path, self._out)
+        self._children[name] = child
+        self._selector.register(child.pipe, selectors.EVENT_READ, child)
+
+    def _wait_until_ready(self, *names: str) -> bool:
+        limit = time.monotonic() + READY_LIMIT_S
+        while not all(self._children[name].ready for name in names):
+            self._relay()
+            if self._stop.count:
+                self.result.interrupted = True
+                return False
+            for name in names:
+                child = self._children[name]
+                if not child.running:
+                    raise FlightError(f"{name} ended at its start (status {child.process.returncode}): {child.said()}")
+            if time.monotonic() > limit:
+                raise FlightError(f"{' or '.join(names)} not ready within {READY_LIMIT_S:.0f} s")
+        return True
+
+    def _watch(self) -> None:
+        """Until the simulated vehicle's time is over or onboard has ended."""
+        limit = time.monotonic() + self._duration_s + OVERTIME_S
+        sim, onboard, offboard = (self._children[name] for name in ("sim", "onboard", "offboard"))
+        offboard_seen = True
+        while sim.running and onboard.running:
+            self._relay()
+            self._pass_stop_on(onboard)
+            if offboard_seen and not offboard.running:
+                offboard_seen = False
+                self._note(f"offboard ended (status {offboard.process.returncode}) {offboard.said()}".rstrip())
+                self._note(f"the flight goes on without it; start another with: {' '.join(offboard.command)}")
+            if time.monotonic() > limit or self._stop.count >= 2:
+                self._note("ended at once" if self._stop.count >= 2 else "the flight took too long and was ended")
+                return
+        if sim.running and self._stop.count == 0:
+            self._note(f"onboard ended in flight (status {onboard.process.returncode}): {onboard.said()}")
+
+    def _pass_stop_on(self, onboard: Child) -> None:
+        if self._stop.count > self._stops_passed_on:
+            self._stops_passed_on = self._stop.count
+            self.result.interrupted = True
+            self._note("asked to end: landing (once more ends at once)")
+            onboard.ask(signal.SIGINT)
+
+    def _relay(self) -> None:
+        """Pass on what the processes report; waits at most 0.1 s for it."""
+        for key, _ in self._selector.select(0.1):
+            child: Child = key.data
+            for entry in child.lines():
+                self._on_status(entry)
+            if not child.running:
+                self._selector.unregister(child.pipe)
+
+    def _note(self, text: str) -> None:
+        self.result.notes.append(text)
+        self._on_status({"process": "fly", "kind": "event", "text": text})
+
+    def _end_all(self) -> None:
+        """The vehicle first, so that onboard, hearing nothing more, does not wait to land."""
+        for name in ("sim", "onboard", "offboard"):
+            if name in self._children:
+                self._children[name].end(END_LIMIT_S)
+        for name, child in self._children.items():
+            child.kill()
+            self.result.exit_status[name] = child.process.returncode
+            child.tidy()
+        self._selector.close()
+
+
+def run(
+    network: NetworkConfig, config_path: Path, duration_s: float, out: Path, on_status: OnStatus = lambda entry: None
+) -> RealtimeResult:
+    """Fly in real time over UDP.
+
+    Parameters
+    ----------
+    network: the addresses, for the check that they are free.
+    config_path: the resolved configuration that all three processes read.
+    out: the flight's folder, which exists.
+    on_status: gets every status and event line of the processes as a dict.
+
+    Raises
+    ------
+    AddressInUseError
+        If an address is taken; nothing has been started then.
+    FlightError
+        If a process did not start; all have been ended then.
+    """
+    require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        supervisor = Supervisor(config_path, out, duration_s, on_status)
+        supervisor.fly()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    result = supervisor.result
+    result.onboard, result.offboard, result.sim = (_summary(out, name) for name in ("onboard", "offboard", "sim"))
+    return result
+
+
+def _summary(out: Path, name: str) -> dict[str, Any] | None:
+    try:
+        summary = json.loads((out / f"{name}_summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return summary if isinstance(summary, dict) else None

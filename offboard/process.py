@@ -1,0 +1,239 @@
+"""The offboard process: the core between its sockets, the log, its files and one worker thread that trains.
+
+The relay of poses must not wait for training: sockets and core run in the main thread, a training job in a worker
+with a low claim on the processor.
+"""
+
+import argparse
+import gc
+import os
+import queue
+import secrets
+import select
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from protocol.keys import load_key
+
+from configs.loader import ConfigError, load_section
+from configs.network import NetworkConfig, load_network
+from flight_record.writer import FlightLogWriter
+from offboard.config import OffboardConfig
+from offboard.core import OffboardCore
+from offboard.experience import ExperienceError
+from offboard.records import OffboardOutput
+from protocol.session import session_number
+from shell.files import write_atomically, write_json
+from shell.kernel import THREAD_SWITCH_S, ask_for_realtime, resident_mb
+from shell.signals import StopRequest
+from shell.sockets import AddressInUseError, DatagramSocket
+from shell.status import StatusLines
+
+if TYPE_CHECKING:
+    from offboard.trainer import TrainingResult
+
+STEP_PERIOD_NS: Final = 10_000_000
+"""The core steps at least this often, and whenever something arrived."""
+LINK_DATAGRAMS_PER_STEP: Final = 64
+POSE_DATAGRAMS_PER_STEP: Final = 16
+WORKER_NICENESS: Final = 10
+ESCAPES_MAX: Final = 100
+"""Steps that may fail before the process gives up; the vehicle flies on without it."""
+
+
+class Worker:
+    """One thread that runs training jobs and writes files, one after the other."""
+
+    def __init__(self) -> None:
+        self._work_left: queue.SimpleQueue[Callable[[], TrainingResult | None]] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[TrainingResult | str] = queue.SimpleQueue()
+        threading.Thread(target=self._work, name="trainer", daemon=True).start()
+
+    def give(self, work: "Callable[[], TrainingResult | None]") -> None:
+        """Queue something to be done."""
+        self._work_left.put(work)
+
+    def take(self) -> "TrainingResult | str | None":
+        """The next result, the report of a job that failed, or None."""
+        try:
+            return self._results.get_nowait()
+        except queue.Empty:
+            return None
+
+    def _work(self) -> None:
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), WORKER_NICENESS)
+        first = True
+        while True:
+            work = self._work_left.get()
+            try:
+                result = work()
+                if result is not None:
+                    self._results.put(result)
+            except Exception:
+                self._results.put(traceback.format_exc())
+            if first:
+                first = False
+                gc.freeze()  # torch's own objects: later collections need not look at them
+
+
+class OffboardProcess:
+    """The loop around a core."""
+
+    def __init__(
+        self,
+        core: OffboardCore,
+        network: NetworkConfig,
+        log: FlightLogWriter,
+        out: Path,
+        status: StatusLines,
+        stop: StopRequest,
+    ) -> None:
+        self._core = core
+        self._log = log
+        self._out = out
+        self._status = status
+        self._stop = stop
+        self._link = DatagramSocket("offboard_link", network.offboard_link, network.radio_offboard)
+        try:
+            self._poses = DatagramSocket("motion_capture", network.motion_capture, None)
+        except AddressInUseError:
+            self._link.close()
+            raise
+        self._worker = Worker()
+        self.steps = 0
+        self.escapes = 0
+        self.failed_jobs = 0
+
+    def serve(self) -> int:
+        """Run until asked to end; returns the exit status: 0, or 1 if too many steps failed."""
+        while self._stop.count == 0 and self.escapes < ESCAPES_MAX:
+            select.select((self._link, self._poses), (), (), STEP_PERIOD_NS * 1e-9)
+            now = time.monotonic_ns()
+            try:
+                self._take_in(now)
+                output = self._core.step(now)
+                self._give_out(output, now)
+            except Exception:
+                self._note_escape(now)
+            self.steps += 1
+        self._link.close()
+        self._poses.close()
+        last = self._core.final_checkpoint()
+        if last is not None:
+            write_atomically(self._out / "checkpoint.npz", last)
+        return int(self.escapes >= ESCAPES_MAX)
+
+    def _take_in(self, now: int) -> None:
+        for datagram in self._poses.receive(POSE_DATAGRAMS_PER_STEP):
+            self._core.take_in_motion_capture(datagram, now)
+        for datagram in self._link.receive(LINK_DATAGRAMS_PER_STEP):
+            self._core.take_in(datagram, now)
+        result = self._worker.take()
+        if isinstance(result, str):
+            self.failed_jobs += 1
+            raise RuntimeError(f"training failed:\n{result}")
+        if result is not None:
+            self._core.take_in_training(result, now)
+
+    def _give_out(self, output: OffboardOutput, now: int) -> None:
+        for datagram in output.to_onboard:
+            self._link.send(datagram)
+        if output.job is not None:
+            self._worker.give(output.job.run)
+        for record_type, time_ns, vector in output.records:
+            self._log.write(record_type, time_ns, vector)
+        for time_ns, text in output.events:
+            self._log.event(time_ns, text)
+            self._status.say(text)
+        if output.checkpoint is not None:
+            self._worker.give(partial(write_atomically, self._out / "checkpoint.npz", output.checkpoint))
+        if output.version_file is not None:
+            version, content = output.version_file
+            self._worker.give(partial(write_atomically, self._out / f"features_{version}.npz", content))
+        if self._status.due(now):
+            self._status.write({**self._core.status(now), "escapes": self.escapes})
+
+    def _note_escape(self, now: int) -> None:
+        self.escapes += 1
+        report = traceback.format_exc()
+        self._log.event(now, report)
+        print(report, file=sys.stderr, flush=True)
+        self._status.say(f"a step failed ({self.escapes} of {ESCAPES_MAX}): {report.strip().splitlines()[-1]}")
+
+    def summary(self) -> dict[str, Any]:
+        """What the flight record keeps of this process."""
+        return {
+            **self._core.summary(),
+            "steps": self.steps,
+            "escapes": self.escapes,
+            "failed_jobs": self.failed_jobs,
+            "rss_mb": round(resident_mb(), 1),
+        }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `python -m offboard` and `dmrac offboard`."""
+    parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder for log, checkpoints and summary")
+    parser.add_argument("--onboard", metavar="HOST:PORT", help="the onboard process, or the radio towards it")
+    parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards onboard")
+    parser.add_argument("--bind-motion-capture", metavar="HOST:PORT", help="own address for the motion capture")
+    parser.add_argument("--key-file", metavar="FILE", help="key shared with onboard")
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="go on from a checkpoint, as after a restart")
+    parser.add_argument("--warm-start", type=Path, metavar="FILE", help="start from the features of a version file")
+    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the process; returns the exit status (0 served, 1 ended by failures, 2 bad configuration or address)."""
+    stop = StopRequest()
+    status = StatusLines("offboard", arguments.json)
+    try:
+        config = load_section(OffboardConfig, arguments.config, "offboard")
+        options = {"radio_offboard": arguments.onboard, "offboard_link": arguments.bind_link}
+        more = {"motion_capture": arguments.bind_motion_capture, "key_file": arguments.key_file}
+        network = load_network(arguments.config, options | more)
+        key = load_key(network.key_file)
+        core = OffboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
+        _load_experience(core, arguments)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return 2
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    attachments = {"config.yaml": arguments.config.read_bytes()}
+    log = FlightLogWriter(arguments.out / "offboard.mcap", "offboard", attachments=attachments)
+    try:
+        process = OffboardProcess(core, network, log, arguments.out, status, stop)
+        ask_for_realtime(priority=0)
+        sys.setswitchinterval(THREAD_SWITCH_S)
+        status.say("ready")
+        result = process.serve()
+    except AddressInUseError as error:
+        print(error, file=sys.stderr)
+        return 2
+    finally:
+        log.close()
+    write_json(arguments.out / "offboard_summary.json", process.summary())
+    # A round of training may still run; nobody waits for it, and torch must not be torn down under it.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(result)
+
+
+def _load_experience(core: OffboardCore, arguments: argparse.Namespace) -> None:
+    """Whatever the process is to start from. Raises ConfigError naming the file."""
+    for path, load in ((arguments.resume, core.resume), (arguments.warm_start, core.warm_start)):
+        if path is None:
+            continue
+        try:
+            load(path.read_bytes())
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+        except (ExperienceError, ValueError) as error:
+            raise ConfigError(f"{path}: {error}") from None

@@ -1,0 +1,243 @@
+"""The onboard process: the core between its sockets, the clock and the log. One loop of four verbs.
+
+    wait -> take in -> step -> give out
+
+Whatever escapes the core's step is answered by the safe motor command, logged and counted; a bounded number of
+escapes ends the flight with the motors off. The first SIGINT or SIGTERM asks the core to land, the second ends at
+once.
+"""
+
+import argparse
+import contextlib
+import secrets
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from protocol.keys import load_key
+
+from configs.loader import ConfigError, load_section
+from configs.network import NetworkConfig, load_network
+from configs.realtime import RealtimeConfig
+from flight_record.schema import RecordType
+from flight_record.writer import FlightLogWriter
+from onboard.config import OnboardConfig
+from onboard.core import OnboardCore, OnboardOutput
+from onboard.realtime import DurationStatistics, PaceKeeper
+from onboard.tick_record import TICK
+from protocol.session import session_number
+from shell.files import write_json
+from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
+from shell.signals import StopRequest
+from shell.sockets import AddressInUseError, DatagramSocket
+from shell.status import StatusLines
+
+VEHICLE_DATAGRAMS_PER_TICK: Final = 16
+OFFBOARD_DATAGRAMS_PER_TICK: Final = 16
+GROUND_DATAGRAMS_PER_TICK: Final = 4
+VEHICLE_SILENT_NS: Final = 500_000_000
+"""A vehicle that has said nothing for so long is not waited for when the process is asked to end."""
+FINAL_SAFE_COMMANDS: Final = 3
+"""The last command is repeated: one datagram can be lost."""
+
+LOOP: Final = RecordType("onboard/loop", (("lateness", "us"), ("tick", "us"), ("missed", "")))
+
+
+class Sockets:
+    """The three addresses onboard talks to."""
+
+    def __init__(self, network: NetworkConfig) -> None:
+        ground_host = network.ground.rpartition(":")[0]
+        own_host = "127.0.0.1" if ground_host in {"127.0.0.1", "localhost"} else "0.0.0.0"
+        self.vehicle = DatagramSocket("onboard_vehicle", network.onboard_vehicle, network.vehicle)
+        try:
+            self.offboard = DatagramSocket("onboard_link", network.onboard_link, network.radio_onboard)
+            self.ground = DatagramSocket("ground", f"{own_host}:0", network.ground)
+        except AddressInUseError:
+            self.vehicle.close()
+            raise
+
+    def close(self) -> None:
+        """Free the addresses."""
+        for one in (self.vehicle, self.offboard, self.ground):
+            one.close()
+
+
+class OnboardProcess:
+    """The loop around a core; owns nothing that decides how to fly."""
+
+    def __init__(
+        self,
+        core: OnboardCore,
+        realtime: RealtimeConfig,
+        period_ns: int,
+        sockets: Sockets,
+        log: FlightLogWriter,
+        status: StatusLines,
+        stop: StopRequest,
+    ) -> None:
+        self._core = core
+        self._realtime = realtime
+        self._sockets = sockets
+        self._log = log
+        self._status = status
+        self._stop = stop
+        self._pace = PaceKeeper(period_ns, realtime.spin_us * 1000, time.monotonic_ns() + period_ns)
+        self._ticks = DurationStatistics()
+        self._lateness = DurationStatistics()
+        self._loop_record = np.zeros(len(LOOP.fields))
+        self._last_vehicle_ns = 0
+        self._landing_until_ns = 0
+        self.escapes = 0
+
+    def fly(self) -> int:
+        """Run until asked to end; returns the exit status: 0, or 1 if too many steps failed."""
+        now = time.monotonic_ns()
+        while not self._ended(now):
+            now = self._pace.wait()
+            try:
+                self._take_in(now)
+                output = self._core.step(now, missed_ticks=self._pace.missed)
+            except Exception:
+                output = self._answer_escape(now)
+            if output is not None:
+                self._give_out(output, now)
+            self._note_loop(now)
+        self._leave_safe(now)
+        return int(self.escapes >= self._realtime.escapes_max)
+
+    def _take_in(self, now: int) -> None:
+        datagrams = self._sockets.vehicle.receive(VEHICLE_DATAGRAMS_PER_TICK)
+        if datagrams:
+            self._last_vehicle_ns = now
+        for datagram in datagrams:
+            self._core.take_in_vehicle(datagram, now)
+        for datagram in self._sockets.offboard.receive(OFFBOARD_DATAGRAMS_PER_TICK):
+            self._core.take_in_offboard(datagram, now)
+        for datagram in self._sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK):
+            self._core.take_in_ground(datagram, now)
+
+    def _give_out(self, output: OnboardOutput, now: int) -> None:
+        for datagram in output.to_vehicle:
+            self._sockets.vehicle.send(datagram)
+        for datagram in output.to_offboard:
+            self._sockets.offboard.send(datagram)
+        for datagram in output.to_ground:
+            self._sockets.ground.send(datagram)
+        self._log.write(TICK, now, output.tick)
+        for time_ns, text in output.events:
+            self._log.event(time_ns, text)
+            self._status.say(text)
+        if self._status.due(now):
+            self._status.write({**self._core.status(now), "missed_ticks": self._pace.missed, "escapes": self.escapes})
+
+    def _note_loop(self, now: int) -> None:
+        duration_ns = time.monotonic_ns() - now
+        self._ticks.add(duration_ns)
+        self._lateness.add(self._pace.lateness_ns)
+        record = self._loop_record
+        record[0] = self._pace.lateness_ns * 1e-3
+        record[1] = duration_ns * 1e-3
+        record[2] = self._pace.missed
+        self._log.write(LOOP, now, record)
+
+    def _answer_escape(self, now: int) -> OnboardOutput | None:
+        """Log what escaped a step; the safe output, or None if even that fails (the vehicle then cuts its motors)."""
+        self.escapes += 1
+        report = traceback.format_exc()
+        self._log.event(now, report)
+        print(report, file=sys.stderr, flush=True)
+        self._status.say(f"a step failed ({self.escapes} of {self._realtime.escapes_max}): {_last_line(report)}")
+        with contextlib.suppress(Exception):
+            return self._core.safe_output(now)
+        return None
+
+    def _ended(self, now: int) -> bool:
+        """Whether to leave the loop; asks the core to land when first told to end."""
+        if self.escapes >= self._realtime.escapes_max or self._stop.count >= 2:
+            return True
+        if self._stop.count == 0:
+            return False
+        if self._landing_until_ns == 0:
+            self._landing_until_ns = now + round(self._realtime.landing_limit_s * 1e9)
+            self._core.request_land(now)
+        silent = now - self._last_vehicle_ns > VEHICLE_SILENT_NS
+        return silent or now > self._landing_until_ns or not self._core.airborne
+
+    def _leave_safe(self, now: int) -> None:
+        for _ in range(FINAL_SAFE_COMMANDS):
+            with contextlib.suppress(Exception):
+                for datagram in self._core.safe_output(now).to_vehicle:
+                    self._sockets.vehicle.send(datagram)
+
+    def summary(self) -> dict[str, Any]:
+        """What the flight record keeps of this process."""
+        return {
+            **self._core.summary(),
+            "ticks": self._pace.ticks,
+            "missed": self._pace.missed,
+            "tick_us": self._ticks.summary(),
+            "lateness_us": self._lateness.summary(),
+            "escapes": self.escapes,
+            "rss_mb": round(resident_mb(), 1),
+        }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `python -m onboard` and `dmrac onboard`."""
+    parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
+    parser.add_argument("--vehicle", metavar="HOST:PORT", help="the vehicle's MAVLink address")
+    parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio towards it")
+    parser.add_argument("--ground", metavar="HOST:PORT", help="ground station that gets telemetry")
+    parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own address towards the vehicle")
+    parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards offboard")
+    parser.add_argument("--key-file", metavar="FILE", help="key shared with offboard")
+    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the process; returns the exit status (0 flown, 1 ended by failures, 2 bad configuration or address)."""
+    stop = StopRequest()
+    status = StatusLines("onboard", arguments.json)
+    try:
+        config = load_section(OnboardConfig, arguments.config, "onboard")
+        network = load_network(arguments.config, _addresses(arguments))
+        key = load_key(network.key_file)
+        core = OnboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
+        sockets = Sockets(network)
+    except (ConfigError, AddressInUseError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    attachments = {"config.yaml": arguments.config.read_bytes()}
+    log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", attachments=attachments)
+    try:
+        status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
+        process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
+        quiet_interpreter()
+        status.say("ready")
+        result = process.fly()
+    finally:
+        log.close()
+        sockets.close()
+    write_json(arguments.out / "onboard_summary.json", process.summary())
+    return result
+
+
+def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
+    return {
+        "vehicle": arguments.vehicle,
+        "radio_onboard": arguments.offboard,
+        "ground": arguments.ground,
+        "onboard_vehicle": arguments.bind_vehicle,
+        "onboard_link": arguments.bind_link,
+        "key_file": arguments.key_file,
+    }
+
+
+def _last_line(report: str) -> str:
+    return report.strip().splitlines()[-1]

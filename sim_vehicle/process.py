@@ -1,0 +1,280 @@
+"""The simulated vehicle's process: dynamics in real time, its motion capture, and the radio between the others.
+
+Theory of operation. Flight time starts with the first motor command that arrives (onboard sends them at 200 Hz,
+armed or not), so that processes that start slowly do not shift the scenario; the vehicle then steps on an absolute
+grid, a fixed phase behind onboard's ticks. Motor commands act when they arrive. After a stall the vehicle is
+integrated to now in one step: its physics misses nothing, only its sensors do. Radio datagrams leave when due.
+"""
+
+import argparse
+import select
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from configs.loader import ConfigError, load_section, read_tree
+from configs.network import NetworkConfig, load_network
+from flight_record.schema import RecordType
+from flight_record.writer import FlightLogWriter
+from shell.files import write_json
+from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
+from shell.signals import StopRequest
+from shell.sockets import AddressInUseError, DatagramSocket
+from shell.status import StatusLines
+from sim_vehicle.config import SimVehicleConfig
+from sim_vehicle.radio import DIRECTIONS, FATE, Direction, Radio, RadioConfig, fate_vector
+from sim_vehicle.records import TRUTH
+from sim_vehicle.vehicle import SimVehicle
+
+PERIOD_NS: Final = 5_000_000
+START_PHASE_NS: Final = 1_000_000
+"""From a motor command to the sensors: they are then 3 to 4 ms old at the next onboard tick, well clear of it."""
+MOTOR_DATAGRAMS_PER_WAKE: Final = 16
+RADIO_DATAGRAMS_PER_WAKE: Final = 64
+AFTER_CRASH_NS: Final = 500_000_000
+"""The others go on recording for so long after a crash."""
+START_LIMIT_S: Final = 30.0
+PRIORITY: Final = 10
+"""SCHED_FIFO, below onboard's: the simulated world must keep time too, but not at the loop's cost."""
+RADIO_STREAM: Final = 301
+"""Number of the radio's random stream, apart from the vehicle's."""
+
+LOOP: Final = RecordType("sim_vehicle/loop", (("step_late", "us"), ("stalled_steps", "")))
+
+
+class SimProcess:
+    """The loop around the simulated vehicle and its radio."""
+
+    def __init__(
+        self,
+        vehicle: SimVehicle,
+        radio: Radio,
+        network: NetworkConfig,
+        duration_s: float,
+        log: FlightLogWriter,
+        status: StatusLines,
+        stop: StopRequest,
+    ) -> None:
+        self._vehicle = vehicle
+        self._radio = radio
+        self._duration_ns = round(duration_s * 1e9)
+        self._log = log
+        self._status = status
+        self._stop = stop
+        self._open(network)
+        self._start_ns = 0
+        self._next_step_ns = 0
+        self._loop_record = np.zeros(len(LOOP.fields))
+        self._crash_ns = 0
+        self._fates_logged: dict[Direction, int] = {"up": 0, "down": 0}
+        self.steps = 0
+        self.stalled_steps = 0
+
+    def _open(self, network: NetworkConfig) -> None:
+        sockets: list[DatagramSocket] = []
+        try:
+            for name, local, remote in (
+                ("vehicle", network.vehicle, network.onboard_vehicle),
+                ("radio_onboard", network.radio_onboard, network.onboard_link),
+                ("radio_offboard", network.radio_offboard, network.offboard_link),
+                ("motion_capture (sending)", _any_port(network.motion_capture), network.motion_capture),
+            ):
+                sockets.append(DatagramSocket(name, local, remote))
+        except AddressInUseError:
+            for one in sockets:
+                one.close()
+            raise
+        self._motors, self._onboard_side, self._offboard_side, self._poses = sockets
+        self._heard = (self._motors, self._onboard_side, self._offboard_side)
+
+    def fly(self) -> int:
+        """Run until the flight's time is over, the vehicle has crashed, or the process is asked to end."""
+        if not self._wait_for_onboard():
+            return 0 if self._stop.count else 1
+        while not self._ended():
+            self._wait()
+            now = time.monotonic_ns() - self._start_ns
+            self._carry_radio(now)
+            for datagram in self._motors.receive(MOTOR_DATAGRAMS_PER_WAKE):
+                self._vehicle.take_in(datagram, now)
+            if now >= self._next_step_ns:
+                self._step(now)
+        return 0
+
+    def close(self) -> None:
+        """Free the addresses."""
+        for one in (*self._heard, self._poses):
+            one.close()
+
+    def _wait_for_onboard(self) -> bool:
+        """Hold the clock at 0 until the first motor command; False if none comes or the process is to end.
+
+        Nothing of the scenario runs meanwhile, the radio included.
+        """
+        limit_ns = time.monotonic_ns() + round(START_LIMIT_S * 1e9)
+        while time.monotonic_ns() < limit_ns and self._stop.count == 0:
+            select.select((self._motors,), (), (), 0.1)
+            first = self._motors.receive(MOTOR_DATAGRAMS_PER_WAKE)
+            if first:
+                self._start_ns = time.monotonic_ns() + START_PHASE_NS
+                self._vehicle.take_in(first[-1], 0)
+                return True
+        if self._stop.count == 0:
+            print(f"no motor command came within {START_LIMIT_S:.0f} s; is onboard running?", file=sys.stderr)
+        return False
+
+    def _wait(self) -> None:
+        """Sleep until something arrives, a radio datagram is due or the next step is."""
+        due_ns = self._next_step_ns
+        for direction in DIRECTIONS:
+            radio_due_ns = self._radio.next_due_ns(direction)
+            if radio_due_ns is not None and radio_due_ns < due_ns:
+                due_ns = radio_due_ns
+        ahead_ns = due_ns + self._start_ns - time.monotonic_ns()
+        select.select(self._heard, (), (), max(0.0, ahead_ns * 1e-9))
+
+    def _carry_radio(self, now: int) -> None:
+        for datagram in self._onboard_side.receive(RADIO_DATAGRAMS_PER_WAKE):
+            self._radio.send("up", datagram, now)
+        for datagram in self._offboard_side.receive(RADIO_DATAGRAMS_PER_WAKE):
+            self._radio.send("down", datagram, now)
+        for datagram in self._radio.due("up", now):
+            self._offboard_side.send(datagram)
+        for datagram in self._radio.due("down", now):
+            self._onboard_side.send(datagram)
+
+    def _step(self, now: int) -> None:
+        """One vehicle step on the grid; a stall is integrated over in one."""
+        late_ns = now - self._next_step_ns
+        stalled = late_ns // PERIOD_NS
+        self.stalled_steps += stalled
+        step_ns = self._next_step_ns + stalled * PERIOD_NS
+        output = self._vehicle.step(step_ns)
+        for datagram in output.to_onboard:
+            self._motors.send(datagram)
+        for datagram in output.to_motion_capture:
+            self._poses.send(datagram)
+        self._next_step_ns = step_ns + PERIOD_NS
+        self.steps += 1
+        self._record(step_ns, late_ns, output.truth)
+
+    def _record(self, step_ns: int, late_ns: int, truth: Any) -> None:
+        at_ns = step_ns + self._start_ns
+        self._log.write(TRUTH, at_ns, truth)
+        self._loop_record[0] = late_ns * 1e-3
+        self._loop_record[1] = self.stalled_steps
+        self._log.write(LOOP, at_ns, self._loop_record)
+        self._record_fates(at_ns)
+        if self._vehicle.crash_reason and self._crash_ns == 0:
+            self._crash_ns = step_ns
+            text = f"vehicle lost at {step_ns * 1e-9:.2f} s: {self._vehicle.crash_reason}"
+            self._log.event(at_ns, text)
+            self._status.say(text)
+        if self._status.due(at_ns):
+            self._status.write(self.status(step_ns))
+
+    def _record_fates(self, at_ns: int) -> None:
+        for direction, fates in self._radio.fates.items():
+            for fate in fates[self._fates_logged[direction] :]:
+                self._log.write(FATE, at_ns, fate_vector(direction, fate))
+            self._fates_logged[direction] = len(fates)
+
+    def _ended(self) -> bool:
+        if self._stop.count:
+            return True
+        if self._crash_ns:
+            return self._next_step_ns > self._crash_ns + AFTER_CRASH_NS
+        return self._next_step_ns > self._duration_ns
+
+    def status(self, now: int) -> dict[str, Any]:
+        """What the live status shows of the world."""
+        return {"time_s": now * 1e-9, "link": self._counts()}
+
+    def _counts(self) -> dict[str, dict[str, Any]]:
+        return {direction: asdict(self._radio.counts(direction)) for direction in DIRECTIONS}
+
+    def summary(self) -> dict[str, Any]:
+        """What the flight record keeps of this process; times of its log are on the machine's monotonic clock."""
+        return {
+            "start_ns": self._start_ns,
+            "duration_s": max(0, self._next_step_ns - PERIOD_NS) * 1e-9,
+            "survived": not self._vehicle.crash_reason,
+            "crash_reason": self._vehicle.crash_reason,
+            "link": self._counts(),
+            "steps": self.steps,
+            "stalled_steps": self.stalled_steps,
+            "rss_mb": round(resident_mb(), 1),
+        }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `python -m sim_vehicle` and `dmrac sim`."""
+    parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
+    parser.add_argument("--onboard", metavar="HOST:PORT", help="onboard's address for the vehicle's MAVLink")
+    parser.add_argument("--onboard-link", metavar="HOST:PORT", help="onboard's address for the radio")
+    parser.add_argument("--offboard-link", metavar="HOST:PORT", help="offboard's address for the radio")
+    parser.add_argument("--motion-capture", metavar="HOST:PORT", help="offboard's address for motion capture")
+    parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own MAVLink address")
+    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the process; returns the exit status (0 flown, 1 onboard never came, 2 bad configuration or address)."""
+    stop = StopRequest()
+    status = StatusLines("sim", arguments.json)
+    try:
+        seed, duration_s = _seed_and_duration(arguments.config)
+        config = load_section(SimVehicleConfig, arguments.config, "vehicle")
+        radio_config = load_section(RadioConfig, arguments.config, "radio")
+        network = load_network(arguments.config, _addresses(arguments))
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return 2
+    vehicle = SimVehicle(config, seed)
+    radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    attachments = {"config.yaml": arguments.config.read_bytes()}
+    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", attachments=attachments)
+    try:
+        process = SimProcess(vehicle, radio, network, duration_s, log, status, stop)
+        ask_for_realtime(PRIORITY)
+        quiet_interpreter()
+        status.say("ready")
+        result = process.fly()
+        process.close()
+    except AddressInUseError as error:
+        print(error, file=sys.stderr)
+        return 2
+    finally:
+        log.close()
+    write_json(arguments.out / "sim_summary.json", process.summary())
+    return result
+
+
+def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
+    return {
+        "onboard_vehicle": arguments.onboard,
+        "onboard_link": arguments.onboard_link,
+        "offboard_link": arguments.offboard_link,
+        "motion_capture": arguments.motion_capture,
+        "vehicle": arguments.bind_vehicle,
+    }
+
+
+def _seed_and_duration(path: Path) -> tuple[int, float]:
+    tree = read_tree(path)
+    seed, duration_s = tree.get("seed"), tree.get("duration_s")
+    if not isinstance(seed, int) or not isinstance(duration_s, int | float) or duration_s <= 0:
+        raise ConfigError(f"{path}: seed {seed!r}, duration_s {duration_s!r}: expected a whole number and seconds")
+    return seed, float(duration_s)
+
+
+def _any_port(peer: str) -> str:
+    """A free port of the side of this machine that faces `peer`."""
+    local = peer.startswith(("127.", "localhost:"))
+    return "127.0.0.1:0" if local else "0.0.0.0:0"

@@ -1,0 +1,61 @@
+"""Addresses of a flight: what is refused, and how it is said."""
+
+from pathlib import Path
+
+import pytest
+
+from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, read_tree
+from configs.network import RESERVED_PORTS, NetworkConfig, load_network
+
+DEFAULTS = read_tree(CONFIG_DIRECTORY / "network.yaml")
+
+
+def changed(**values: object) -> NetworkConfig:
+    return fill(NetworkConfig, {**DEFAULTS, **values}, "test.yaml", "network.")
+
+
+def test_the_shipped_file_is_valid_and_avoids_the_reserved_ports() -> None:
+    network = changed()
+    bound = network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard()
+    assert len(set(bound.values())) == len(bound) == 7
+    assert not {int(address.rpartition(":")[2]) for address in bound.values()} & set(RESERVED_PORTS)
+
+
+@pytest.mark.parametrize("address", ["14560", "127.0.0.1", "127.0.0.1:0", "127.0.0.1:65536", "127.0.0.1:x", ":14560"])
+def test_what_is_no_address_is_refused(address: str) -> None:
+    with pytest.raises(ConfigError, match=r"network\.vehicle: .*expected HOST:PORT"):
+        changed(vehicle=address)
+
+
+@pytest.mark.parametrize("port", RESERVED_PORTS)
+def test_the_firmwares_ports_are_refused(port: int) -> None:
+    with pytest.raises(ConfigError, match="reserved by the Mambo"):
+        changed(onboard_vehicle=f"127.0.0.1:{port}")
+
+
+def test_two_sockets_on_one_address_are_refused() -> None:
+    with pytest.raises(ConfigError, match="vehicle and onboard_vehicle are both"):
+        changed(onboard_vehicle=DEFAULTS["vehicle"])
+
+
+def test_without_radio_two_names_are_one_address() -> None:
+    network = changed(radio_onboard=DEFAULTS["offboard_link"], radio_offboard=DEFAULTS["onboard_link"])
+    assert network.radio_onboard == network.offboard_link
+
+
+@pytest.mark.parametrize("name", ["radio_onboard", "onboard_link", "radio_offboard", "offboard_link"])
+@pytest.mark.parametrize("host", ["192.168.3.1", "0.0.0.0", "drone.local"])
+def test_without_a_key_the_link_stays_on_this_machine(name: str, host: str) -> None:
+    with pytest.raises(ConfigError, match=r"without key_file only 127\.0\.0\.0/8"):
+        changed(**{name: f"{host}:15000"})
+    assert changed(**{name: f"{host}:15000", "key_file": "/etc/key"}).key_file == "/etc/key"
+
+
+def test_options_are_laid_over_the_file_and_named_in_faults(tmp_path: Path) -> None:
+    path = tmp_path / "config.yaml"
+    lines = "".join(f"  {name}: {address}\n" for name, address in DEFAULTS.items())
+    path.write_text(f"network:\n{lines}", encoding="utf-8")
+    network = load_network(path, {"vehicle": "127.0.0.1:15001", "ground": None})
+    assert (network.vehicle, network.ground) == ("127.0.0.1:15001", DEFAULTS["ground"])
+    with pytest.raises(ConfigError, match=r"config\.yaml with vehicle from options: network\.vehicle"):
+        load_network(path, {"vehicle": "nonsense"})
