@@ -19,8 +19,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.keys import load_key
-
 from configs.loader import ConfigError, load_section
 from configs.network import NetworkConfig, load_network
 from flight_record.writer import FlightLogWriter
@@ -28,6 +26,7 @@ from offboard.config import OffboardConfig
 from offboard.core import OffboardCore
 from offboard.experience import ExperienceError
 from offboard.records import OffboardOutput
+from protocol.keys import load_key
 from protocol.session import session_number
 from shell.files import write_atomically, write_json
 from shell.kernel import THREAD_SWITCH_S, ask_for_realtime, resident_mb

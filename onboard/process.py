@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from protocol.keys import load_key
 
 from configs.loader import ConfigError, load_section
 from configs.network import NetworkConfig, load_network
@@ -28,6 +27,7 @@ from onboard.config import OnboardConfig
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.realtime import DurationStatistics, PaceKeeper
 from onboard.tick_record import TICK
+from protocol.keys import load_key
 from protocol.session import session_number
 from shell.files import write_json
 from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
