@@ -1,0 +1,152 @@
+"""What the offboard side needs to know, as frozen records that configs/offboard.yaml fills."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from configs.loader import Record
+from protocol.config import TransferConfig
+from protocol.feature_set import LAYERS_MAX, WIDTH_MAX
+from protocol.signals import SIGNAL_NAMES, input_indices
+
+ChannelName = Literal["position", "attitude"]
+
+
+class LabelConfig(Record):
+    """What the networks are asked to reproduce (control.md, section 5)."""
+
+    kind: Literal["residual", "mrgen"] = Field(
+        description="residual: the measured uncertainty; mrgen: nu_ad as it flew (the paper)"
+    )
+    position_window_s: float = Field(gt=0.0, le=2.0, description="s, length of the smoothing window")
+    attitude_window_s: float = Field(gt=0.0, le=2.0, description="s, length of the smoothing window")
+    order: int = Field(ge=0, le=4, description="degree of the smoothing polynomial")
+    reorder_s: float = Field(ge=0.0, le=2.0, description="s, how long a missing sample is waited for")
+    minimum_height_m: float = Field(ge=0.0, description="m above the floor; samples from below are not used")
+    position_limit_m_s2: float = Field(gt=0.0, description="m/s^2, larger labels are not believed")
+    attitude_limit_rad_s2: float = Field(gt=0.0, description="rad/s^2, larger labels are not believed")
+
+
+class BufferConfig(Record):
+    """Which samples are kept (control.md, section 6)."""
+
+    capacity: int = Field(ge=8, le=4000, description="samples, p_max")
+    admission: Literal["kernel", "history"] = Field(description="kernel: GP novelty; history: Chowdhary and Johnson")
+    deletion: Literal["svd", "fifo"] = Field(description="what a full buffer gives up")
+    novelty_inputs: tuple[str, ...] = Field(min_length=1, description="signals the kernel compares")
+    kernel_width: float = Field(gt=0.0, description="width of the Gaussian kernel, in scaled inputs")
+    kernel_tolerance: float = Field(gt=0.0, lt=1.0, description="zeta_tol, smallest gamma that is new")
+    history_tolerance: float = Field(gt=0.0, description="smallest norm(dPhi)^2 / norm(Phi) that is new")
+    refresh_age_s: float = Field(gt=0.0, description="s; an older entry is replaced by a sample it resembles")
+    newest: int = Field(ge=16, le=4000, description="samples, store of the newest, new or not")
+    newest_fraction: float = Field(ge=0.0, le=1.0, description="share of each mini-batch drawn from the newest")
+    block_s: float = Field(gt=0.0, le=10.0, description="s, length of a block that goes to one split as a whole")
+    blocks_per_group: int = Field(ge=3, description="one block in each group of so many is held out for validation")
+    groups_per_test: int = Field(ge=1, description="one block in every so many groups is held out for testing")
+
+    @model_validator(mode="after")
+    def _inputs_known(self) -> Self:
+        input_indices(self.novelty_inputs)
+        return self
+
+
+class SignalScale(Record):
+    """How a signal becomes an input of about unit size: z = (signal - offset) / scale."""
+
+    offset: float = Field(description="in the signal's unit")
+    scale: float = Field(gt=0.0, description="in the signal's unit")
+
+
+class NetworkConfig(Record):
+    """Shape of the networks (control.md, section 3)."""
+
+    channels: tuple[ChannelName, ...] = Field(min_length=1, description="channels that get learnt features")
+    position_inputs: tuple[str, ...] = Field(min_length=1, description="signals the position features see")
+    attitude_inputs: tuple[str, ...] = Field(min_length=1, description="signals the attitude features see")
+    hidden: tuple[int, ...] = Field(min_length=1, max_length=LAYERS_MAX - 1, description="widths of the hidden layers")
+    features: int = Field(ge=2, le=WIDTH_MAX + 1, description="k, the constant feature included")
+    spectral_norm_max: float = Field(gt=0.0, description="bound on each inner layer's largest singular value")
+    first_layer_gain: float = Field(gt=0.0, description="spread of the random first layer")
+    dropout: float = Field(ge=0.0, lt=1.0, description="share of the features dropped in a training step")
+    scaling: Literal["fixed", "data"] = Field(
+        description="fixed: the scales below; data: mean and spread of the first training set, at least half the scales"
+    )
+    scales: dict[str, SignalScale] = Field(description="of each signal")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for names in (self.position_inputs, self.attitude_inputs):
+            input_indices(names)
+        missing = [name for name in SIGNAL_NAMES if name not in self.scales]
+        unknown = [name for name in self.scales if name not in SIGNAL_NAMES]
+        if missing or unknown:
+            raise ValueError(f"scales: missing {missing}, unknown {unknown}")
+        if len(set(self.channels)) != len(self.channels):
+            raise ValueError("a channel stands twice")
+        if not all(1 <= width <= WIDTH_MAX for width in self.hidden):
+            raise ValueError(f"hidden: widths from 1 to {WIDTH_MAX}")
+        return self
+
+    def inputs(self, channel: str) -> tuple[str, ...]:
+        """Input names of a channel."""
+        return self.position_inputs if channel == "position" else self.attitude_inputs
+
+
+class TrainerConfig(Record):
+    """How the networks are trained (control.md, section 7)."""
+
+    optimiser: Literal["adam", "sgd"]
+    learning_rate: float = Field(gt=0.0)
+    momentum: float = Field(ge=0.0, lt=1.0, description="of sgd")
+    weight_decay: float = Field(ge=0.0, description="l2 on all weights")
+    batch_size: int = Field(ge=1, le=4096, description="M, samples per mini-batch")
+    batches: int = Field(ge=1, le=10000, description="mini-batches per round")
+    epochs: int = Field(ge=1, le=100, description="parts of a round after each of which the losses are recorded")
+    projection_every: int = Field(ge=1, description="mini-batches between projections of the spectral norms")
+    period_s: float = Field(ge=0.0, description="s, least time between starts of rounds")
+    minimum_samples: int = Field(ge=8, description="training samples before the first round")
+    refit_last_layer: bool = Field(description="end each round with a ridge regression of the last layer")
+    ridge: float = Field(gt=0.0, description="of that regression, per sample, in standardised labels")
+    position_label_floor_m_s2: float = Field(gt=0.0, description="m/s^2, least scale of position labels")
+    attitude_label_floor_rad_s2: float = Field(gt=0.0, description="rad/s^2, least scale of attitude labels")
+
+
+class GateConfig(Record):
+    """When a trained version is worth sending (control.md, section 7)."""
+
+    trigger_unexplained: float = Field(
+        ge=0.0, description="held-out loss of the flying version over the power of the labels, above which it may go"
+    )
+    margin: float = Field(ge=0.0, lt=1.0, description="by which the new version's held-out loss must be smaller")
+    significance: float = Field(ge=0.0, description="standard errors by which it must be smaller")
+    minimum_validation: int = Field(ge=2, description="held-out samples without which nothing is sent")
+    interval_s: float = Field(ge=0.0, description="s, least time between two versions")
+
+
+class ExperienceConfig(Record):
+    """What becomes of what was learnt."""
+
+    mode: Literal["learn", "frozen"] = Field(description="frozen: fly what was loaded, learn nothing")
+    checkpoint_period_s: float = Field(gt=0.0, description="s between checkpoints")
+
+
+class PoseRelayConfig(Record):
+    """The motion capture and its clock."""
+
+    latency_s: float = Field(ge=0.0, le=0.2, description="s, least time from capture to arrival here")
+    position_limit_m: float = Field(gt=0.0, description="m, farther poses are not believed")
+
+
+class OffboardConfig(Record):
+    """All of the offboard side."""
+
+    vehicle_id: int = Field(ge=1, le=255)
+    seed: int = Field(ge=0, description="of initial weights and mini-batches")
+    labels: LabelConfig
+    buffer: BufferConfig
+    network: NetworkConfig
+    trainer: TrainerConfig
+    gate: GateConfig
+    experience: ExperienceConfig
+    pose_relay: PoseRelayConfig
+    transfer: TransferConfig

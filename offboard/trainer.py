@@ -1,0 +1,327 @@
+"""One round of training: a pure function of a snapshot of samples, weights and a seed.
+
+A round is `batches` mini-batches, each drawn partly from the newest samples and partly from the buffer, followed by a
+ridge regression of the last layer over the same mixture. Labels are standardised while training; theta is kept in
+the units of u. Nothing here knows a clock, a file or a thread: `TrainingJob.run` may be called anywhere.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from offboard.buffer import TEST, TRAINING, VALIDATION, SampleTable
+from offboard.config import NetworkConfig, TrainerConfig
+from offboard.gate import Evidence
+from offboard.network import (
+    Array32,
+    InputPlan,
+    NetworkState,
+    SpectralBound,
+    feature_set,
+    inner_features,
+    phi,
+    scales_from_data,
+)
+from protocol.codec import decode_feature_set, encode_feature_set
+from protocol.feature_set import FeatureSet
+from protocol.signals import CHANNELS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainerState:
+    """What one round hands to the next."""
+
+    network: NetworkState
+    moments: tuple[tuple[Array32, ...], ...]
+    """Of the optimiser, for each parameter; empty before the first round."""
+    steps: int
+    """Mini-batches so far."""
+    rounds: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingResult:
+    """What a round found."""
+
+    state: TrainerState
+    candidate: FeatureSet
+    evidence: Evidence
+    epoch_losses: Array
+    """[epochs, 3, 2]: training, validation, test loss per channel after each epoch, (m/s^2)^2 and (rad/s^2)^2."""
+    training_samples: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingJob:
+    """A round to be run: everything it reads is its own copy."""
+
+    network_config: NetworkConfig
+    config: TrainerConfig
+    seed: int
+    state: TrainerState
+    buffer: SampleTable
+    newest: SampleTable
+    newest_fraction: float
+    flying: FeatureSet | None
+    """The version in the air, None for the random start features (whose nu_ad is not known here)."""
+    version: int
+    """Number the result would be sent under."""
+    samples_seen: int
+    wire_dtype: Literal["float16", "float32"]
+    """Size of the parameters on the way up: what is judged is what will fly."""
+
+    def run(self) -> TrainingResult:
+        """Train. Deterministic: the same job gives the same result, bit for bit, on the same machine and threads."""
+        return _Round(self).run()
+
+
+class _Round:
+    """The tensors of one round."""
+
+    def __init__(self, job: TrainingJob) -> None:
+        self._job = job
+        self._plan = InputPlan.of(job.network_config)
+        self._generator = torch.Generator().manual_seed((job.seed * 1_000_003 + job.state.rounds) % 2**63)
+        network = job.state.network
+        newest, buffer = _of_split(job.newest, TRAINING), _of_split(job.buffer, TRAINING)
+        if job.state.rounds == 0 and job.network_config.scaling == "data":
+            offset, scale = scales_from_data(job.network_config, newest.joined(buffer).signals)
+            network = replace(network, offset=offset, scale=scale)
+        self._network = network
+        self._samples = newest.rows + buffer.rows
+        self._newest_rows = newest.rows
+        self._z, self._y_raw = self._inputs(newest.joined(buffer))
+        self._label_scale = self._scale_of_labels()
+        self._y = self._y_raw / self._label_scale
+        self._held_out = [self._held_out_of(split) for split in (VALIDATION, TEST)]
+        self._weights = [_tensor(W) for W in network.weights]
+        self._biases = [_tensor(b) for b in network.biases]
+        self._theta = _tensor(network.last_layer) / self._label_scale
+        self._theta_bias = _tensor(network.last_bias) / self._label_scale
+        self._spectral = SpectralBound(self._weights, job.network_config.spectral_norm_max)
+
+    def run(self) -> TrainingResult:
+        job = self._job
+        parameters = [*self._weights, *self._biases, self._theta, self._theta_bias]
+        for parameter in parameters:
+            parameter.requires_grad_(True)
+        optimiser = _optimiser(job.config, parameters)
+        _load_moments(optimiser, parameters, job.state)
+        losses = np.array([self._epoch(optimiser, indices) for indices in self._batches()])
+        for parameter in parameters:
+            parameter.requires_grad_(False)
+        self._spectral.exact()
+        if job.config.refit_last_layer:
+            self._refit()
+            losses[-1, 1:] = self._held_out_losses()
+        state = TrainerState(
+            self._network_now(),
+            _moments(optimiser, parameters),
+            job.state.steps + job.config.batches,
+            job.state.rounds + 1,
+        )
+        parent = 0 if job.flying is None else job.flying.version
+        trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
+        candidate = decode_feature_set(encode_feature_set(trained, job.wire_dtype))
+        return TrainingResult(state, candidate, self._evidence(trained, candidate), losses, self._samples)
+
+    def _inputs(self, table: SampleTable) -> tuple[torch.Tensor, torch.Tensor]:
+        """Scaled inputs [C, n, m] and labels [C, n, 3] of a table."""
+        z = self._plan.gather(table.signals, self._network.offset, self._network.scale)
+        labels = table.labels[:, list(self._plan.channels)].transpose(1, 0, 2)
+        return torch.from_numpy(z), torch.from_numpy(np.ascontiguousarray(labels))
+
+    def _scale_of_labels(self) -> torch.Tensor:
+        """Root mean square of the labels of each channel and axis, at least the floor, [C, 1, 3]."""
+        floors = (self._job.config.position_label_floor_m_s2, self._job.config.attitude_label_floor_rad_s2)
+        floor = torch.tensor([floors[at] for at in self._plan.channels])[:, None, None]
+        return torch.maximum(self._y_raw.square().mean(dim=1, keepdim=True).sqrt(), floor)
+
+    def _held_out_of(self, split: int) -> tuple[torch.Tensor, torch.Tensor]:
+        return self._inputs(self._held_out_table(split))
+
+    def _held_out_table(self, split: int) -> SampleTable:
+        """Samples of a split, each once although the newest may also be in the buffer."""
+        table = _of_split(self._job.buffer, split).joined(_of_split(self._job.newest, split))
+        _, first = np.unique(table.time_ns, return_index=True)
+        return table.take(first)
+
+    def _batches(self) -> Iterator[torch.Tensor]:
+        """Row numbers of the mini-batches of each epoch, [batches per epoch, M]."""
+        config, g = self._job.config, self._generator
+        n_new, n_all = self._newest_rows, self._z.shape[1]
+        from_newest = round(config.batch_size * self._job.newest_fraction)
+        if n_new == 0 or n_new == n_all:
+            from_newest = 0 if n_new == 0 else config.batch_size
+        new = torch.randint(0, max(n_new, 1), (config.batches, from_newest), generator=g)
+        old = torch.randint(
+            n_new, max(n_all, n_new + 1), (config.batches, config.batch_size - from_newest), generator=g
+        )
+        for part in np.array_split(np.arange(config.batches), config.epochs):
+            yield torch.cat([new, old], dim=1)[part[0] : part[-1] + 1] if part.size else new[:0]
+
+    def _epoch(self, optimiser: torch.optim.Optimizer, indices: torch.Tensor) -> Array:
+        """Some mini-batches; training, validation and test loss, [3, 2]."""
+        total = torch.zeros(len(self._plan.channels), 3)
+        every = self._job.config.projection_every
+        for number, rows in enumerate(indices):
+            errors = self._predict(self._z[:, rows]) - self._y[:, rows]
+            per_axis = errors.square().mean(dim=1)
+            optimiser.zero_grad(set_to_none=True)
+            per_axis.mean().backward()
+            optimiser.step()
+            total += per_axis.detach()
+            if number % every == every - 1:
+                self._spectral.approximate()
+        trained = self._to_channels((total / max(len(indices), 1))[:, None])
+        return np.vstack([trained, self._held_out_losses()])
+
+    def _predict(self, z: torch.Tensor) -> torch.Tensor:
+        features = inner_features(z, self._weights, self._biases)
+        dropout = self._job.network_config.dropout
+        if dropout > 0.0 and features.requires_grad:
+            kept = torch.rand(features.shape, generator=self._generator) >= dropout
+            features = features * kept / (1.0 - dropout)
+        return torch.baddbmm(self._theta_bias, features, self._theta)
+
+    def _held_out_losses(self) -> Array:
+        """Validation and test loss per channel, [2, 2]; NaN where there is no sample."""
+        rows = []
+        for z, y in self._held_out:
+            if z.shape[1] == 0:
+                rows.append(np.full(len(CHANNELS), np.nan))
+            else:
+                with torch.no_grad():
+                    errors = self._predict(z) - y / self._label_scale
+                rows.append(self._to_channels(errors.square().mean(dim=1, keepdim=True)))
+        return np.array(rows)
+
+    def _to_channels(self, squared: torch.Tensor) -> Array:
+        """Squared errors [C, 1, 3] of standardised labels, in the units of u, summed over the axes: [2]."""
+        losses = np.full(len(CHANNELS), np.nan)
+        losses[list(self._plan.channels)] = (squared * self._label_scale.square()).sum(dim=(1, 2)).double().numpy()
+        return losses
+
+    def _refit(self) -> None:
+        """Last layer theta = argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge norm(theta)^2, w as the mini-batches draw."""
+        features = inner_features(self._z, self._weights, self._biases).double()
+        Phi = torch.cat([features, torch.ones(*features.shape[:2], 1, dtype=torch.float64)], dim=2)
+        w = self._draw_weights()[None, :, None]
+        gram = (Phi * w).transpose(1, 2) @ Phi + self._job.config.ridge * torch.eye(Phi.shape[2], dtype=torch.float64)
+        theta = torch.linalg.solve(gram, (Phi * w).transpose(1, 2) @ self._y.double()).float()
+        self._theta.copy_(theta[:, :-1])
+        self._theta_bias.copy_(theta[:, -1:])
+
+    def _draw_weights(self) -> torch.Tensor:
+        """Probability with which a mini-batch draws each row, [n]."""
+        n_new, n_all = self._newest_rows, self._z.shape[1]
+        share = self._job.newest_fraction if 0 < n_new < n_all else float(n_new > 0)
+        w = torch.empty(n_all, dtype=torch.float64)
+        w[:n_new] = share / max(n_new, 1)
+        w[n_new:] = (1.0 - share) / max(n_all - n_new, 1)
+        return w
+
+    def _network_now(self) -> NetworkState:
+        return NetworkState(
+            self._network.offset,
+            self._network.scale,
+            tuple(W.numpy().copy() for W in self._weights),
+            tuple(b.numpy().copy() for b in self._biases),
+            (self._theta * self._label_scale).numpy(),
+            (self._theta_bias * self._label_scale).numpy(),
+        )
+
+    def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
+        """What the gate needs to know: the numpy pass against torch's, and how the rounded candidate does."""
+        table = self._held_out_table(VALIDATION)
+        labels = table.labels.astype(np.float64)
+        return Evidence(
+            time_ns=table.time_ns,
+            candidate_errors=squared_errors(candidate, table.signals, labels),
+            flying_errors=squared_errors(self._job.flying, table.signals, labels),
+            label_power=_power(labels, self._plan.channels),
+            numpy_difference=self._numpy_difference(trained, table),
+            spectral_norms=tuple(
+                float(np.linalg.norm(W, 2))
+                for channel in (candidate.position, candidate.attitude)
+                if channel is not None
+                for W in channel.weights
+            ),
+        )
+
+    def _numpy_difference(self, trained: FeatureSet, table: SampleTable) -> float:
+        """Largest difference of a feature between torch's float32 and numpy's float64 pass."""
+        z, _ = self._held_out[0]
+        if not table.rows:
+            return 0.0
+        by_torch = inner_features(z, self._weights, self._biases).numpy()
+        channels = [channel for channel in (trained.position, trained.attitude) if channel is not None]
+        differences = [
+            np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row]).max() for row, channel in enumerate(channels)
+        ]
+        return float(max(differences))
+
+
+def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array) -> Array:
+    """norm(y - theta'Phi)^2 of each sample and channel [n, 2]; a channel that is not covered predicts 0."""
+    errors = labels.copy()
+    for at, channel in enumerate((features.position, features.attitude) if features is not None else ()):
+        if channel is not None and signals.shape[0]:
+            errors[:, at] -= phi(channel, signals) @ channel.last_layer
+    squared: Array = np.square(errors).sum(axis=2)
+    return squared
+
+
+def _power(labels: Array, channels: tuple[int, ...]) -> Array:
+    """Mean squared norm of the labels of each channel, [2]; NaN where the channel is not learnt."""
+    power = np.full(len(CHANNELS), np.nan)
+    if labels.shape[0]:
+        power[list(channels)] = np.square(labels).sum(axis=2).mean(axis=0)[list(channels)]
+    return power
+
+
+def _of_split(table: SampleTable, split: int) -> SampleTable:
+    return table.take(table.split == split)
+
+
+def _tensor(array: Array32) -> torch.Tensor:
+    return torch.from_numpy(array.copy())
+
+
+def _optimiser(config: TrainerConfig, parameters: list[torch.Tensor]) -> torch.optim.Optimizer:
+    if config.optimiser == "adam":
+        return torch.optim.Adam(parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
+    return torch.optim.SGD(
+        parameters, lr=config.learning_rate, momentum=config.momentum, weight_decay=config.weight_decay, fused=True
+    )
+
+
+MOMENT_NAMES: Final = {"adam": ("exp_avg", "exp_avg_sq"), "sgd": ("momentum_buffer",)}
+
+
+def _moment_names(optimiser: torch.optim.Optimizer) -> tuple[str, ...]:
+    return MOMENT_NAMES["adam" if isinstance(optimiser, torch.optim.Adam) else "sgd"]
+
+
+def _load_moments(optimiser: torch.optim.Optimizer, parameters: list[torch.Tensor], state: TrainerState) -> None:
+    names = _moment_names(optimiser)
+    for parameter, moments in zip(parameters, state.moments, strict=False):
+        if len(moments) == len(names):
+            known = {name: _tensor(moment) for name, moment in zip(names, moments, strict=True)}
+            optimiser.state[parameter] = {"step": torch.tensor(float(state.steps)), **known}
+
+
+def _moments(optimiser: torch.optim.Optimizer, parameters: list[torch.Tensor]) -> tuple[tuple[Array32, ...], ...]:
+    names = _moment_names(optimiser)
+    kept = []
+    for parameter in parameters:
+        known = optimiser.state.get(parameter, {})
+        present = [known[name] for name in names if known.get(name) is not None]
+        kept.append(tuple(moment.numpy().copy() for moment in present))
+    return tuple(kept)

@@ -1,0 +1,205 @@
+"""Stories of the offboard core: real datagrams, real training, virtual time."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import torch
+from pymavlink.dialects.v20 import common as mavlink
+
+from flight_record.schema import RecordType
+from offboard.core import OffboardCore
+from offboard.records import EPOCH, LINK, TRAINING
+from protocol.endpoint import Endpoint
+from protocol.feature_set import FeatureSet
+from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
+from protocol.transfer import FeatureReceiver
+from tests.offboard.flights import figure8_through_jet, offboard_config
+
+MS = 1_000_000
+START_NS = 10**9
+
+
+def status(flying: int, receiver: FeatureReceiver) -> Status:
+    refused, reason = receiver.refused
+    return Status(
+        mode=3,
+        feature_version=flying,
+        transfer_version=receiver.transfer_version,
+        received_chunks=receiver.received_chunks,
+        refused_version=refused,
+        refusal=reason,
+        ticks=0,
+        missed_ticks=0,
+        pose_age_ms=-1,
+        received=0,
+        lost=0,
+        rejected=0,
+    )
+
+
+@dataclass
+class Onboard:
+    """The other end of the wire: sends samples and status, takes in features and flies them at once."""
+
+    session: int = 1
+    flying: int = 0
+    received: list[FeatureSet] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    replies: list[TimeSyncReply] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.endpoint = Endpoint("onboard", self.session, None)
+        self.receiver = FeatureReceiver()
+
+    def take_in(self, datagram: bytes, now_ns: int) -> None:
+        message = self.endpoint.decode(datagram, now_ns)
+        if isinstance(message, FeatureChunk):
+            features = self.receiver.receive(message)
+            if features is not None:
+                self.received.append(features)
+                self.flying = features.version
+        elif isinstance(message, Pose):
+            self.poses.append(message)
+        elif isinstance(message, TimeSyncReply):
+            self.replies.append(message)
+
+
+@dataclass
+class Log:
+    records: list[tuple[RecordType, int, np.ndarray]] = field(default_factory=list)
+    events: list[tuple[int, str]] = field(default_factory=list)
+    checkpoint: bytes | None = None
+    versions: dict[int, bytes] = field(default_factory=dict)
+
+    def of(self, record_type: RecordType) -> np.ndarray:
+        return np.array([vector for kind, _, vector in self.records if kind is record_type])
+
+
+def fly(
+    core: OffboardCore, onboard: Onboard, batches: list[SampleBatch], start_ns: int = START_NS, loss: float = 0.0
+) -> Log:
+    """Steps of 20 ms; a batch each 100 ms, status five times a second; a training job takes one step."""
+    rng = np.random.default_rng(5)
+    log, now_ns, job, pending = Log(), start_ns, None, list(batches)
+    step = 0
+    while pending:
+        now_ns += 20 * MS
+        step += 1
+        if step % 5 == 0:
+            datagram = onboard.endpoint.encode(pending.pop(0), now_ns)
+            if rng.random() >= loss:
+                core.take_in(datagram, now_ns)
+        if step % 10 == 0:
+            core.take_in(onboard.endpoint.encode(status(onboard.flying, onboard.receiver), now_ns), now_ns)
+        if job is not None:
+            core.take_in_training(job.run(), now_ns)
+        out = core.step(now_ns)
+        job = out.job
+        for datagram in out.to_onboard:
+            if rng.random() >= loss:
+                onboard.take_in(datagram, now_ns)
+        log.records += out.records
+        log.events += out.events
+        log.checkpoint = out.checkpoint or log.checkpoint
+        if out.version_file is not None:
+            log.versions[out.version_file[0]] = out.version_file[1]
+    return log
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def test_learns_a_jet_and_sends_versions_that_explain_it() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    flight = figure8_through_jet(12.0)
+    log = fly(core, onboard, flight.batches(), loss=0.05)
+    assert len(onboard.received) >= 3
+    assert [features.version for features in onboard.received] == sorted({f.version for f in onboard.received})
+    training = log.of(TRAINING)
+    validation = training[:, TRAINING.names.index("validation_loss_position")]
+    power = training[:, TRAINING.names.index("label_power_position")]
+    assert validation[-1] < 0.35 * power[-1]
+    assert len(log.of(EPOCH)) == len(training) * offboard_config().trainer.epochs
+    assert len(log.of(LINK)) >= 10
+    for record_type, _, vector in log.records:
+        assert vector.shape == (len(record_type.fields),)
+    assert set(log.versions) == {features.version for features in onboard.received}
+
+
+def test_same_flight_same_bytes() -> None:
+    batches = figure8_through_jet(4.0).batches()
+    checkpoints = [fly(OffboardCore(offboard_config(), 7, None), Onboard(), batches) for _ in range(2)]
+    first, second = (log.of(TRAINING) for log in checkpoints)
+    assert np.array_equal(first, second, equal_nan=True)
+
+
+def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    core.take_in(onboard.endpoint.encode(TimeSyncRequest(5 * MS), 5 * MS), 100 * MS)
+    codec = mavlink.MAVLink(None, srcSystem=1)
+    pose = mavlink.MAVLink_att_pos_mocap_message(80_000, [1.0, 0.0, 0.0, 0.0], 0.5, 0.25, -1.0)
+    core.take_in_motion_capture(bytes(pose.pack(codec)), 100 * MS)
+    for datagram in core.step(102 * MS).to_onboard:
+        onboard.take_in(datagram, 7 * MS)
+    assert [(reply.receive_ns, reply.transmit_ns) for reply in onboard.replies] == [(100 * MS, 102 * MS)]
+    assert len(onboard.poses) == 1
+    assert onboard.poses[0].time_ns == 100 * MS
+    assert core.step(103 * MS).to_onboard == []
+
+
+def test_one_job_at_a_time() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    for batch in figure8_through_jet(3.0).batches():
+        core.take_in(onboard.endpoint.encode(batch, batch.time_ns), batch.time_ns)
+    assert core.step(START_NS).job is not None
+    assert core.step(START_NS + 10**10).job is None
+
+
+def test_onboard_restart_gets_the_latest_version_again() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    fly(core, onboard, figure8_through_jet(7.0).batches())
+    assert onboard.received
+    fresh = Onboard(session=2)
+    idle = figure8_through_jet(2.0, seed=3).batches(first_index=10**6)
+    fly(core, fresh, idle, start_ns=START_NS + 10**10)
+    assert fresh.received
+    assert fresh.received[0].version > onboard.flying
+
+
+def test_restarted_trainer_goes_on_with_the_same_buffer_version_and_loss() -> None:
+    flight = figure8_through_jet(14.0)
+    batches = flight.batches()
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    log = fly(core, onboard, batches[:80])
+    saved = core.final_checkpoint()
+    assert saved is not None
+    again = OffboardCore(offboard_config(), 8, None)
+    again.resume(saved)
+    assert again.learner.experience() == saved
+    assert again.learner.buffered == core.learner.buffered
+    assert again.learner.version == core.learner.version
+    later = fly(again, onboard, batches[80:], start_ns=START_NS + 80 * 100 * MS)
+    column = TRAINING.names.index("validation_loss_position")
+    before, after = log.of(TRAINING)[-1, column], later.of(TRAINING)[0, column]
+    assert after < 1.5 * before + 0.02
+    assert again.learner.version >= core.learner.version
+
+
+def test_warm_start_in_frozen_mode_flies_what_was_loaded_and_trains_nothing() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    log = fly(core, onboard, figure8_through_jet(7.0).batches())
+    frozen = offboard_config(experience={"mode": "frozen"})
+    core, pilot = OffboardCore(frozen, 8, None), Onboard(session=3)
+    core.warm_start(log.versions[max(log.versions)])
+    quiet = fly(core, pilot, figure8_through_jet(3.0).batches())
+    assert len(pilot.received) == 1
+    assert not quiet.of(TRAINING).size
+    assert quiet.checkpoint is None
+    original = onboard.received[-1].position
+    loaded = pilot.received[0].position
+    assert original is not None
+    assert loaded is not None
+    assert np.array_equal(original.last_layer, loaded.last_layer)
