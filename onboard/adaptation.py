@@ -1,0 +1,159 @@
+"""The last-layer adaptive law: how W changes at 200 Hz so that nu_ad = W' Phi follows the disturbance Delta.
+
+Theory of operation
+-------------------
+The channel's error e = x_rm - x against the hedged reference model obeys e_dot = A_rm e + B (nu_ad - Delta)
+exactly, whatever the actuators can deliver. With Delta = W*' Phi and V = e'P e + tr((W - W*)' Gamma^-1 (W - W*)),
+
+    W_dot = -Gamma Phi e' P B                       (tracking)      gives V_dot = -e'Q e,
+    W_dot = -lambda Gamma Phi (W'Phi - Delta_hat)'  (composite)     adds -2 lambda |(W - W*)'Phi|^2.
+
+The sign of the tracking term follows from e = x_rm - x and u = ... - nu_ad; with the opposite sign (as printed in
+Joshi, Virdi, Chowdhary 2020) V grows. Gains are normalised by m^2 = eps + Phi' Gamma Phi, so the bandwidth of nu_ad
+is the stated gain whatever the number of active features. Normalising leaves the cross term 2 (1 - 1/m^2) e'PB W~'Phi
+uncancelled; it is dominated when lambda_min(Q) lambda >= |PB|^2 m^2 / 2 (docs/control.md derives it).
+
+The composite and the leak terms are integrated implicitly, so they are stable for any step and gain. W is kept in
+the ball norm(W) <= W_max by the smooth projection operator, and by a discrete safeguard at W_max sqrt(1 + eps).
+"""
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from configs.loader import Record
+
+Array = NDArray[np.float64]
+
+PROJECTION_MARGIN = 0.1
+"""eps of the projection operator: the square of the norm may exceed W_max^2 by this share."""
+
+
+class AdaptationConfig(Record):
+    """Gains of one channel's last-layer law."""
+
+    tracking_gain: Annotated[float, Field(ge=0, le=1e4, description="gamma: nu_ad changes by -gamma e'PB per second")]
+    composite_gain: Annotated[
+        float, Field(ge=0, le=1e3, description="lambda, 1/s: nu_ad approaches Delta_hat; 0 = off")
+    ]
+    bias_weight: Annotated[float, Field(gt=0, le=1e4, description="kappa: Gamma of the bias against the others")]
+    leak: Annotated[float, Field(ge=0, le=10, description="sigma, 1/s: W drifts back to the trained last layer")]
+    weight_norm_max: Annotated[float, Field(gt=0, description="W_max: radius of the ball W is kept in, units of u")]
+    normalisation_floor: Annotated[float, Field(gt=0, description="eps in eps + Phi'Gamma Phi")] = 1e-3
+    residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant of Delta_hat")] = 0.03
+
+
+def lyapunov_p(A_rm: Array, Q: Array) -> Array:
+    """P of A_rm' P + P A_rm + Q = 0, symmetric.
+
+    Parameters
+    ----------
+    A_rm: [n, n], Hurwitz.
+    Q: [n, n], symmetric positive definite.
+
+    Raises
+    ------
+    ValueError
+        If the solution is not positive definite, that is, if A_rm is not Hurwitz.
+    """
+    n = A_rm.shape[0]
+    eye = np.eye(n)
+    operator = np.kron(eye, A_rm.T) + np.kron(A_rm.T, eye)
+    P = np.linalg.solve(operator, -Q.reshape(-1)).reshape(n, n)
+    P = 0.5 * (P + P.T)
+    if float(np.linalg.eigvalsh(P)[0]) <= 0.0:
+        raise ValueError("no positive definite P: the reference model is not Hurwitz")
+    return P
+
+
+def projected_rate(W: Array, rate: Array, gamma: Array, weight_norm_max: float) -> Array:
+    """The smooth projection operator, Gamma-weighted (Lavretsky and Wise, "Robust and Adaptive Control", 11.4).
+
+    Returns `rate` unless norm(W) > W_max and the rate points outward; then its outward part is scaled away, wholly at
+    norm(W)^2 = W_max^2 (1 + PROJECTION_MARGIN).
+
+    Parameters
+    ----------
+    W, rate: [k, 3]; `rate` already carries Gamma.
+    gamma: [k], the diagonal of Gamma.
+    """
+    limit = weight_norm_max * weight_norm_max
+    f = (float(np.vdot(W, W)) - limit) / (PROJECTION_MARGIN * limit)
+    if f <= 0.0:
+        return rate
+    outward = float(np.vdot(W, rate))
+    if outward <= 0.0:
+        return rate
+    gamma_W = gamma[:, None] * W
+    return rate - gamma_W * (min(f, 1.0) * outward / float(np.vdot(W, gamma_W)))
+
+
+class LastLayer:
+    """W of one channel and its law. nu_ad = W' Phi, in the units of the channel's u."""
+
+    def __init__(self, config: AdaptationConfig, feature_count: int, PB: Array) -> None:
+        """PB: [n, 3], from the Lyapunov equation of the channel's reference model."""
+        self.config = config
+        self._PB = PB
+        self.W: Array = np.zeros((feature_count, 3))
+        self.memory: Array = np.zeros((feature_count, 3))
+        """theta_n, the trained last layer, towards which W leaks."""
+        self._gamma = self._gamma_for(feature_count)
+
+    @property
+    def gamma(self) -> Array:
+        """[k], the diagonal of Gamma before normalisation."""
+        return self._gamma
+
+    def _gamma_for(self, feature_count: int) -> Array:
+        gamma = np.ones(feature_count)
+        gamma[-1] = self.config.bias_weight
+        return gamma
+
+    def replace(self, W: Array, memory: Array) -> None:
+        """Takes over W [k, 3] and theta_n [k, 3] that belong to new features; W is clipped into the ball."""
+        self.W = np.array(W)
+        self.memory = np.array(memory)
+        self._gamma = self._gamma_for(W.shape[0])
+        self._keep_in_ball()
+
+    def step(self, Phi: Array, e: Array, residual: Array, dt: float) -> None:
+        """One step of the law at the present state.
+
+        Parameters
+        ----------
+        Phi: [k], features at the present state.
+        e: [n], x_rm - x.
+        residual: [3], Delta_hat, filtered x_dot - A x - B u_hat.
+        dt: s.
+        """
+        config = self.config
+        gamma_Phi = self._gamma * Phi
+        s = float(Phi @ gamma_Phi)
+        m2 = config.normalisation_floor + s
+        direction = (-config.tracking_gain / m2) * (e @ self._PB)
+        # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
+        a = config.composite_gain * dt / m2
+        if a > 0.0:
+            # The tracking step comes first; its effect on W'Phi is s * direction * dt.
+            mismatch = Phi @ self.W + (s * dt) * direction - residual
+            direction = direction - (config.composite_gain / m2 / (1.0 + a * s)) * mismatch
+        rate = gamma_Phi[:, None] * direction
+        self.W += dt * projected_rate(self.W, rate, self._gamma, config.weight_norm_max)
+        if config.leak > 0.0:
+            share = config.leak * dt
+            self.W += (share / (1.0 + share)) * (self.memory - self.W)
+        self._keep_in_ball()
+
+    def _keep_in_ball(self) -> None:
+        norm2 = float(np.vdot(self.W, self.W))
+        limit2 = self.config.weight_norm_max**2 * (1.0 + PROJECTION_MARGIN)
+        if norm2 > limit2:
+            self.W *= (limit2 / norm2) ** 0.5
+
+    @property
+    def weight_norm(self) -> float:
+        """Frobenius norm of W, units of u."""
+        return float(np.vdot(self.W, self.W)) ** 0.5

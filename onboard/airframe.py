@@ -1,0 +1,99 @@
+"""What onboard believes of the airframe: nominal mass, inertia and motors, the mixer, and the actuator model.
+
+The simulated (or real) vehicle differs from these numbers; the difference is part of the disturbance Delta.
+Motor order is PX4 quad-X: 1 front right (CCW), 2 rear left (CCW), 3 front left (CW), 4 rear right (CW).
+"""
+
+from math import exp
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from configs.loader import Record
+
+Array = NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0)]
+
+GRAVITY: Final = 9.81
+"""m/s^2."""
+
+
+class AirframeConfig(Record):
+    """Nominal values; sources stand beside the numbers in configs/onboard.yaml."""
+
+    mass_kg: Positive
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    """Jxx, Jyy, Jzz about the body axes."""
+    arm_x_m: Positive
+    arm_y_m: Positive
+    yaw_torque_per_thrust_m: Positive
+    motor_thrust_max_n: Positive
+    motor_thrust_min_share: Annotated[float, Field(ge=0, lt=0.5)]
+    """Idle thrust while armed, as a share of the maximum."""
+    motor_lag_up_s: Positive
+    motor_lag_down_s: Positive
+
+
+class Mixer:
+    """Shares collective thrust and torque out to four motors, giving up yaw first, then thrust, then roll and pitch."""
+
+    def __init__(self, config: AirframeConfig) -> None:
+        self._max = config.motor_thrust_max_n
+        self._min = config.motor_thrust_min_share * self._max
+        self._x = 0.25 / config.arm_x_m
+        self._y = 0.25 / config.arm_y_m
+        self._z = 0.25 / config.yaw_torque_per_thrust_m
+
+    def thrusts(self, thrust_n: float, torque_nm: tuple[float, float, float]) -> tuple[float, float, float, float]:
+        """Motor thrusts [N] that come nearest to the demand within [min, max].
+
+        Roll torque is -sum(y_i T_i), pitch torque sum(x_i T_i), yaw torque k (T_1 + T_2 - T_3 - T_4).
+        """
+        low, high = self._min, self._max
+        roll, pitch, yaw = torque_nm[0] * self._y, torque_nm[1] * self._x, torque_nm[2] * self._z
+        # Roll and pitch first: shrink them together only if their own spread exceeds the range.
+        spread = 2.0 * (abs(roll) + abs(pitch))
+        if spread > high - low:
+            roll *= (high - low) / spread
+            pitch *= (high - low) / spread
+        a, b, c, d = pitch - roll, roll - pitch, pitch + roll, -pitch - roll
+        base = 0.25 * thrust_n
+        base = min(max(base, low - min(a, b, c, d)), high - max(a, b, c, d))
+        # What yaw may take is what each motor has left: motors 1, 2 rise and 3, 4 fall with positive yaw.
+        if yaw >= 0.0:
+            room = min(high - base - a, high - base - b, base + c - low, base + d - low)
+            yaw = min(yaw, max(room, 0.0))
+        else:
+            room = min(base + a - low, base + b - low, high - base - c, high - base - d)
+            yaw = max(yaw, -max(room, 0.0))
+        return base + a + yaw, base + b + yaw, base + c - yaw, base + d - yaw
+
+
+class ActuatorModel:
+    """What the motors deliver by now: first-order lag of the commands, quicker up than down; gives u_hat."""
+
+    def __init__(self, config: AirframeConfig, period_s: float) -> None:
+        self._config = config
+        self._up = 1.0 - exp(-period_s / config.motor_lag_up_s)
+        self._down = 1.0 - exp(-period_s / config.motor_lag_down_s)
+        self.thrusts: Array = np.zeros(4)
+        """[4], N, as estimated at the present."""
+
+    def step(self, commanded: tuple[float, float, float, float]) -> None:
+        """Advances by one period under the thrusts [N] commanded during it."""
+        for index, command in enumerate(commanded):
+            now = float(self.thrusts[index])
+            self.thrusts[index] = now + (self._up if command > now else self._down) * (command - now)
+
+    def wrench(self) -> tuple[float, float, float, float]:
+        """Collective thrust [N] and body torque [N m] as delivered now."""
+        t1, t2, t3, t4 = self.thrusts.tolist()
+        c = self._config
+        return (
+            t1 + t2 + t3 + t4,
+            c.arm_y_m * (t2 + t3 - t1 - t4),
+            c.arm_x_m * (t1 + t3 - t2 - t4),
+            c.yaw_torque_per_thrust_m * (t1 + t2 - t3 - t4),
+        )

@@ -1,0 +1,34 @@
+"""All of onboard's configuration: one record per block, each defined beside its block."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from configs.loader import Record
+from configs.realtime import RealtimeConfig
+from onboard.airframe import AirframeConfig
+from onboard.controllers.interface import ControllerConfig
+from onboard.estimator_config import EstimatorConfig
+from onboard.guidance import GuidanceConfig
+from onboard.sampler import SamplerConfig
+from onboard.supervisor import SupervisorConfig
+from onboard.vehicle_link import VehicleLinkConfig
+
+
+class OnboardConfig(Record):
+    """All of the onboard side."""
+
+    vehicle_id: Annotated[int, Field(ge=0, lt=2**16)] = 1
+    seed: Annotated[int, Field(ge=0, lt=2**31, description="of the random start features")] = 1
+    period_ns: Annotated[int, Field(ge=1_000_000, le=50_000_000, description="ns, one tick")] = 5_000_000
+    status_period_s: Annotated[float, Field(ge=0.02, le=5, description="s between two Status messages")] = 0.1
+    time_sync_period_s: Annotated[float, Field(ge=0.1, le=60, description="s between two requests")] = 1.0
+    pose_wait_s: Annotated[float, Field(ge=0, le=600, description="s, arming waits so long for a first pose")] = 4.0
+    airframe: AirframeConfig
+    estimator: EstimatorConfig
+    supervisor: SupervisorConfig
+    vehicle_link: VehicleLinkConfig
+    guidance: GuidanceConfig
+    controller: ControllerConfig
+    samples: SamplerConfig
+    realtime: RealtimeConfig

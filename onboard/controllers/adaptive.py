@@ -1,0 +1,143 @@
+"""MRAC and DMRAC: nu_ad = W' Phi(x, c) with the last-layer law. DMRAC is MRAC whose features are learnt in flight."""
+
+from math import exp
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from configs.loader import Record
+from onboard.adaptation import AdaptationConfig, LastLayer, lyapunov_p
+from onboard.control_records import ChannelTelemetry
+from onboard.controllers.augmentation import ChannelState
+from onboard.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
+from onboard.features import BiasFeatures, Features, NetworkFeatures, RadialFeatures, random_channel
+from onboard.reference_model import ChannelGains
+from protocol.feature_set import ChannelFeatures
+from protocol.signals import SIGNAL_COUNT, input_indices
+
+Array = NDArray[np.float64]
+EPS_1_MEMORY_S = 2.0
+"""Time over which eps_1, the misfit of W'Phi against Delta_hat, is averaged."""
+
+
+class InputScaling(Record):
+    """One input of a feature network."""
+
+    signal: str
+    """Name, from protocol.signals."""
+    offset: float
+    scale: Annotated[float, Field(gt=0)]
+    """Offset and scale in the signal's unit, so that (x - offset) / scale is about -1 to 1."""
+
+    @field_validator("signal")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        input_indices((name,))
+        return name
+
+
+class AdaptiveConfig(Record):
+    """Adaptive augmentation of one channel."""
+
+    kind: Literal["adaptive"]
+    features: Literal["network", "rbf", "bias"]
+    inputs: tuple[InputScaling, ...]
+    """What the start features and the radial basis functions see. Ignored for bias."""
+    hidden: tuple[Annotated[int, Field(ge=1, le=128)], ...] = (32, 32, 19)
+    """Widths of the start features' inner layers; the last one plus the bias is the number of features."""
+    rbf_width: Annotated[float, Field(gt=0, description="width of the Gaussians, scaled units per sqrt(input)")] = 0.6
+    law: AdaptationConfig
+    error_weight: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 0.1)
+    """Diagonal of Q: for the first and the second half of e."""
+    swap: SwapConfig
+
+
+class AdaptiveAugmentation:
+    """One channel's features, last layer, and swap."""
+
+    def __init__(self, config: AdaptiveConfig, gains: ChannelGains, rng: np.random.Generator) -> None:
+        self._config = config
+        A_rm = gains.closed_loop_matrix()
+        Q = np.diag(np.repeat(config.error_weight, 3))
+        P = lyapunov_p(A_rm, Q)
+        # norm(B) = 1 for a double integrator.
+        self._bound_factor = 2.0 * float(np.linalg.eigvalsh(P)[-1]) / min(config.error_weight)
+        self.features: Features = self._start_features(rng)
+        self.last_layer = LastLayer(config.law, self.features.feature_count, P[:, 3:].copy())
+        self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
+        self._ticks = 0
+        self._residual: Array = np.zeros(3)
+        self._eps_1_squared = 0.0
+        self._eps_2 = 0.0
+        self._nu: Array = np.zeros(3)
+
+    def _start_features(self, rng: np.random.Generator) -> Features:
+        config = self._config
+        if config.features == "bias":
+            return BiasFeatures()
+        inputs = tuple(item.signal for item in config.inputs)
+        offset = np.array([item.offset for item in config.inputs])
+        scale = np.array([item.scale for item in config.inputs])
+        if config.features == "rbf":
+            return RadialFeatures(inputs, offset, scale, config.rbf_width)
+        return NetworkFeatures(random_channel(inputs, offset, scale, config.hidden, rng))
+
+    def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
+        """Updates W at the present state, then answers nu_ad where the vehicle will be."""
+        dt = channel.dt
+        Phi = self.features.evaluate(self.features.select(channel.signals))
+        Phi_now = Phi[:, 0]
+        if channel.adapt:
+            share = 1.0 - exp(-dt / self._config.law.residual_filter_s)
+            self._residual += share * (channel.residual_raw - self._residual)
+            self.last_layer.step(Phi_now, channel.model_error, self._residual, dt)
+            if self._ticks % self._config.swap.ring_period_ticks == 0:
+                self._recent.push(channel.signals[:, 0])
+            self._ticks += 1
+        nu = self.last_layer.W.T @ Phi
+        self._report(nu, dt, telemetry)
+        self._nu = nu[:, 1]
+        return self._nu
+
+    def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
+        misfit = nu[:, 0] - self._residual
+        self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (float(misfit @ misfit) - self._eps_1_squared)
+        ahead = nu[:, 1] - nu[:, 0]
+        telemetry.adaptive_now[:] = nu[:, 0]
+        telemetry.residual[:] = self._residual
+        telemetry.weight_norm = self.last_layer.weight_norm
+        telemetry.eps_1 = self._eps_1_squared**0.5
+        telemetry.eps_2 = self._eps_2
+        telemetry.eps_3 = float(ahead @ ahead) ** 0.5
+        telemetry.live_bound = self._bound_factor * (telemetry.eps_1 + telemetry.eps_2 + telemetry.eps_3)
+
+    def reset(self) -> None:
+        """Filters start over; what was learnt stays."""
+        self._residual = np.zeros(3)
+
+    @property
+    def learns(self) -> bool:
+        """Whether the features may be replaced by trained ones."""
+        return self._config.features == "network"
+
+    def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
+        """What taking over these features would do; nothing changes yet."""
+        new = NetworkFeatures(channel)
+        plan = plan_swap(
+            self._config.swap,
+            self.features,
+            self.last_layer.W,
+            new,
+            channel.last_layer,
+            self._config.law.weight_norm_max,
+            self._recent.columns(),
+        )
+        return new, plan
+
+    def commit(self, features: Features, plan: SwapPlan, memory: Array) -> None:
+        """Carries out a plan that was not refused. memory: theta_n [k, 3]."""
+        self.features = features
+        self.last_layer.replace(plan.W, memory)
+        self._eps_2 = plan.jump

@@ -1,0 +1,383 @@
+"""The onboard process without its sockets and clock: bytes and time in, bytes out. `step` reads like the block diagram.
+
+vehicle_link -> estimator -> supervisor -> guidance -> controller -> mixer -> vehicle_link
+                                                          ^  features, adaptation
+                    protocol -> feature_reception (swap) -+          sampler -> protocol
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.airframe import GRAVITY, ActuatorModel, Mixer
+from onboard.config import OnboardConfig
+from onboard.control_records import ControlInputs, ControlOutput, Target
+from onboard.estimator import Estimator
+from onboard.feature_reception import FeatureReception
+from onboard.guidance import Guidance
+from onboard.records import NEVER_NS, BatteryReading
+from onboard.sampler import SampleQueue
+from onboard.signal_vector import SignalVector
+from onboard.supervisor import AIRBORNE, SPINNING, Command, FlightMode, Supervisor, SupervisorInputs
+from onboard.tick_record import OFFSET, TICK, write_channel
+from onboard.vehicle_link import VehicleLink
+from protocol.endpoint import Endpoint
+from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncRequest
+
+Array = NDArray[np.float64]
+Thrusts = tuple[float, float, float, float]
+ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
+ADAPT_HEIGHT_M: Final = 0.2
+"""Below this the floor's cushion and contact would be learnt as a disturbance."""
+POSITION_AT: Final = OFFSET["position_error_n"]
+ATTITUDE_AT: Final = OFFSET["attitude_error_x"]
+VELOCITY_AID_MAX_S: Final = 0.3
+"""Velocity without an aid for so long is not learnt from."""
+
+
+@dataclass(slots=True)
+class OnboardOutput:
+    """What one step gives out."""
+
+    to_vehicle: list[bytes] = field(default_factory=list)
+    to_offboard: list[bytes] = field(default_factory=list)
+    to_ground: list[bytes] = field(default_factory=list)
+    tick: Array = field(default_factory=lambda: np.zeros(len(TICK.fields)))
+    """Per onboard.tick_record.TICK; rewritten by the next step."""
+    events: list[tuple[int, str]] = field(default_factory=list)
+    """(time_ns, text)."""
+
+
+class OnboardCore:
+    """Everything the vehicle needs to fly and adapt.
+
+    Parameters
+    ----------
+    session: number of this run, larger at each start (protocol.session).
+    key: shared with offboard; None between loopback addresses only.
+    """
+
+    def __init__(self, config: OnboardConfig, session: int, key: bytes | None) -> None:
+        self._config = config
+        self._dt = config.period_ns * 1e-9
+        self._vehicle_link = VehicleLink(config.vehicle_link)
+        self._estimator = Estimator(config.estimator)
+        self._supervisor = Supervisor(config.supervisor)
+        self._guidance = Guidance(config.guidance)
+        self.controller = config.controller.build(config.airframe, config.seed)
+        self._mixer = Mixer(config.airframe)
+        self._actuators = ActuatorModel(config.airframe, self._dt)
+        self._signals = SignalVector()
+        self._endpoint = Endpoint("onboard", session, key, config.vehicle_id)
+        self._reception = FeatureReception(self.controller)
+        self._samples = SampleQueue(config.samples)
+        self._output = OnboardOutput()
+        self._inputs: ControlInputs | None = None
+        self._command: Thrusts = ZERO
+        self._command_before: Thrusts = ZERO
+        self._saturated = False
+        self._mode = FlightMode.BOOT
+        self._commands: deque[Command] = deque(maxlen=16)
+        self._started_ns: int | None = None
+        self._land_requested = False
+        self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
+        self._peer_session: int | None = None
+        self._last_offboard_ns = NEVER_NS
+        self._next_status_ns = 0
+        self._next_sync_ns = 0
+        self._ticks = 0
+        self._missed_ticks = 0
+        self._resets_seen = 0
+        self._posed = False
+        self._posed_in_time = False
+        self._delivered = np.zeros((2, 3))
+        self._adaptive = np.zeros((2, 3))
+
+    # --- taking in -----------------------------------------------------------------------------------------------
+
+    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
+        """One datagram of the vehicle; never raises for what is in it."""
+        for reading in self._vehicle_link.receive(datagram, now_ns):
+            if isinstance(reading, BatteryReading):
+                self._battery = reading
+            else:
+                self._estimator.take_in(reading)
+
+    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
+        """One datagram of offboard; never raises for what is in it."""
+        message = self._endpoint.decode(datagram, now_ns)
+        if message is None:
+            return
+        self._last_offboard_ns = now_ns
+        if self._endpoint.peer_session != self._peer_session:
+            if self._peer_session is not None:
+                self._reception.peer_restarted()
+                self._output.events.append((now_ns, "offboard restarted"))
+            self._peer_session = self._endpoint.peer_session
+            self._next_sync_ns = now_ns
+        match message:
+            case Pose():
+                offset = self._endpoint.clock_offset_ns
+                capture_ns = now_ns if offset is None else message.time_ns - offset
+                self._estimator.take_in_pose(message, capture_ns, now_ns)
+            case FeatureChunk():
+                self._reception.receive(message)
+            case _:
+                pass  # a time sync reply: the endpoint has taken note
+
+    def request_land(self, now_ns: int) -> None:
+        """Lands as soon as possible, as if the ground station had asked."""
+        self._commands.append(Command.LAND)
+
+    # --- the step ------------------------------------------------------------------------------------------------
+
+    def step(self, now_ns: int, missed_ticks: int = 0) -> OnboardOutput:
+        """One tick: from everything taken in to motor command, samples, status and record."""
+        self._missed_ticks = missed_ticks
+        out = self._begin()
+        mode = self._supervise(now_ns)
+        target = self._guide(mode)
+        inputs = self._sense(target, now_ns)
+        self._swap_features(now_ns)
+        control = self._control(mode, inputs)
+        self._mix(mode, control, now_ns)
+        self._sample(inputs, control, now_ns)
+        self._report(now_ns)
+        self._record(out.tick, mode, inputs, control, now_ns)
+        self._ticks += 1
+        return out
+
+    def safe_output(self, now_ns: int) -> OnboardOutput:
+        """Motors off, nothing else: for when a step has failed, and at the end."""
+        return OnboardOutput(to_vehicle=[self._vehicle_link.encode_motors(ZERO, False, now_ns)])
+
+    def _begin(self) -> OnboardOutput:
+        out = self._output
+        out.to_vehicle, out.to_offboard, out.to_ground = [], [], []
+        events, out.events = out.events, []
+        out.events = [*events, *self._vehicle_link.take_events(), *self._estimator.take_events()]
+        return out
+
+    def _supervise(self, now_ns: int) -> FlightMode:
+        """Ages and flags in, flight mode out; tells the estimator whether the floor is beneath."""
+        if self._started_ns is None:
+            self._started_ns = now_ns
+        state = self._estimator.state
+        self._posed = self._posed or state.last_pose_ns != NEVER_NS
+        if self._guidance.finished and not self._land_requested and self._mode is FlightMode.FLYING:
+            self._land_requested = True
+            self._commands.append(Command.LAND)
+        north, east, down = state.position.tolist()
+        mode = self._supervisor.step(
+            SupervisorInputs(
+                now_ns=now_ns,
+                imu_age_s=(now_ns - state.last_imu_ns) * 1e-9,
+                pose_age_s=(now_ns - state.last_pose_ns) * 1e-9,
+                velocity_aid_age_s=(now_ns - state.last_velocity_aid_ns) * 1e-9,
+                offboard_age_s=(now_ns - self._last_offboard_ns) * 1e-9,
+                ground_age_s=0.0,
+                battery_age_s=(now_ns - self._battery.time_ns) * 1e-9,
+                battery_v=self._battery.voltage_v,
+                battery_remaining=self._battery.remaining,
+                tilt_rad=state.tilt_rad,
+                height_m=-down,
+                climb_m_s=-float(state.velocity[2]),
+                distance_m=(north * north + east * east) ** 0.5,
+                position_sigma_m=state.position_sigma_m,
+                thrust_to_weight=sum(self._command) / (self._config.airframe.mass_kg * GRAVITY),
+                initialised=state.initialised,
+                preflight=self._preflight(now_ns),
+                command=self._commands.popleft() if self._commands else None,
+            )
+        )
+        self._output.events.extend(self._supervisor.take_events())
+        if mode is FlightMode.TAKE_OFF and self._mode is not FlightMode.TAKE_OFF:
+            self._guidance.start(state)
+            self._land_requested = False
+        self._estimator.set_on_ground(mode not in AIRBORNE)
+        self._mode = mode
+        return mode
+
+    def _preflight(self, now_ns: int) -> str:
+        """Gives the first pose some time to come, so that a flight does not begin with a jump of its position."""
+        assert self._started_ns is not None
+        waiting = not self._posed and (now_ns - self._started_ns) * 1e-9 < self._config.pose_wait_s
+        return "waiting for the first pose" if waiting else ""
+
+    def _guide(self, mode: FlightMode) -> Target:
+        """Target of this tick. A first pose that comes in flight moves the path along instead of the vehicle."""
+        state = self._estimator.state
+        if state.position_reset_count != self._resets_seen:
+            self._resets_seen = state.position_reset_count
+            if not self._posed_in_time:
+                north, east, down = state.position_jump.tolist()
+                self._guidance.shift((north, east, down))
+            self._posed_in_time = self._posed
+        run = mode in (FlightMode.TAKE_OFF, FlightMode.FLYING)
+        return self._guidance.step(run, mode is FlightMode.LANDING, self._dt)
+
+    def _sense(self, target: Target, now_ns: int) -> ControlInputs:
+        """Everything the controller may use."""
+        state = self._estimator.state
+        self._actuators.step(self._command_before)  # a command acts one tick after it was computed
+        thrust, *torque = self._actuators.wrench()
+        aided = (now_ns - state.last_velocity_aid_ns) * 1e-9 < VELOCITY_AID_MAX_S
+        flying = self._mode in AIRBORNE and -float(state.position[2]) > ADAPT_HEIGHT_M
+        return ControlInputs(
+            dt=self._dt,
+            state=state,
+            target=target,
+            signals=self._signals.step(state, self._actuators.thrusts, self._battery.voltage_v),
+            delivered_thrust_n=thrust,
+            delivered_torque_nm=(torque[0], torque[1], torque[2]),
+            saturated=self._saturated,
+            adapt=flying and aided,
+            level_only=self._mode is FlightMode.HOLD_LEVEL,
+        )
+
+    def _swap_features(self, now_ns: int) -> None:
+        """Takes over features that have arrived whole."""
+        event = self._reception.step(now_ns, ready=True)
+        if event:
+            self._output.events.append((now_ns, event))
+
+    def _control(self, mode: FlightMode, inputs: ControlInputs) -> ControlOutput:
+        """The controller's command; on the ground its integrals are held at zero."""
+        if mode not in AIRBORNE:
+            self.controller.reset(inputs)
+        return self.controller.step(inputs)
+
+    def _mix(self, mode: FlightMode, control: ControlOutput, now_ns: int) -> None:
+        """Motor thrusts within their limits, onto the wire."""
+        self._command_before = self._command
+        most = self._config.airframe.motor_thrust_max_n
+        if mode in AIRBORNE:
+            self._command = self._mixer.thrusts(control.thrust_n, control.torque_nm)
+        elif mode is FlightMode.ARMED:
+            idle = self._config.airframe.motor_thrust_min_share * most
+            self._command = (idle, idle, idle, idle)
+        else:
+            self._command = ZERO
+        self._saturated = mode in AIRBORNE and self._falls_short(control)
+        fractions = [thrust / most for thrust in self._command]
+        armed = mode in SPINNING
+        self._output.to_vehicle.append(self._vehicle_link.encode_motors(fractions, armed, now_ns))
+
+    def _falls_short(self, control: ControlOutput) -> bool:
+        """Whether the mixer had to give up part of the demand: thrust, roll or pitch (yaw alone does not count)."""
+        t1, t2, t3, t4 = self._command
+        airframe = self._config.airframe
+        roll = airframe.arm_y_m * (t2 + t3 - t1 - t4) - control.torque_nm[0]
+        pitch = airframe.arm_x_m * (t1 + t3 - t2 - t4) - control.torque_nm[1]
+        thrust = t1 + t2 + t3 + t4 - control.thrust_n
+        return abs(thrust) > 1e-3 or abs(roll) > 1e-5 or abs(pitch) > 1e-5
+
+    def _sample(self, inputs: ControlInputs, control: ControlOutput, now_ns: int) -> None:
+        """Samples for the trainer, from flight only."""
+        if inputs.adapt:
+            self._delivered[0], self._delivered[1] = control.position.delivered, control.attitude.delivered
+            self._adaptive[0], self._adaptive[1] = control.position.adaptive_now, control.attitude.adaptive_now
+            self._samples.push(now_ns, inputs.signals, self._delivered, self._adaptive)
+        for batch in self._samples.poll(now_ns, self._reception.version):
+            self._send(batch, now_ns)
+
+    def _report(self, now_ns: int) -> None:
+        """Status and time sync, each at its own period."""
+        if now_ns >= self._next_sync_ns:
+            self._next_sync_ns = now_ns + round(self._config.time_sync_period_s * 1e9)
+            self._send(TimeSyncRequest(now_ns), now_ns)
+        if now_ns >= self._next_status_ns:
+            self._next_status_ns = now_ns + round(self._config.status_period_s * 1e9)
+            self._send(self._status(now_ns), now_ns)
+
+    def _status(self, now_ns: int) -> Status:
+        statistics, pose_ns = self._endpoint.statistics, self._estimator.state.last_pose_ns
+        refused_version, refusal = self._reception.refused
+        return Status(
+            mode=int(self._mode),
+            feature_version=self._reception.version,
+            transfer_version=self._reception.transfer_version,
+            received_chunks=self._reception.received_chunks,
+            refused_version=refused_version,
+            refusal=refusal,
+            ticks=self._ticks,
+            missed_ticks=self._missed_ticks,
+            pose_age_ms=-1 if pose_ns == NEVER_NS else min(max((now_ns - pose_ns) // 1_000_000, 0), 2**31 - 1),
+            received=statistics.received,
+            lost=statistics.lost,
+            rejected=statistics.rejected.total(),
+        )
+
+    def _send(self, message: SampleBatch | Status | TimeSyncRequest, now_ns: int) -> None:
+        self._output.to_offboard.append(self._endpoint.encode(message, now_ns))
+
+    # --- the record ----------------------------------------------------------------------------------------------
+
+    def _record(self, row: Array, mode: FlightMode, inputs: ControlInputs, control: ControlOutput, now_ns: int) -> None:
+        state, target = inputs.state, inputs.target
+        row[:12] = (
+            mode,
+            inputs.adapt,
+            self._saturated,
+            self._guidance.path_time_s,
+            self._reception.version,
+            self._reception.age_s(now_ns),
+            _age_s(now_ns, state.last_pose_ns),
+            _age_s(now_ns, self._last_offboard_ns),
+            self._battery.voltage_v,
+            state.vibration,
+            state.position_sigma_m,
+            control.thrust_n,
+        )
+        row[12:15], row[15:18], row[18:22] = state.position, state.velocity, state.quaternion
+        row[22:25], row[25:28] = state.euler, state.rates
+        row[28:31], row[31:34] = target.now.position, target.now.velocity
+        row[34:37], row[37:41], row[41:44] = target.feed_forward, control.commanded_quaternion, control.torque_nm
+        most = self._config.airframe.motor_thrust_max_n
+        row[44:48] = [thrust / most for thrust in self._command]
+        row[48:52] = self._actuators.thrusts
+        write_channel(row, POSITION_AT, control.position)
+        write_channel(row, ATTITUDE_AT, control.attitude)
+
+    def status(self, now_ns: int) -> dict[str, Any]:
+        """A few numbers for the live status line."""
+        row = self._output.tick
+        error = row[12:15] - row[28:31]
+        return {
+            "mode": self._mode.name,
+            "tracking_error_m": float(np.sqrt(error @ error)),
+            "feature_version": self._reception.version,
+            "feature_age_s": self._reception.age_s(now_ns),
+            "link_lost": self._endpoint.statistics.lost,
+            "link_received": self._endpoint.statistics.received,
+            "rejected": self._endpoint.statistics.rejected.total(),
+        }
+
+    @property
+    def airborne(self) -> bool:
+        """Whether the vehicle is meant to be off the ground."""
+        return self._mode in AIRBORNE
+
+    def summary(self) -> dict[str, Any]:
+        """What the flight record keeps: features, link and vehicle link counters."""
+        return {
+            "mode": self._mode.name,
+            "ticks": self._ticks,
+            "missed": self._missed_ticks,
+            "features": {
+                "version": self._reception.version,
+                "swaps": self._reception.swaps,
+                "refused": self._reception.refusals,
+            },
+            "rejected": dict(self._endpoint.statistics.rejected),
+            "vehicle_rejected": dict(self._vehicle_link.rejected),
+            "samples": {"taken": self._samples.taken, "dropped": self._samples.dropped},
+            "estimator": dict(self._estimator.counts),
+        }
+
+
+def _age_s(now_ns: int, then_ns: int) -> float:
+    return -1.0 if then_ns == NEVER_NS else (now_ns - then_ns) * 1e-9

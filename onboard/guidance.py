@@ -1,0 +1,75 @@
+"""From flight mode to target: take-off, path, hold and landing, as one continuous target with its look-ahead."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from configs.loader import Record
+from onboard.control_records import Target
+from onboard.records import VehicleState
+from onboard.trajectory import Path, PathClock, PathPoint, TrajectoryConfig
+
+Vector3 = tuple[float, float, float]
+
+
+class GuidanceConfig(Record):
+    """What is to be flown, and how far ahead to look."""
+
+    trajectory: TrajectoryConfig
+    land_after_s: Annotated[float, Field(gt=0, description="path time at which the landing begins")]
+    feed_forward_lead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ff: lag of the loops below")]
+    look_ahead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ahead: how far ahead features are evaluated")]
+
+
+class Guidance:
+    """The target of each tick."""
+
+    def __init__(self, config: GuidanceConfig) -> None:
+        self._config = config
+        self.path = Path(config.trajectory)
+        self._clock = PathClock()
+        self._origin: Vector3 = (0.0, 0.0, 0.0)
+        self._sunk_m = 0.0
+        self._sink_speed = 0.0
+
+    @property
+    def path_time_s(self) -> float:
+        """Where on the path the target is."""
+        return self._clock.time_s
+
+    @property
+    def finished(self) -> bool:
+        """Whether the time has come to land."""
+        return self._clock.time_s >= self._config.land_after_s
+
+    def start(self, state: VehicleState) -> None:
+        """Begins a flight above the point where the vehicle stands."""
+        north, east, down = state.position.tolist()
+        self._origin = (north, east, down)
+        self._clock = PathClock()
+        self._sunk_m = self._sink_speed = 0.0
+
+    def shift(self, jump: Vector3) -> None:
+        """Moves the origin: used when the position estimate jumps and the path is to stay where the vehicle is."""
+        o = self._origin
+        self._origin = (o[0] + jump[0], o[1] + jump[1], o[2] + jump[2])
+
+    def step(self, run: bool, landing: bool, dt: float) -> Target:
+        """Target of this tick; `run` lets path time flow, `landing` sinks from wherever the target is."""
+        self._clock.step(run and not landing, dt)
+        if landing:
+            speed = self._config.trajectory.landing_speed_m_s
+            self._sink_speed = min(self._sink_speed + dt * speed, speed)
+            self._sunk_m += dt * self._sink_speed
+        now = self._at(0.0)
+        ahead = self._at(self._config.look_ahead_s)
+        lead = self._at(self._config.feed_forward_lead_s)
+        return Target(now, lead.acceleration, ahead, self._config.trajectory.yaw_rad)
+
+    def _at(self, lead_s: float) -> PathPoint:
+        clock = self._clock
+        point = clock.ahead(self.path.at(clock.time_s + clock.rate * lead_s))
+        o, p, v = self._origin, point.position, point.velocity
+        sink = self._sink_speed
+        down = o[2] + p[2] + self._sunk_m + sink * lead_s
+        return PathPoint((o[0] + p[0], o[1] + p[1], down), (v[0], v[1], v[2] + sink), point.acceleration)
