@@ -20,7 +20,7 @@ class TransferConfig(Record):
         default=4, ge=1, le=64, description="most chunks one call gives out, however late it is"
     )
     resend_after_s: float = Field(
-        0.08,
+        default=0.08,
         gt=0.0,
         le=10.0,
         description="a chunk still missing this long after it left is sent again: round trip plus"

@@ -8,7 +8,7 @@ import re
 import secrets
 import stat
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from configs.loader import ConfigError
 from protocol.authentication import KEY_BYTES
@@ -52,17 +52,24 @@ def read_key(path: Path) -> bytes:
         If the file cannot be read, anyone but its owner may touch it, or it does not hold a key.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with open(path, "rb", opener=_open_without_waiting) as file:
+            return _read_checked(path, file)
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from None
-    with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)  # of the open file, which nobody can exchange any more
-        if not stat.S_ISREG(status.st_mode):
-            raise KeyFileError(f"{path}: is not a file")
-        if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-            mode = stat.S_IMODE(status.st_mode)
-            raise KeyFileError(f"{path}: mode {mode:03o} lets others at the key; run: chmod 600 {path}")
-        text = file.read(_FILE_MAX_BYTES).strip()
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)  # a named pipe must not hold us up
+
+
+def _read_checked(path: Path, file: BinaryIO) -> bytes:
+    status = os.fstat(file.fileno())  # of the open file, which nobody can exchange any more
+    if not stat.S_ISREG(status.st_mode):
+        raise KeyFileError(f"{path}: is not a file")
+    if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        mode = stat.S_IMODE(status.st_mode)
+        raise KeyFileError(f"{path}: mode {mode:03o} lets others at the key; run: chmod 600 {path}")
+    text = file.read(_FILE_MAX_BYTES).strip()
     if not re.fullmatch(rb"[0-9a-fA-F]{%d}" % (2 * KEY_BYTES), text):
         raise KeyFileError(f"{path}: does not hold a key of {2 * KEY_BYTES} hexadecimal digits")
     return bytes.fromhex(text.decode("ascii"))
