@@ -113,6 +113,17 @@ def bytes_block(channel: int, messages: Sequence[tuple[int, int, bytes]]) -> Blo
     return Block(channel, b"".join(parts), times, np.array(offsets, dtype=np.int64))
 
 
+def cdr_string(text: str) -> bytes:
+    """A string in CDR, without the header."""
+    data = text.encode(errors="replace") + b"\x00"
+    return len(data).to_bytes(4, "little") + data
+
+
+def cdr_bytes(data: bytes) -> bytes:
+    """A sequence of uint8 in CDR, without the header."""
+    return len(data).to_bytes(4, "little") + data
+
+
 def ros_name(topic: str) -> str:
     """The schema's name for a topic: "onboard/tick" -> "async_dmrac/msg/OnboardTick"."""
     return "async_dmrac/msg/" + "".join(word.capitalize() for word in re.split(r"[^A-Za-z0-9]+", topic) if word)

@@ -27,6 +27,8 @@ GAP_MIN_NS: Final = 100_000_000
 """A topic of regular rate that is silent for longer than this and ten of its periods has a gap."""
 GAP_PERIODS: Final = 10
 REGULAR_RECORDS_MIN: Final = 20
+MERGED: Final = "merged"
+"""Process name of a file that holds the logs of all processes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +256,7 @@ def open_flight(path: Path | str) -> Flight:
     if not files:
         raise FlightError(f"{path}: holds no flight log (*.mcap)")
     logs = sorted((read_log_file(file) for file in files), key=_run_order)
+    logs = [log for log in logs if log.process != MERGED] or logs  # a merged copy beside its sources says nothing new
     if not any(log.record_count for log in logs):
         raise FlightError(f"{path}: the flight log holds no records")
     return Flight(path, tuple(logs))

@@ -26,6 +26,8 @@ from flight_record.mcap_file import (
     Block,
     McapFile,
     bytes_block,
+    cdr_bytes,
+    cdr_string,
     ros_definition,
     vector_block,
 )
@@ -182,12 +184,12 @@ class FlightLogWriter:
     def write_bytes(self, topic: str, time_ns: int, data: bytes) -> None:
         """Logs bytes as they are, such as a datagram, for replay."""
         if not self._closed:
-            self._push_bytes(topic, BYTES_DEFINITION, time_ns, len(data).to_bytes(4, "little") + data)
+            self._push_bytes(topic, BYTES_DEFINITION, time_ns, cdr_bytes(data))
 
     def event(self, time_ns: int, text: str) -> None:
         """Logs something that happened, in words."""
         if not self._closed:
-            self._push_bytes(f"{self.process}/events", EVENT_DEFINITION, time_ns, _cdr_string(text))
+            self._push_bytes(f"{self.process}/events", EVENT_DEFINITION, time_ns, cdr_string(text))
 
     def close(self) -> None:
         """Writes what waits and the summary, and closes the file. Never raises; may be called again."""
@@ -252,7 +254,7 @@ class FlightLogWriter:
             if new > 0:
                 self._reported_drops[topic] = dropped
                 text = f"flight log: {new} records of {topic} lost, the disk was too slow"
-                self._own_events.push(max(self._newest_ns, 0), _cdr_string(text))
+                self._own_events.push(max(self._newest_ns, 0), cdr_string(text))
         drained = [ring.drain() for ring in rings.values()]
         blocks = [block for block in (*drained, self._own_events.drain()) if block is not None]
         if blocks:
@@ -288,11 +290,6 @@ def _create(path: Path) -> tuple[Path, McapFile]:
         except FileExistsError:
             continue
     raise FileExistsError(17, "too many logs of one process", str(path))
-
-
-def _cdr_string(text: str) -> bytes:
-    data = text.encode(errors="replace") + b"\x00"
-    return len(data).to_bytes(4, "little") + data
 
 
 def _say(message: str) -> None:
