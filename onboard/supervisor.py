@@ -1,8 +1,7 @@
-"""Which mode the flight is in, and what changes it: one table.
+"""Which mode the flight is in, and what changes it, by the table in flight_modes.py.
 
-Each mode has a row of (event, next mode), the most urgent first. In every step the row of the present mode is read
-from the left, and the first event whose condition holds decides. A condition that needs to last (`_LASTING`) counts
-only after it has held without a break, in one mode, for that long.
+In every step the row of the present mode is read from the left, and the first event whose condition holds decides. A
+condition that needs to last counts only after it has held without a break, in one mode, for that long.
 
 What each silence does in flight: IMU 50 ms: motors off. Velocity aid (pose or flow) 2 s: level and descend. Pose
 0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). Battery report, ground
@@ -10,126 +9,21 @@ station: landing, if configured. Offboard: nothing but a message; what it learns
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
-from enum import Enum, IntEnum
 from typing import Final, Literal, NamedTuple
 
 from pydantic import Field
 
 from configs.loader import Record
+from onboard.flight_modes import AIRBORNE, COMMAND_EVENTS, SPINNING, TRANSITIONS, Command, Event, FlightMode
 
-
-class FlightMode(IntEnum):
-    """What the vehicle is doing. The number travels in protocol.messages.Status."""
-
-    BOOT = 0
-    """On the ground, motors off, waiting for healthy sensors."""
-    READY = 1
-    """On the ground, motors off, may be armed."""
-    ARMED = 2
-    """On the ground, motors idle."""
-    TAKE_OFF = 3
-    FLYING = 4
-    """Following the trajectory."""
-    HOLD = 5
-    """Holding the place where the pose was lost, on optical flow."""
-    HOLD_LEVEL = 6
-    """No velocity is known: level attitude, slow descent on thrust alone."""
-    LANDING = 7
-    LANDED = 8
-    """On the ground after a flight, motors off."""
-    EMERGENCY = 9
-    """Motors off because of a fault. Left by a disarm command only."""
-    TERMINATED = 10
-    """Motors off by command, for good."""
-
-
-class Command(Enum):
-    """What a pilot, a ground station or the flight plan may ask for."""
-
-    ARM = "arm"
-    DISARM = "disarm"
-    TAKE_OFF = "take off"
-    LAND = "land"
-    TERMINATE = "terminate"
-
-
-class Event(Enum):
-    """Everything that can change the mode; the value says it in words."""
-
-    TERMINATE = "flight terminated by command"
-    IMU_SILENT = "IMU silent"
-    FAULT = "fault in the flight computation"
-    TILTED = "tilt beyond the limit"
-    VELOCITY_LOST = "no velocity aid"
-    VELOCITY_BACK = "velocity aid back"
-    POSITION_LOST = "position lost"
-    POSITION_BACK = "position back"
-    BATTERY_LOW = "battery low"
-    BATTERY_SILENT = "battery silent"
-    GROUND_SILENT = "ground station silent"
-    OUT_OF_BOUNDS = "outside the fence"
-    TIME_UP = "took too long"
-    TOUCHED_DOWN = "touched down"
-    AT_HEIGHT = "take-off height reached"
-    ARM = "armed by command"
-    DISARM = "disarmed by command"
-    TAKE_OFF = "take-off by command"
-    LAND = "landing by command"
-    HEALTHY = "sensors healthy"
-    UNHEALTHY = "sensors not healthy"
+__all__ = ["Command", "FlightMode", "Supervisor", "SupervisorConfig", "SupervisorInputs"]
 
 
 M, E = FlightMode, Event
-Row = tuple[tuple[Event, FlightMode], ...]
-
-_MOTORS_OFF: Final[Row] = (
-    (E.TERMINATE, M.TERMINATED),
-    (E.IMU_SILENT, M.EMERGENCY),
-    (E.FAULT, M.EMERGENCY),
-    (E.TILTED, M.EMERGENCY),
-)
-_COME_DOWN: Final[Row] = (
-    (E.VELOCITY_LOST, M.HOLD_LEVEL),
-    (E.LAND, M.LANDING),
-    (E.BATTERY_LOW, M.LANDING),
-    (E.BATTERY_SILENT, M.LANDING),
-    (E.GROUND_SILENT, M.LANDING),
-    (E.OUT_OF_BOUNDS, M.LANDING),
-)
-
-TRANSITIONS: Final[dict[FlightMode, Row]] = {
-    M.BOOT: ((E.TERMINATE, M.TERMINATED), (E.HEALTHY, M.READY)),
-    M.READY: ((E.TERMINATE, M.TERMINATED), (E.UNHEALTHY, M.BOOT), (E.ARM, M.ARMED)),
-    M.ARMED: (
-        *_MOTORS_OFF,
-        (E.DISARM, M.READY),
-        (E.LAND, M.READY),
-        (E.UNHEALTHY, M.BOOT),
-        (E.TAKE_OFF, M.TAKE_OFF),
-        (E.TIME_UP, M.READY),
-    ),
-    M.TAKE_OFF: (*_MOTORS_OFF, *_COME_DOWN, (E.TIME_UP, M.LANDING), (E.AT_HEIGHT, M.FLYING)),
-    M.FLYING: (*_MOTORS_OFF, *_COME_DOWN, (E.POSITION_LOST, M.HOLD)),
-    M.HOLD: (*_MOTORS_OFF, *_COME_DOWN, (E.POSITION_BACK, M.FLYING), (E.TIME_UP, M.LANDING)),
-    M.HOLD_LEVEL: (*_MOTORS_OFF, (E.TOUCHED_DOWN, M.LANDED), (E.VELOCITY_BACK, M.LANDING), (E.TIME_UP, M.LANDED)),
-    M.LANDING: (*_MOTORS_OFF, (E.TOUCHED_DOWN, M.LANDED), (E.VELOCITY_LOST, M.HOLD_LEVEL), (E.TIME_UP, M.HOLD_LEVEL)),
-    M.LANDED: ((E.TERMINATE, M.TERMINATED), (E.DISARM, M.BOOT), (E.TIME_UP, M.BOOT)),
-    M.EMERGENCY: ((E.TERMINATE, M.TERMINATED), (E.DISARM, M.BOOT)),
-    M.TERMINATED: (),
-}
-
-SPINNING: Final = frozenset({M.ARMED, M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
-"""Modes in which the motors may turn."""
-AIRBORNE: Final = frozenset({M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
-
-_COMMAND_EVENTS: Final = {
-    Command.ARM: E.ARM,
-    Command.DISARM: E.DISARM,
-    Command.TAKE_OFF: E.TAKE_OFF,
-    Command.LAND: E.LAND,
-    Command.TERMINATE: E.TERMINATE,
-}
+_QUEUE_MAX: Final = 8
+"""Commands that may wait for their step."""
 
 
 class SupervisorConfig(Record):
@@ -200,7 +94,6 @@ class SupervisorInputs(NamedTuple):
     """Why the vehicle must not be armed; "" when nothing stands against it."""
     fault: bool = False
     """An exception escaped a step, or a block gave numbers that are not finite."""
-    command: Command | None = None
 
 
 class Supervisor:
@@ -212,6 +105,9 @@ class Supervisor:
         self._entered_ns: int | None = None
         self._offboard_silent = True
         self._flown = False
+        self._inputs: SupervisorInputs | None = None
+        self._queue: deque[Command] = deque(maxlen=_QUEUE_MAX)
+        self._command: Command | None = None
         self._events: list[tuple[int, str]] = []
         self._lasting_ns = {
             E.HEALTHY: int(config.healthy_for_s * 1e9),
@@ -245,12 +141,27 @@ class Supervisor:
         events, self._events = self._events, []
         return events
 
-    def refusal(self, command: Command, inputs: SupervisorInputs) -> str:
-        """Why a command would not be obeyed now; "" when it would."""
-        event = _COMMAND_EVENTS[command]
+    def command(self, command: Command, now_ns: int) -> str:
+        """Takes a command for the next step. Returns why it is refused; "" when it will be obeyed."""
+        refusal = self._refusal(command)
+        if refusal:
+            self._events.append((now_ns, f"refused to {command.value}: {refusal}"))
+        else:
+            self._queue.append(command)
+        return refusal
+
+    def request_land(self, now_ns: int) -> None:
+        """Lands if flying, disarms if armed; does nothing otherwise."""
+        if not self._refusal(Command.LAND):
+            self._queue.append(Command.LAND)
+
+    def _refusal(self, command: Command) -> str:
+        event = COMMAND_EVENTS[command]
         if all(entry is not event for entry, _ in TRANSITIONS[self.mode]):
-            return f"{command.value}: not in mode {self.mode.name}"
-        return self.unready(inputs) if command is Command.ARM else ""
+            return f"not in mode {self.mode.name}"
+        if self._inputs is None:
+            return "not running yet"
+        return self.unready(self._inputs) if command is Command.ARM else ""
 
     def unready(self, inputs: SupervisorInputs) -> str:
         """What stands against arming; "" when nothing does."""
@@ -277,12 +188,21 @@ class Supervisor:
         """Reads the row of the present mode and makes at most one transition."""
         if self._entered_ns is None:
             self._entered_ns = inputs.now_ns
+        self._inputs = inputs
+        self._command = self._next_command()
         for event, target in TRANSITIONS[self.mode]:
             if self._holds(event, inputs):
                 self._enter(target, event, inputs)
                 break
         self._watch_offboard(inputs)
         return self.mode
+
+    def _next_command(self) -> Command | None:
+        """Termination overtakes everything that waits."""
+        if Command.TERMINATE in self._queue:
+            self._queue.clear()
+            return Command.TERMINATE
+        return self._queue.popleft() if self._queue else None
 
     def _holds(self, event: Event, inputs: SupervisorInputs) -> bool:
         """Whether an event's condition holds, and has held long enough."""
@@ -318,10 +238,10 @@ class Supervisor:
 
     def _wants_arming(self, inputs: SupervisorInputs) -> bool:
         auto = self._config.auto_arm and not self._flown
-        return (auto or inputs.command is Command.ARM) and self._healthy(inputs)
+        return (auto or self._command is Command.ARM) and self._healthy(inputs)
 
     def _wants_take_off(self, inputs: SupervisorInputs) -> bool:
-        return inputs.command is Command.TAKE_OFF or (self._config.auto_arm and not self._flown)
+        return self._command is Command.TAKE_OFF or (self._config.auto_arm and not self._flown)
 
     def _position_lost(self, inputs: SupervisorInputs) -> bool:
         config = self._config
@@ -357,7 +277,7 @@ class Supervisor:
 
 
 _CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] = {
-    E.TERMINATE: lambda s, i: i.command is Command.TERMINATE,
+    E.TERMINATE: lambda s, i: s._command is Command.TERMINATE,
     E.IMU_SILENT: lambda s, i: i.imu_age_s > s._config.imu_silent_s,
     E.FAULT: lambda s, i: i.fault,
     E.TILTED: lambda s, i: not i.tilt_rad <= s._config.tilt_max_rad,
@@ -373,9 +293,9 @@ _CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] 
     E.TOUCHED_DOWN: Supervisor._touched_down,
     E.AT_HEIGHT: Supervisor._at_height,
     E.ARM: Supervisor._wants_arming,
-    E.DISARM: lambda s, i: i.command is Command.DISARM,
+    E.DISARM: lambda s, i: s._command is Command.DISARM,
     E.TAKE_OFF: Supervisor._wants_take_off,
-    E.LAND: lambda s, i: i.command is Command.LAND,
+    E.LAND: lambda s, i: s._command is Command.LAND,
     E.HEALTHY: Supervisor._healthy,
     E.UNHEALTHY: Supervisor._sensors_lost,
 }
