@@ -35,7 +35,7 @@ class FlightStatus:
         return [
             ("time", _number(sim.get("time_s"), "s", 1)),
             ("mode", str(onboard.get("mode", "-"))),
-            ("tracking error", _number(onboard.get("position_error_m"), "m", 3)),
+            ("tracking error", _number(onboard.get("tracking_error_m"), "m", 3)),
             ("features", _features(onboard)),
             ("link loss", f"up {_loss(sim, 'up')}, down {_loss(sim, 'down')}"),
             ("missed ticks", str(onboard.get("missed_ticks", "-"))),
