@@ -79,6 +79,12 @@ class DirectionConfig(Record):
     reordering_delay_s: float = Field(default=0.02, ge=0.0, le=10.0, description="s, most extra delay of those")
     corruption: float = Field(default=0.0, ge=0.0, le=1.0, description="probability of one flipped bit")
 
+    @model_validator(mode="after")
+    def _tail_is_a_range(self) -> "DirectionConfig":
+        if self.tail_max_s < self.tail_min_s:
+            raise ValueError(f"tail_max_s {self.tail_max_s:g} is below tail_min_s {self.tail_min_s:g}")
+        return self
+
 
 class RadioConfig(Record):
     """Both directions of the radio."""
@@ -124,7 +130,7 @@ def fate_vector(direction: Direction, fate: Fate) -> NDArray[np.float64]:
     return np.array(numbers, dtype=np.float64)
 
 
-def fate_from_vector(vector: Sequence[float]) -> tuple[Direction, Fate]:
+def fate_from_vector(vector: Sequence[float] | NDArray[np.float64]) -> tuple[Direction, Fate]:
     """The reverse of `fate_vector`."""
     direction, sent_ns, size_bytes, outcome, *delays = (int(number) for number in vector)
     return DIRECTIONS[direction], Fate(sent_ns, size_bytes, OUTCOMES[outcome], *delays)

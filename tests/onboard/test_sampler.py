@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+
+from onboard.sampler import SampleQueue, SamplerConfig
+from protocol.endpoint import Endpoint
+from protocol.messages import SampleBatch
+from protocol.signals import SIGNAL_COUNT
+
+TICK = 5_000_000
+S = 1_000_000_000
+ZEROS = np.zeros((2, 3))
+
+
+def fly(
+    queue: SampleQueue, ticks: int, version: int = 0, missed: frozenset[int] = frozenset(), first: int = 0
+) -> list[SampleBatch]:
+    """Tick t carries the number t in all its values."""
+    batches: list[SampleBatch] = []
+    for tick in range(first, first + ticks):
+        if tick not in missed:
+            queue.push(tick * TICK, np.full(SIGNAL_COUNT, float(tick)), ZEROS + tick, ZEROS - tick)
+            batches += queue.poll(tick * TICK, version)
+    return batches
+
+
+def indices(batches: list[SampleBatch]) -> list[int]:
+    return [batch.first_index + i for batch in batches for i in range(len(batch.signals))]
+
+
+def test_samples_leave_at_their_rate_with_the_mean_of_their_period() -> None:
+    batches = fly(SampleQueue(SamplerConfig()), 401)
+    assert indices(batches) == list(range(100))
+    first, second = batches[:2]
+    assert (first.time_ns, first.period_ns, second.time_ns) == (0, 4 * TICK, 20 * TICK)
+    assert second.signals[0, 0] == 20
+    assert second.delivered[0, 0, 0] == np.mean([17, 18, 19, 20])
+    assert second.adaptive[1, 1, 2] == -24
+
+
+def test_missed_ticks_show_as_a_gap_of_the_index() -> None:
+    batches = fly(SampleQueue(SamplerConfig()), 200, missed=frozenset(range(41, 61)))
+    gap = [batch.first_index for batch in batches]
+    assert indices(batches)[:10] == list(range(10))
+    assert set(range(50)) - set(indices(batches)) == {11, 12, 13, 14}, "the ticks 44 to 56 never were"
+    assert 15 in gap, "a batch never spans a gap"
+
+
+def test_one_missed_tick_moves_a_sample_not_its_number() -> None:
+    batches = fly(SampleQueue(SamplerConfig(batch_samples=1)), 40, missed=frozenset({8}))
+    assert indices(batches) == list(range(10))
+    assert batches[2].time_ns == 9 * TICK
+    assert batches[3].time_ns == 12 * TICK
+
+
+def test_a_batch_is_of_one_version() -> None:
+    queue = SampleQueue(SamplerConfig())
+    batches = fly(queue, 30, version=1) + fly(queue, 50, version=2, first=30)
+    versions = {index: batch.feature_version for batch in batches for index in indices([batch])}
+    assert all(versions[index] == (1 if index < 8 else 2) for index in versions)
+    assert indices(batches) == list(range(len(versions)))
+
+
+@pytest.mark.parametrize("budget", [1500.0, 4000.0, 6000.0])
+def test_the_budget_is_never_exceeded_and_the_newest_are_kept(budget: float) -> None:
+    queue = SampleQueue(SamplerConfig(budget_bytes_s=budget))
+    endpoint = Endpoint("onboard", 1, None)
+    sent, batches = 0.0, []
+    for tick in range(4000):
+        now = tick * TICK
+        queue.push(now, np.full(SIGNAL_COUNT, float(tick)), ZEROS, ZEROS)
+        for batch in queue.poll(now, 0):
+            batches.append(batch)
+            sent += len(endpoint.encode(batch, now)) + 28
+            assert now - batch.time_ns < 0.5 * S, "what is sent is fresh"
+    assert 0.8 * budget * 20 < sent <= budget * 20 + 2400
+    got = indices(batches)
+    assert got == sorted(set(got))
+    assert queue.dropped == queue.taken - len(got) - len(queue._waiting) > 0
+    assert got[-1] > 970
+
+
+def test_a_wide_budget_drops_nothing() -> None:
+    queue = SampleQueue(SamplerConfig())
+    fly(queue, 4000)
+    assert queue.dropped == 0
+    assert queue.taken == 1000
+
+
+def test_what_was_pushed_may_be_overwritten() -> None:
+    queue = SampleQueue(SamplerConfig(batch_samples=1))
+    signals, delivered, adaptive = np.ones(SIGNAL_COUNT), np.ones((2, 3)), np.ones((2, 3))
+    queue.push(0, signals, delivered, adaptive)
+    signals[:], delivered[:], adaptive[:] = 9.0, 9.0, 9.0
+    [batch] = queue.poll(0, 0)
+    assert batch.signals.max() == batch.delivered.max() == batch.adaptive.max() == 1.0
+
+
+def test_full_rate() -> None:
+    queue = SampleQueue(SamplerConfig(rate_hz=200.0, batch_samples=8, budget_bytes_s=60_000.0))
+    assert indices(fly(queue, 80)) == list(range(80))
