@@ -15,7 +15,7 @@ from onboard.core import OnboardCore
 from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET, TICK
 from sim_vehicle.lockstep import Lockstep, TickResult
-from sim_vehicle.radio import Radio
+from sim_vehicle.radio import DIRECTIONS, Direction, Radio
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
@@ -101,7 +101,7 @@ def fly_lockstep(
         crash,
         onboard.summary(),
         None if offboard is None else offboard.summary(),
-        {"up": dict(radio.counts("up")), "down": dict(radio.counts("down"))},
+        {direction: _counts(radio, direction) for direction in DIRECTIONS},
         lockstep.trace_sha256,
         events,
         records,
@@ -114,3 +114,8 @@ def _too_far(tick: Array, truth: Array) -> str:
     error = truth[:3] - tick[_TARGET]
     far = float(error @ error) > TARGET_DISTANCE_MAX_M**2
     return f"more than {TARGET_DISTANCE_MAX_M} m from the target" if far else ""
+
+
+def _counts(radio: Radio, direction: Direction) -> dict[str, int]:
+    counts = radio.counts(direction)
+    return {"sent": counts.sent, "delivered": counts.delivered, "lost": counts.lost}

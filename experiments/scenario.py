@@ -35,10 +35,10 @@ class ScenarioFile(Record):
     guidance: dict[str, Any]
     disturbances: tuple[dict[str, Any], ...] = ()
     training_time_s: Annotated[float, Field(ge=0, le=10)] = 0.6
-    onboard: dict[str, Any] = {}
-    offboard: dict[str, Any] = {}
-    vehicle_values: dict[str, Any] = {}
-    radio_values: dict[str, Any] = {}
+    onboard: dict[str, Any] = Field(default_factory=dict)
+    offboard: dict[str, Any] = Field(default_factory=dict)
+    vehicle_values: dict[str, Any] = Field(default_factory=dict)
+    radio_values: dict[str, Any] = Field(default_factory=dict)
 
 
 class FlightConfig(Record):

@@ -5,7 +5,6 @@ vehicle_link -> estimator -> supervisor -> guidance -> controller -> mixer -> ve
                     protocol -> feature_reception (swap) -+          sampler -> protocol
 """
 
-from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -75,12 +74,12 @@ class OnboardCore:
         self._reception = FeatureReception(self.controller)
         self._samples = SampleQueue(config.samples)
         self._output = OnboardOutput()
+        self._events: list[tuple[int, str]] = []
         self._inputs: ControlInputs | None = None
         self._command: Thrusts = ZERO
         self._command_before: Thrusts = ZERO
         self._saturated = False
         self._mode = FlightMode.BOOT
-        self._commands: deque[Command] = deque(maxlen=16)
         self._started_ns: int | None = None
         self._land_requested = False
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
@@ -115,7 +114,7 @@ class OnboardCore:
         if self._endpoint.peer_session != self._peer_session:
             if self._peer_session is not None:
                 self._reception.peer_restarted()
-                self._output.events.append((now_ns, "offboard restarted"))
+                self._events.append((now_ns, "offboard restarted"))
             self._peer_session = self._endpoint.peer_session
             self._next_sync_ns = now_ns
         match message:
@@ -130,7 +129,7 @@ class OnboardCore:
 
     def request_land(self, now_ns: int) -> None:
         """Lands as soon as possible, as if the ground station had asked."""
-        self._commands.append(Command.LAND)
+        self._supervisor.command(Command.LAND, now_ns)
 
     # --- the step ------------------------------------------------------------------------------------------------
 
@@ -148,6 +147,7 @@ class OnboardCore:
         self._report(now_ns)
         self._record(out.tick, mode, inputs, control, now_ns)
         self._ticks += 1
+        out.events, self._events = self._events, []
         return out
 
     def safe_output(self, now_ns: int) -> OnboardOutput:
@@ -157,8 +157,8 @@ class OnboardCore:
     def _begin(self) -> OnboardOutput:
         out = self._output
         out.to_vehicle, out.to_offboard, out.to_ground = [], [], []
-        events, out.events = out.events, []
-        out.events = [*events, *self._vehicle_link.take_events(), *self._estimator.take_events()]
+        self._events += self._vehicle_link.take_events()
+        self._events += self._estimator.take_events()
         return out
 
     def _supervise(self, now_ns: int) -> FlightMode:
@@ -169,7 +169,7 @@ class OnboardCore:
         self._posed = self._posed or state.last_pose_ns != NEVER_NS
         if self._guidance.finished and not self._land_requested and self._mode is FlightMode.FLYING:
             self._land_requested = True
-            self._commands.append(Command.LAND)
+            self._supervisor.command(Command.LAND, now_ns)
         north, east, down = state.position.tolist()
         mode = self._supervisor.step(
             SupervisorInputs(
@@ -190,10 +190,9 @@ class OnboardCore:
                 thrust_to_weight=sum(self._command) / (self._config.airframe.mass_kg * GRAVITY),
                 initialised=state.initialised,
                 preflight=self._preflight(now_ns),
-                command=self._commands.popleft() if self._commands else None,
             )
         )
-        self._output.events.extend(self._supervisor.take_events())
+        self._events.extend(self._supervisor.take_events())
         if mode is FlightMode.TAKE_OFF and self._mode is not FlightMode.TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
@@ -242,7 +241,7 @@ class OnboardCore:
         """Takes over features that have arrived whole."""
         event = self._reception.step(now_ns, ready=True)
         if event:
-            self._output.events.append((now_ns, event))
+            self._events.append((now_ns, event))
 
     def _control(self, mode: FlightMode, inputs: ControlInputs) -> ControlOutput:
         """The controller's command; on the ground its integrals are held at zero."""
