@@ -1,8 +1,8 @@
 """One call, several sub-steps: world, motors, battery, rigid body, and the sums for sensors and truth. Compiled."""
 
-from math import acos, sqrt
+from math import acos
 
-from sim_vehicle import layout as at
+import sim_vehicle.layout as at
 from sim_vehicle.airflow import air_velocity, outside_load
 from sim_vehicle.compiled import compiled
 from sim_vehicle.dynamics import (
@@ -149,7 +149,40 @@ def tilt_of(state: Array) -> float:
     return acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
 
 
+SOUND, HARD_TOUCH, TILTED_TOUCH, TILTED, OUTSIDE = 0, 1, 2, 3, 4
+"""What `verdict` says of a flight."""
+
+
 @compiled
-def speed_of(state: Array) -> float:
-    """Speed, m/s, over ground."""
-    return sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2)
+def verdict(state: Array, sums: Array, limits: Array) -> int:
+    """Whether the flight is lost. limits: [4] touch-down m/s, tilt at touch-down rad, tilt rad, distance m."""
+    if sums[at.TOUCH_SPEED] > limits[0]:
+        return HARD_TOUCH
+    if sums[at.TOUCH_TILT] > limits[1]:
+        return TILTED_TOUCH
+    if tilt_of(state) > limits[2]:
+        return TILTED
+    if not state[0] ** 2 + state[1] ** 2 + state[2] ** 2 < limits[3] ** 2:
+        return OUTSIDE
+    sums[at.TOUCH_SPEED] = 0.0
+    sums[at.TOUCH_TILT] = 0.0
+    return SOUND
+
+
+@compiled
+def write_truth(state: Array, sums: Array, P: Array, truth: Array) -> None:
+    """Write the truth record (see records.TRUTH) into truth[34]; zeroes its sums."""
+    scale = 1.0 / max(sums[at.TRUTH_TIME], 1.0e-9)
+    for i in range(at.RIGID):
+        truth[i] = state[i]
+    for i in range(3):
+        truth[13 + i] = sums[at.TRUTH_VELOCITY + i] * scale
+        truth[16 + i] = sums[at.TRUTH_RATES + i] * scale
+        truth[23 + i] = state[at.WIND + i]
+        truth[26 + i] = sums[at.TRUTH_FORCE + i] * scale
+        truth[29 + i] = sums[at.TRUTH_TORQUE + i] * scale
+    for i in range(4):
+        truth[19 + i] = state[at.THRUST + i] * P[at.THRUST_FACTOR + i]
+    truth[32] = state[at.VOLTAGE]
+    truth[33] = state[at.AIRBORNE]
+    sums[at.TRUTH_TIME : at.TRUTH_RATES + 3] = 0.0

@@ -5,7 +5,7 @@ The rows are built by world.py from the disturbances' records; the meaning of th
 
 from math import cos, exp, pi, sin, sqrt
 
-from sim_vehicle import layout as at
+import sim_vehicle.layout as at
 from sim_vehicle.compiled import compiled
 from sim_vehicle.dynamics import Vector, cross, rotation, to_body
 from sim_vehicle.records import Array

@@ -21,17 +21,21 @@ except ImportError:  # the base install has no numba
 COMPILED: Final[bool] = numba is not None
 """Whether this process runs compiled code."""
 
+COMPILED_CODE: Final = b"sim_vehicle.layout"
+"""Mark of the files that hold compiled code, and of what they share."""
+
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def _use_cache_of_this_source() -> None:
-    """Keep numba's cache under a digest of this package's source.
+    """Keep numba's cache under a digest of this package's compiled source.
 
     Numba looks only at the file of the function that it loads, so that a change in a called file would otherwise
     leave stale machine code in use.
     """
     here = Path(__file__).resolve().parent
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.glob("*.py")))).hexdigest()[:16]
+    sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
+    digest = hashlib.sha256(b"".join(text for text in sources if COMPILED_CODE in text)).hexdigest()[:16]
     base = here / "__pycache__"
     if not os.access(base if base.exists() else here, os.W_OK):
         base = Path(tempfile.gettempdir()) / f"async-dmrac-{os.getuid()}"

@@ -22,6 +22,21 @@ class Normals:
         return self._block.pop()
 
 
+class NormalRows:
+    """Unit normal draws, `width` at a time."""
+
+    def __init__(self, rng: Generator, width: int) -> None:
+        self._rng = rng
+        self._shape = (BLOCK // width, width)
+        self._rows: list[Array] = []
+
+    def take(self) -> Array:
+        """[width], the next draws."""
+        if not self._rows:
+            self._rows = list(self._rng.standard_normal(self._shape))
+        return self._rows.pop()
+
+
 class Uniforms:
     """Uniform draws from [0, 1), one float at a time."""
 
@@ -46,7 +61,7 @@ class SubstepNormals:
         self._next = 0
 
     def take(self, count: int) -> Array:
-        """[count, rows, per_row]: draws of the next `count` sub-steps (at most BLOCK / 4), whatever the calls' sizes."""
+        """[count, rows, per_row]: the next `count` (at most BLOCK / 4) sub-steps' draws, the same for calls of any size."""
         end = self._next + count
         if end > len(self._block):
             rest = self._block[self._next :]

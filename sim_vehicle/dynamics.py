@@ -12,7 +12,7 @@ World NED, body FRD, quaternion wxyz body to world. Floor at d = 0.
 
 from math import sqrt
 
-from sim_vehicle import layout as at
+import sim_vehicle.layout as at
 from sim_vehicle.compiled import compiled
 from sim_vehicle.records import Array
 

@@ -1,4 +1,4 @@
-"""Where each quantity stands in the flat arrays that the compiled step works on.
+"""Where each quantity stands in the flat arrays that the compiled step works on (sim_vehicle.layout, "at").
 
 Flat arrays, because one call with few array arguments costs little, and because many vehicles then lie one after
 the other in memory (see batch.py). A three-vector occupies its index and the two after it.

@@ -6,7 +6,7 @@ sub-step is used, so the motors add no integration error. Thrust per command gro
 
 from math import pi, sqrt
 
-from sim_vehicle import layout as at
+import sim_vehicle.layout as at
 from sim_vehicle.compiled import compiled
 from sim_vehicle.records import Array
 

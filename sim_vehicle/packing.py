@@ -4,7 +4,7 @@ from math import exp
 
 import numpy as np
 
-from sim_vehicle import layout as at
+import sim_vehicle.layout as at
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.records import Array
 

@@ -6,20 +6,17 @@ the integrated gyro taken off, v_y = -(flow_x - gyro_x)/dt * distance and v_x = 
 distance is measured along the body's down axis.
 """
 
+from collections import deque
 from dataclasses import dataclass
-from math import acos, cos, sin, sqrt
+from math import acos, cos, sqrt
 
 import numpy as np
 
-from sim_vehicle import layout as at
-from sim_vehicle.draws import Normals, Uniforms
-from sim_vehicle.packing import GRAVITY
+import sim_vehicle.layout as at
+from sim_vehicle.draws import NormalRows, Normals, Uniforms
+from sim_vehicle.imu import imu_settings, read_imu
 from sim_vehicle.parameters import FlowConfig, ImuConfig, MotionCaptureConfig, UltrasonicConfig
 from sim_vehicle.records import Array
-from sim_vehicle.world import Imbalance
-
-AIR_DENSITY = 1.184
-"""kg/m^3, as in the thrust map."""
 
 
 class Schedule:
@@ -52,62 +49,27 @@ class Imu:
     """Accelerometer (mean specific force since the last sample), delayed gyro, barometer."""
 
     def __init__(self, config: ImuConfig, hover_thrust_n: float, seed: int, stream: int) -> None:
-        self._config = config
-        self._hover_thrust_n = hover_thrust_n
         rng = np.random.default_rng([seed, stream])
-        self.accelerometer_bias: list[float] = (rng.standard_normal(3) * config.accelerometer_bias_sigma_m_s2).tolist()
-        """[3] m/s^2"""
-        self.gyroscope_bias: list[float] = (rng.uniform(-1.0, 1.0, 3) * config.gyroscope_bias_bound_rad_s).tolist()
-        """[3] rad/s"""
-        self.pressure_bias = float(rng.standard_normal()) * config.pressure_bias_sigma_pa
-        """Pa"""
-        self._normals = Normals(rng)
-        self._delayed: list[tuple[float, float, float]] = []
+        self.bias: Array = np.concatenate(
+            [
+                rng.standard_normal(3) * config.accelerometer_bias_sigma_m_s2,
+                rng.uniform(-1.0, 1.0, 3) * config.gyroscope_bias_bound_rad_s,
+                rng.standard_normal(1) * config.pressure_bias_sigma_pa,
+            ]
+        )
+        """[7] accelerometer m/s^2, gyro rad/s, pressure Pa."""
+        self._settings = imu_settings(config, hover_thrust_n)
+        self._noise = NormalRows(rng, 7)
+        self._reading = np.zeros(7)
+        self._delayed: deque[list[float]] = deque(maxlen=config.gyroscope_delay_samples + 1)
 
-    def sample(self, state: Array, sums: Array, imbalances: tuple[Imbalance, ...]) -> ImuSample:
-        """Read the sensors; zeroes the IMU's sums."""
-        config, take = self._config, self._normals.take
-        values: list[float] = state.tolist()
-        time, *force = sums[at.IMU_TIME : at.IMU_FORCE + 3].tolist()
-        sums[at.IMU_TIME : at.IMU_FORCE + 3] = 0.0
-        ax, ay, az = (f / time for f in force)
-        p, q, r = values[at.RATES : at.RATES + 3]
-        for shaking in imbalances:
-            level = values[at.THRUST + shaking.rotor] / self._hover_thrust_n
-            c, s = cos(values[at.ROTOR_PHASE + shaking.rotor]), sin(values[at.ROTOR_PHASE + shaking.rotor])
-            ax += level * shaking.acceleration_m_s2 * c
-            ay += level * shaking.acceleration_m_s2 * s
-            p += level * shaking.rate_rad_s * s
-            q += level * shaking.rate_rad_s * c
-        shake = (
-            config.accelerometer_vibration_m_s2 * sum(values[at.THRUST : at.THRUST + 4]) / (4 * self._hover_thrust_n)
-        )
-        noise = sqrt(config.accelerometer_noise_m_s2**2 + shake * shake)
-        bias, step, full = self.accelerometer_bias, config.accelerometer_step_m_s2, config.accelerometer_range_m_s2
-        accelerometer = (
-            _quantise(ax + bias[0] + noise * take(), step, full),
-            _quantise(ay + bias[1] + noise * take(), step, full),
-            _quantise(az + bias[2] + noise * take(), step, full),
-        )
-        bias, step, full = self.gyroscope_bias, config.gyroscope_step_rad_s, config.gyroscope_range_rad_s
-        noise = config.gyroscope_noise_rad_s
-        gyroscope = (
-            _quantise(p + bias[0] + noise * take(), step, full),
-            _quantise(q + bias[1] + noise * take(), step, full),
-            _quantise(r + bias[2] + noise * take(), step, full),
-        )
+    def sample(self, state: Array, sums: Array, shaking: Array) -> ImuSample:
+        """Read the sensors; zeroes the IMU's sums. shaking: [4, 2], see World."""
+        read_imu(state, sums, shaking, self.bias, self._noise.take(), self._settings, self._reading)
+        ax, ay, az, *gyroscope, pressure = self._reading.tolist()
         self._delayed.append(gyroscope)
-        if len(self._delayed) > config.gyroscope_delay_samples + 1:
-            del self._delayed[0]
-        pressure = config.pressure_at_floor_pa + AIR_DENSITY * GRAVITY * values[at.POSITION + 2]
-        pressure += self.pressure_bias + config.pressure_noise_pa * take()
-        return ImuSample(
-            accelerometer, self._delayed[0], config.pressure_step_pa * round(pressure / config.pressure_step_pa)
-        )
-
-
-def _quantise(value: float, step: float, full: float) -> float:
-    return step * round(max(-full, min(full, value)) / step)
+        p, q, r = self._delayed[0]
+        return ImuSample((ax, ay, az), (p, q, r), pressure)
 
 
 class Ultrasonic:

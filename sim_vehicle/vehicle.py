@@ -5,13 +5,23 @@ point at or before its time, and sensors sample on every fifth one (200 Hz), wha
 """
 
 from collections import Counter, deque
-from math import cos, degrees, radians, sin, sqrt
+from math import cos, degrees, radians, sin
 from typing import Final
 
 import numpy as np
 
-from sim_vehicle import layout as at
-from sim_vehicle.advance import WORK_ROWS, advance, tilt_of
+import sim_vehicle.layout as at
+from sim_vehicle.advance import (
+    HARD_TOUCH,
+    SOUND,
+    TILTED,
+    TILTED_TOUCH,
+    WORK_ROWS,
+    advance,
+    tilt_of,
+    verdict,
+    write_truth,
+)
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.draws import Normals, SubstepNormals
 from sim_vehicle.mavlink_link import VehicleCodec
@@ -44,6 +54,7 @@ class SimVehicle:
         self._sums: Array = np.zeros(at.SUMS_SIZE)
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
         self._commands: Array = np.zeros(4)
+        self._limits: Array = np.array([HARD_TOUCH_M_S, TOUCH_TILT_RAD, LOST_TILT_RAD, config.box_m])
         hover_thrust_n = config.body.mass_kg * GRAVITY / 4
         sensors = config.sensors
         self._imu = Imu(sensors.imu, hover_thrust_n, seed, IMU_STREAM)
@@ -54,12 +65,11 @@ class SimVehicle:
         self._each_second = Schedule(1.0)
         self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture)
         self._poses: deque[tuple[int, bytes]] = deque()
-        self._pending: deque[tuple[int, tuple[float, float, float, float], bool]] = deque()
+        self._pending: deque[tuple[int, tuple[float, float, float, float], bool]] = deque(maxlen=256)
         self._armed = False
         self._commanded_ns = 0
         self._time_ns = 0
         self._sample_ns = SAMPLE_NS
-        self._flew = bool(self._state[at.AIRBORNE])
         self.crash_reason = ""
         """Why the flight is lost; "" while it is not. The motors are off from then on."""
 
@@ -91,7 +101,6 @@ class SimVehicle:
     def step(self, now_ns: int) -> VehicleOutput:
         """Advance to `now_ns` (at or before the last call's: nothing moves), sampling the sensors that fall due."""
         to_onboard: list[bytes] = []
-        self._sums[at.TRUTH_TIME : at.TRUTH_RATES + 3] = 0.0
         end_ns = now_ns - now_ns % SUBSTEP_NS
         while self._time_ns < end_ns:
             self._run(min(end_ns, self._sample_ns, self._world.next_event_ns, self._take_command()))
@@ -103,7 +112,9 @@ class SimVehicle:
         to_motion_capture = []
         while self._poses and self._poses[0][0] <= now_ns:
             to_motion_capture.append(self._poses.popleft()[1])
-        return VehicleOutput(to_onboard, to_motion_capture, self._truth())
+        truth = np.empty(len(TRUTH.fields))
+        write_truth(self._state, self._sums, self._world.parameters, truth)
+        return VehicleOutput(to_onboard, to_motion_capture, truth)
 
     def _take_command(self) -> int:
         """Put the command due into force; gives the time of the next change (ns)."""
@@ -143,26 +154,22 @@ class SimVehicle:
 
     def _judge(self) -> str:
         """Why the flight is lost now, or ""."""
-        state, sums = self._state, self._sums
-        touch_speed, touch_tilt = sums[at.TOUCH_SPEED], sums[at.TOUCH_TILT]
-        sums[at.TOUCH_SPEED : at.TOUCH_TILT + 1] = 0.0
-        if touch_speed > HARD_TOUCH_M_S:
-            return f"hit the floor at {touch_speed:.1f} m/s"
-        if touch_tilt > TOUCH_TILT_RAD:
-            return f"touched the floor tilted by {degrees(touch_tilt):.0f} deg"
-        tilt = tilt_of(state)
-        if tilt > LOST_TILT_RAD:
-            return f"tilted by {degrees(tilt):.0f} deg"
-        n, e, d = state[: at.VELOCITY].tolist()
-        if not abs(n) + abs(e) + abs(d) < self._config.box_m and not n * n + e * e + d * d < self._config.box_m**2:
-            return f"left the room, {sqrt(n * n + e * e + d * d):.1f} m from the origin"
-        return ""
+        fault = verdict(self._state, self._sums, self._limits)
+        if fault == SOUND:
+            return ""
+        if fault == HARD_TOUCH:
+            return f"hit the floor at {self._sums[at.TOUCH_SPEED]:.1f} m/s"
+        if fault == TILTED_TOUCH:
+            return f"touched the floor tilted by {degrees(self._sums[at.TOUCH_TILT]):.0f} deg"
+        if fault == TILTED:
+            return f"tilted by {degrees(tilt_of(self._state)):.0f} deg"
+        return f"left the room, {np.linalg.norm(self._state[: at.VELOCITY]):.1f} m from the origin"
 
     def _sample(self, to_onboard: list[bytes]) -> None:
         """Sample every sensor that is due at the present time."""
         now_ns, state, sums, codec = self._time_ns, self._state, self._sums, self._codec
         time_us = now_ns // 1000 + round(self._config.link.clock_offset_s * 1e6)
-        to_onboard.append(codec.imu(self._imu.sample(state, sums, self._world.imbalances), time_us))
+        to_onboard.append(codec.imu(self._imu.sample(state, sums, self._world.shaking), time_us))
         if self._flow.schedule.is_due(now_ns):
             to_onboard.append(codec.flow(self._flow.sample(state, sums), time_us))
         if self._ultrasonic.schedule.is_due(now_ns):
@@ -183,21 +190,6 @@ class SimVehicle:
         voltage = float(state[at.VOLTAGE]) + self._config.sensors.battery_noise_v * self._battery_noise.take()
         remaining = 1.0 - used_mah / self._config.battery.capacity_mah
         return self._codec.battery(voltage, float(self._sums[at.CURRENT]), used_mah, remaining)
-
-    def _truth(self) -> Array:
-        """The truth at the present time, see records.TRUTH."""
-        state, sums, P = self._state, self._sums, self._world.parameters
-        truth = np.empty(len(TRUTH.fields))
-        truth[:13] = state[: at.RIGID]
-        scale = 1.0 / max(float(sums[at.TRUTH_TIME]), 1e-9)
-        truth[13:16] = sums[at.TRUTH_VELOCITY : at.TRUTH_VELOCITY + 3] * scale
-        truth[16:19] = sums[at.TRUTH_RATES : at.TRUTH_RATES + 3] * scale
-        truth[19:23] = state[at.THRUST : at.THRUST + 4] * P[at.THRUST_FACTOR : at.THRUST_FACTOR + 4]
-        truth[23:26] = state[at.WIND : at.WIND + 3]
-        truth[26:32] = sums[at.TRUTH_FORCE : at.TRUTH_TORQUE + 3] * scale
-        truth[32] = state[at.VOLTAGE]
-        truth[33] = state[at.AIRBORNE]
-        return truth
 
 
 def initial_state(config: SimVehicleConfig) -> Array:

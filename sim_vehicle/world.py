@@ -10,12 +10,11 @@ those events. What acts at every sub-step (wind, jet, gusts, cloth, sag) is a ro
     sag    drop, time constant
 """
 
-from dataclasses import dataclass
 from math import ceil, inf, sqrt
 
 import numpy as np
 
-from sim_vehicle import layout as at
+import sim_vehicle.layout as at
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.disturbances import BatterySag, Cloth, Disturbance, FanJet, Gusts, MotorGain, Payload, RotorChip, Wind
 from sim_vehicle.packing import SUBSTEP_NS, pack_parameters, set_mass
@@ -34,18 +33,6 @@ The blade-element estimate for 10, 20 and 30 % of one blade's radius; carried on
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Imbalance:
-    """Shaking of one damaged rotor at hover speed; it grows with the square of rotor speed."""
-
-    rotor: int
-    """Index 0..3."""
-    acceleration_m_s2: float
-    """Amplitude that reaches the accelerometer."""
-    rate_rad_s: float
-    """Amplitude that reaches the gyro."""
-
-
 class World:
     """The disturbances of one flight, resolved from its seed."""
 
@@ -61,8 +48,8 @@ class World:
         self.row_state: Array = np.zeros((len(rows), at.ROW_STATE_SIZE))
         """[k, ROW_STATE_SIZE]"""
         self._start_rows(seed)
-        self.imbalances: tuple[Imbalance, ...] = ()
-        """Of the rotors damaged at present."""
+        self.shaking: Array = np.zeros((4, 2))
+        """[4, 2] what reaches accelerometer (m/s^2) and gyro (rad/s) of each rotor's imbalance, at hover speed."""
         self.next_event_ns = 0
         """When `apply` is due again."""
 
@@ -105,14 +92,13 @@ class World:
     def _set_damage(self, chips: list[tuple[RotorChip, int]]) -> None:
         P = self.parameters
         P[at.THRUST_FACTOR : at.THRUST_FACTOR + 8] = 1.0
-        imbalances = []
+        self.shaking[:] = 0.0
         for chip, rotor in chips:
             torque_factor = chip.thrust_factor**1.1 if chip.torque_factor is None else chip.torque_factor
             P[at.THRUST_FACTOR + rotor] *= chip.thrust_factor
             P[at.TORQUE_FACTOR + rotor] *= torque_factor
             raw = float(np.interp(1.0 - chip.thrust_factor, *RAW_SHAKING))
-            imbalances.append(Imbalance(rotor, raw * chip.mount_transmission, raw * chip.gyroscope_rad_s_per_m_s2))
-        self.imbalances = tuple(imbalances)
+            self.shaking[rotor] += raw * chip.mount_transmission, raw * chip.gyroscope_rad_s_per_m_s2
 
 
 def _draw(block: Disturbance, seed: int, number: int) -> Array:
