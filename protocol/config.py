@@ -20,10 +20,11 @@ class TransferConfig(Record):
         default=4, ge=1, le=64, description="most chunks one call gives out, however late it is"
     )
     resend_after_s: float = Field(
-        default=0.08,
+        default=0.04,
         gt=0.0,
         le=10.0,
-        description="a chunk still missing this long after it left is sent again: round trip plus"
-        " the period of the status",
+        description="s, a chunk still missing this long after it left goes again; near the round trip",
     )
-    resend_max_s: float = Field(default=1.0, gt=0.0, le=60.0, description="where the back-off ends that silence starts")
+    resend_max_s: float = Field(
+        default=1.0, gt=0.0, le=60.0, description="s, longest interval of the back-off that silence starts"
+    )

@@ -59,7 +59,7 @@ class Wire:
 
 
 def test_without_loss_each_chunk_goes_once(make_features: Make) -> None:
-    wire = Wire()
+    wire = Wire(TransferConfig(resend_after_s=0.2))
     wire.sender.offer(make_features(), 0)
     assert wire.sender.outstanding_version == 1
     wire.run(1.0)
@@ -71,7 +71,7 @@ def test_without_loss_each_chunk_goes_once(make_features: Make) -> None:
 
 
 def test_a_lost_chunk_alone_goes_again(make_features: Make) -> None:
-    wire = Wire()
+    wire = Wire(TransferConfig(resend_after_s=0.2))
     wire.down = lambda index: index != 3
     wire.sender.offer(make_features(), 0)
     wire.run(2.0)
@@ -168,8 +168,10 @@ def test_a_restarted_sender_numbers_on(make_features: Make) -> None:
 def test_a_receiver_that_restarts_in_mid_transfer_gets_it_all_again(make_features: Make) -> None:
     wire = Wire()
     wire.sender.offer(make_features(), 0)
-    wire.down = lambda index: index != 7
-    wire.run(0.15)
+    wire.down = lambda index: index != 2
+    wire.run(0.1)
+    assert wire.receiver.transfer_version == 1
+    assert not wire.got
     wire.receiver = FeatureReceiver()
     wire.run(1.5)
     assert len(wire.got) == 1
