@@ -39,7 +39,7 @@ class FlightStatus:
             ("features", _features(onboard)),
             ("link loss", f"up {_loss(sim, 'up')}, down {_loss(sim, 'down')}"),
             ("missed ticks", str(onboard.get("missed_ticks", "-"))),
-            ("training loss", _number(offboard.get("training_loss"), "", 4)),
+            ("held-out loss", _losses(offboard)),
         ]
 
     def line(self) -> str:
@@ -107,6 +107,12 @@ def _features(onboard: dict[str, Any]) -> str:
     age = onboard.get("feature_age_s")
     old = f", {age:.1f} s old" if isinstance(age, int | float) and version else ""
     return f"version {version}{old}"
+
+
+def _losses(offboard: dict[str, Any]) -> str:
+    """Mean squared error of the newest training round on samples it did not see, by channel."""
+    losses = [_number(offboard.get(f"validation_loss_{channel}"), "", 3) for channel in ("position", "attitude")]
+    return f"{losses[0]} (m/s^2)^2, {losses[1]} (rad/s^2)^2, round {offboard.get('rounds', '-')}"
 
 
 def _loss(sim: dict[str, Any], direction: str) -> str:

@@ -106,6 +106,7 @@ class OffboardProcess:
             raise
         self._worker = Worker()
         self.steps = 0
+        self._latest_report = ""
         self.escapes = 0
         self.failed_jobs = 0
 
@@ -161,8 +162,10 @@ class OffboardProcess:
     def _note_escape(self, now: int) -> None:
         self.escapes += 1
         report = traceback.format_exc()
-        self._log.event(now, report)
-        print(report, file=sys.stderr, flush=True)
+        if report != self._latest_report:
+            self._latest_report = report
+            self._log.event(now, report)
+            print(report, file=sys.stderr, flush=True)
         self._status.say(f"a step failed ({self.escapes} of {ESCAPES_MAX}): {report.strip().splitlines()[-1]}")
 
     def summary(self) -> dict[str, Any]:

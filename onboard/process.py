@@ -90,6 +90,7 @@ class OnboardProcess:
         self._loop_record = np.zeros(len(LOOP.fields))
         self._last_vehicle_ns = 0
         self._landing_until_ns = 0
+        self._latest_report = ""
         self.escapes = 0
 
     def fly(self) -> int:
@@ -146,8 +147,10 @@ class OnboardProcess:
         """Log what escaped a step; the safe output, or None if even that fails (the vehicle then cuts its motors)."""
         self.escapes += 1
         report = traceback.format_exc()
-        self._log.event(now, report)
-        print(report, file=sys.stderr, flush=True)
+        if report != self._latest_report:
+            self._latest_report = report
+            self._log.event(now, report)
+            print(report, file=sys.stderr, flush=True)
         self._status.say(f"a step failed ({self.escapes} of {self._realtime.escapes_max}): {_last_line(report)}")
         with contextlib.suppress(Exception):
             return self._core.safe_output(now)

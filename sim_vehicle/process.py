@@ -10,7 +10,6 @@ import argparse
 import select
 import sys
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +36,7 @@ MOTOR_DATAGRAMS_PER_WAKE: Final = 16
 RADIO_DATAGRAMS_PER_WAKE: Final = 64
 AFTER_CRASH_NS: Final = 500_000_000
 """The others go on recording for so long after a crash."""
+WARM_UP_STEPS: Final = 20
 START_LIMIT_S: Final = 30.0
 PRIORITY: Final = 10
 """SCHED_FIFO, below onboard's: the simulated world must keep time too, but not at the loop's cost."""
@@ -194,8 +194,12 @@ class SimProcess:
         """What the live status shows of the world."""
         return {"time_s": now * 1e-9, "link": self._counts()}
 
-    def _counts(self) -> dict[str, dict[str, Any]]:
-        return {direction: asdict(self._radio.counts(direction)) for direction in DIRECTIONS}
+    def _counts(self) -> dict[str, dict[str, int]]:
+        names = ("sent", "delivered", "lost", "duplicated", "corrupted")
+        return {
+            direction: {name: getattr(self._radio.counts(direction), name) for name in names}
+            for direction in DIRECTIONS
+        }
 
     def summary(self) -> dict[str, Any]:
         """What the flight record keeps of this process; times of its log are on the machine's monotonic clock."""
@@ -235,6 +239,7 @@ def run(arguments: argparse.Namespace) -> int:
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
+    _compile(config, seed)
     vehicle = SimVehicle(config, seed)
     radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -264,6 +269,13 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
         "motion_capture": arguments.motion_capture,
         "vehicle": arguments.bind_vehicle,
     }
+
+
+def _compile(config: SimVehicleConfig, seed: int) -> None:
+    """Step a vehicle that is thrown away, so that no step of the flight waits for the compiler."""
+    vehicle = SimVehicle(config, seed)
+    for step in range(WARM_UP_STEPS):
+        vehicle.step(step * PERIOD_NS)
 
 
 def _seed_and_duration(path: Path) -> tuple[int, float]:

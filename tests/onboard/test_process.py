@@ -1,0 +1,164 @@
+"""The onboard loop around a stand-in core: failures, requests to end, and that the last word is motors off."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from configs.realtime import RealtimeConfig
+from onboard.core import OnboardOutput
+from onboard.process import FINAL_SAFE_COMMANDS, OnboardProcess
+
+PERIOD_NS = 1_000_000
+REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)
+
+
+class FakeCore:
+    """Answers every step; `script` is called first and may raise or press a key."""
+
+    def __init__(self, script: Any) -> None:
+        self.script = script
+        self.steps = 0
+        self.airborne = True
+        self.land_requests = 0
+        self.taken: list[tuple[str, bytes]] = []
+
+    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
+        self.taken.append(("vehicle", datagram))
+
+    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
+        self.taken.append(("offboard", datagram))
+
+    def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
+        self.taken.append(("ground", datagram))
+
+    def step(self, now_ns: int, missed_ticks: int = 0) -> OnboardOutput:
+        self.steps += 1
+        self.script(self)
+        return OnboardOutput([b"motors"], [b"sample"], [b"telemetry"], events=[(now_ns, "event")])
+
+    def safe_output(self, now_ns: int) -> OnboardOutput:
+        return OnboardOutput([b"off"])
+
+    def request_land(self, now_ns: int) -> None:
+        self.land_requests += 1
+
+    def status(self, now_ns: int) -> dict[str, Any]:
+        return {}
+
+    def summary(self) -> dict[str, Any]:
+        return {"mode": "LANDED"}
+
+
+class FakeSocket:
+    def __init__(self, talks: bool) -> None:
+        self.talks = talks
+        self.sent: list[bytes] = []
+
+    def receive(self, limit: int) -> list[bytes]:
+        return [b"hello"] if self.talks else []
+
+    def send(self, datagram: bytes) -> None:
+        self.sent.append(datagram)
+
+
+class Bench:
+    """A process with everything around it faked but the clock."""
+
+    def __init__(self, script: Any, vehicle_talks: bool = True) -> None:
+        self.core = FakeCore(script)
+        self.stop = SimpleNamespace(count=0)
+        talking = {"vehicle": vehicle_talks, "offboard": True, "ground": True}
+        self.sockets = SimpleNamespace(**{name: FakeSocket(talks) for name, talks in talking.items()})
+        self.logged: list[tuple[str, np.ndarray]] = []
+        self.events: list[str] = []
+        log = SimpleNamespace(
+            write=lambda kind, time_ns, vector: self.logged.append((kind.topic, vector.copy())),
+            event=lambda time_ns, text: self.events.append(text),
+        )
+        self.said: list[str] = []
+        status = SimpleNamespace(say=self.said.append, due=lambda now: False)
+        make: Any = OnboardProcess
+        self.process = make(self.core, REALTIME, PERIOD_NS, self.sockets, log, status, self.stop)
+
+
+def test_takes_in_steps_gives_out_and_logs_until_asked_to_end() -> None:
+    bench = Bench(lambda core: None)
+
+    def script(core: FakeCore) -> None:
+        if core.steps == 10:
+            core.airborne = False
+            bench.stop.count = 1
+
+    bench.core.script = script
+    assert bench.process.fly() == 0
+    assert bench.core.steps == 10
+    assert bench.sockets.vehicle.sent == [b"motors"] * 10 + [b"off"] * FINAL_SAFE_COMMANDS
+    assert bench.sockets.offboard.sent == [b"sample"] * 10
+    assert bench.sockets.ground.sent == [b"telemetry"] * 10
+    assert set(bench.core.taken) == {("vehicle", b"hello"), ("offboard", b"hello")}
+    assert [topic for topic, _ in bench.logged] == ["onboard/tick", "onboard/loop"] * 10
+    summary = bench.process.summary()
+    assert (summary["ticks"], summary["mode"], summary["escapes"]) == (10, "LANDED", 0)
+    assert summary["tick_us"]["p50"] <= summary["tick_us"]["p99"] <= summary["tick_us"]["max"] + 1
+
+
+def test_a_failing_step_is_answered_with_motors_off_and_flown_on(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(lambda core: None)
+
+    def script(core: FakeCore) -> None:
+        if core.steps == 3:
+            raise RuntimeError("broken once")
+        if core.steps == 5:
+            bench.stop.count = 2
+
+    bench.core.script = script
+    assert bench.process.fly() == 0
+    assert bench.sockets.vehicle.sent[:5] == [b"motors", b"motors", b"off", b"motors", b"motors"]
+    assert bench.process.summary()["escapes"] == 1
+    assert "broken once" in bench.events[2]
+    assert "broken once" in capsys.readouterr().err
+
+
+def test_too_many_failures_end_the_flight_with_motors_off(capsys: pytest.CaptureFixture[str]) -> None:
+    def script(core: FakeCore) -> None:
+        raise ZeroDivisionError("always")
+
+    bench = Bench(script)
+    assert bench.process.fly() == 1
+    assert bench.core.steps == REALTIME.escapes_max
+    assert set(bench.sockets.vehicle.sent) == {b"off"}
+    assert "a step failed (3 of 3): ZeroDivisionError: always" in bench.said
+    assert capsys.readouterr().err.count("Traceback") == 1, "the same failure is told in full once"
+
+
+def test_a_core_that_cannot_even_be_safe_does_not_hold_the_loop(capsys: pytest.CaptureFixture[str]) -> None:
+    def script(core: FakeCore) -> None:
+        raise RuntimeError("step")
+
+    bench = Bench(script)
+    bench.core.safe_output = lambda now_ns: script(bench.core)  # type: ignore[method-assign,return-value,assignment]
+    assert bench.process.fly() == 1
+    assert bench.sockets.vehicle.sent == []
+
+
+def test_the_first_request_lands_and_the_limit_ends_it() -> None:
+    bench = Bench(lambda core: setattr(bench.stop, "count", 1) if core.steps == 5 else None)
+    assert bench.process.fly() == 0
+    assert bench.core.land_requests == 1
+    assert bench.core.steps > 5 + 0.1 * REALTIME.landing_limit_s * 1e9 / PERIOD_NS
+    assert bench.sockets.vehicle.sent[-1] == b"off"
+
+
+def test_the_second_request_ends_at_once() -> None:
+    bench = Bench(lambda core: setattr(bench.stop, "count", 2) if core.steps == 5 else None)
+    assert bench.process.fly() == 0
+    assert bench.core.steps == 5
+    assert bench.sockets.vehicle.sent[-1] == b"off"
+
+
+def test_a_silent_vehicle_is_not_waited_for() -> None:
+    bench = Bench(lambda core: setattr(bench.stop, "count", 1) if core.steps == 5 else None, vehicle_talks=False)
+    assert bench.process.fly() == 0
+    assert bench.core.steps <= 6
