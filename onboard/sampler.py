@@ -55,6 +55,7 @@ class SampleQueue:
         self._ticks = 0
         self._start_ns: int | None = None
         self._due_ns = 0
+        self._pushed_ns = 0
         self._allowance_bytes = self._burst_bytes
         self._refilled_ns: int | None = None
         self.taken = 0
@@ -70,6 +71,10 @@ class SampleQueue:
         """Takes in one tick: signals [SIGNAL_COUNT]; delivered u_hat and adaptive nu_ad [2, 3] each; all are copied."""
         if self._start_ns is None:
             self._start_ns = self._due_ns = time_ns
+        elif time_ns - self._pushed_ns > self._period_ns:  # a pause: no mean spans it
+            self._sum[:] = 0.0
+            self._ticks = 0
+        self._pushed_ns = time_ns
         self._sum += delivered
         self._ticks += 1
         if time_ns < self._due_ns:
@@ -96,7 +101,7 @@ class SampleQueue:
             sample.version = feature_version
         self._refill(now_ns)
         batches: list[SampleBatch] = []
-        while run := self._ready_run():
+        while run := self._ready_run(now_ns):
             cost = BATCH_OVERHEAD_BYTES + run * SAMPLE_BYTES
             if cost > self._allowance_bytes:
                 break
@@ -110,16 +115,18 @@ class SampleQueue:
         earned = since_ns * 1e-9 * self._config.budget_bytes_s
         self._allowance_bytes = min(self._burst_bytes, self._allowance_bytes + earned)
 
-    def _ready_run(self) -> int:
-        """Length of the batch at the head: full, or cut short by a gap or a change of version; 0 when to wait."""
+    def _ready_run(self, now_ns: int) -> int:
+        """Length of the batch at the head: full, cut short by a gap or a new version, or overdue; 0 when to wait."""
         if not self._waiting:
             return 0
-        head = self._waiting[0]
-        for place, sample in enumerate(self._waiting):
-            is_next = sample.index == head.index + place and sample.version == head.version
-            if place == self._config.batch_samples or not is_next:
-                return place
-        return self._config.batch_samples if len(self._waiting) == self._config.batch_samples else 0
+        head, most = self._waiting[0], self._config.batch_samples
+        run = 0
+        for sample in self._waiting:
+            if run == most or sample.index != head.index + run or sample.version != head.version:
+                return run
+            run += 1
+        overdue = now_ns - head.time_ns > (most + 1) * self._period_ns
+        return run if run == most or overdue else 0
 
     def _batch(self, samples: list[_Sample]) -> SampleBatch:
         first = samples[0]

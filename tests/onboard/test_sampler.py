@@ -98,3 +98,15 @@ def test_what_was_pushed_may_be_overwritten() -> None:
 def test_full_rate() -> None:
     queue = SampleQueue(SamplerConfig(rate_hz=200.0, batch_samples=8, budget_bytes_s=60_000.0))
     assert indices(fly(queue, 80)) == list(range(80))
+
+
+def test_no_mean_spans_a_pause_and_no_sample_waits_through_one() -> None:
+    queue = SampleQueue(SamplerConfig())
+    batches = fly(queue, 12)  # samples 0, 1, 2 and a part of the fourth
+    assert batches == []
+    for tick in range(12, 60):
+        batches += queue.poll(tick * TICK, 0)
+    assert indices(batches) == [0, 1, 2]
+    batches = fly(queue, 30, first=62)
+    assert indices(batches)[:5] == [15, 16, 17, 18, 19]
+    assert batches[0].delivered[0, 0, 0] == 62
