@@ -25,16 +25,12 @@ history: dp_sum, dv_sum, phi_sum, and (dv t)_sum for the way a velocity correcti
 All 3-vectors are tuples of floats: scalar arithmetic on them is several times cheaper than numpy's.
 """
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from onboard.attitude import Quaternion, Rotation, exponential, product, rotation_of
 from onboard.records import Array, Vector
-
-Rotation = tuple[float, float, float, float, float, float, float, float, float]
-"""A rotation matrix, row by row."""
-Quaternion = tuple[float, float, float, float]
 
 GRAVITY_M_S2: Final = 9.80665
 HISTORY_LENGTH: Final = 128
@@ -57,81 +53,6 @@ class PastState(NamedTuple):
     dv_sum: Vector
     dvt_sum: Vector
     phi_sum: Vector
-
-
-def rotation_of(q: Quaternion) -> Rotation:
-    """Rotation matrix (body to world) of a unit quaternion wxyz."""
-    w, x, y, z = q
-    xx, yy, zz = x * x, y * y, z * z
-    xy, xz, yz = x * y, x * z, y * z
-    wx, wy, wz = w * x, w * y, w * z
-    return (
-        1.0 - 2.0 * (yy + zz),
-        2.0 * (xy - wz),
-        2.0 * (xz + wy),
-        2.0 * (xy + wz),
-        1.0 - 2.0 * (xx + zz),
-        2.0 * (yz - wx),
-        2.0 * (xz - wy),
-        2.0 * (yz + wx),
-        1.0 - 2.0 * (xx + yy),
-    )
-
-
-def quaternion_of(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Unit quaternion wxyz of the yaw-pitch-roll sequence; rad."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product, scaled to unit length to first order."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    w = aw * bw - ax * bx - ay * by - az * bz
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
-    scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
-    return (w * scale, x * scale, y * scale, z * scale)
-
-
-def exponential(phi: Vector) -> Quaternion:
-    """Unit quaternion of a rotation vector, rad."""
-    x, y, z = phi
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle < 1e-6:
-        return (1.0, 0.5 * x, 0.5 * y, 0.5 * z)
-    s = math.sin(0.5 * angle) / angle
-    return (math.cos(0.5 * angle), s * x, s * y, s * z)
-
-
-def rotation_between(measured: Quaternion, rotation: Rotation) -> Vector:
-    """World-frame rotation vector that turns `rotation` into `measured`: log(R_m R^T), rad."""
-    m = rotation_of(measured)
-    a, b, c, d, e, f, g, h, i = rotation
-    r10 = m[3] * a + m[4] * b + m[5] * c
-    r20 = m[6] * a + m[7] * b + m[8] * c
-    r01 = m[0] * d + m[1] * e + m[2] * f
-    r21 = m[6] * d + m[7] * e + m[8] * f
-    r02 = m[0] * g + m[1] * h + m[2] * i
-    r12 = m[3] * g + m[4] * h + m[5] * i
-    trace = (m[0] * a + m[1] * b + m[2] * c) + (m[3] * d + m[4] * e + m[5] * f) + (m[6] * g + m[7] * h + m[8] * i)
-    x, y, z = r21 - r12, r02 - r20, r10 - r01
-    s = 0.5 * math.sqrt(x * x + y * y + z * z)
-    angle = math.atan2(s, 0.5 * (trace - 1.0))
-    if s < 1e-9:
-        # Either no rotation or half a turn; for half a turn any axis is as good: it is far outside every gate.
-        return _ZERO if angle < 1.0 else (math.pi, 0.0, 0.0)
-    scale = 0.5 * angle / s
-    return (x * scale, y * scale, z * scale)
 
 
 class ErrorStateFilter:
@@ -157,7 +78,6 @@ class ErrorStateFilter:
         self._gathered_s = 0.0
         self._gathered_dv: Vector = _ZERO
         self._last_rate: Vector | None = None
-        self._last_force: Vector = (0.0, 0.0, -GRAVITY_M_S2)
         self._sums = (_ZERO, _ZERO, _ZERO, _ZERO)
         self._time_s = 0.0
         self._history: list[PastState | None] = [None] * HISTORY_LENGTH
@@ -177,35 +97,41 @@ class ErrorStateFilter:
         accelerometer: Vector,
         gyroscope: Vector,
         noise: tuple[float, float, float, float],
+        gyro_delay_s: float = 0.0,
     ) -> None:
-        """Moves the state by one IMU sample (trapezoidal rule over the sample and its predecessor).
+        """Moves the state by one IMU sample.
 
-        `noise`: standard deviations of accelerometer (m/s^2) and gyroscope (rad/s) samples, and the densities of the
-        biases' random walks (rad/s and m/s^2 per sqrt(s)).
+        The accelerometer gives the mean over the step. The gyroscope gives a rate `gyro_delay_s` old; its mean over
+        the step is read off the straight line through this sample and the one before (without delay: the mean of
+        both). `noise`: standard deviations of accelerometer (m/s^2) and gyroscope (rad/s) samples, and the densities
+        of the biases' random walks (rad/s and m/s^2 per sqrt(s)).
         """
         bx, by, bz = self.gyro_bias
         gx, gy, gz = gyroscope
         ox, oy, oz = self._last_rate or gyroscope
-        half = 0.5 * dt
-        self.quaternion = product(
-            self.quaternion,
-            exponential(((gx + ox) * half - bx * dt, (gy + oy) * half - by * dt, (gz + oz) * half - bz * dt)),
+        ahead = gyro_delay_s / dt - 0.5
+        turn = (
+            (gx + ahead * (gx - ox) - bx) * dt,
+            (gy + ahead * (gy - oy) - by) * dt,
+            (gz + ahead * (gz - oz) - bz) * dt,
         )
+        self.quaternion = product(self.quaternion, exponential(turn))
+        sa, sb, sc, sd, se, sf, sg, sh, si = self.rotation
         self.rotation = a, b, c, d, e, f, g, h, i = rotation_of(self.quaternion)
         cx, cy, cz = self.accelerometer_bias
         ax, ay, az = accelerometer
-        ax -= cx
-        ay -= cy
-        az -= cz
-        fx, fy, fz = a * ax + b * ay + c * az, d * ax + e * ay + f * az, g * ax + h * ay + i * az
-        px, py, pz = self._last_force
-        dvx, dvy, dvz = (fx + px) * half, (fy + py) * half, (fz + pz) * half + GRAVITY_M_S2 * dt
+        half = 0.5 * dt
+        ax = (ax - cx) * half
+        ay = (ay - cy) * half
+        az = (az - cz) * half
+        dvx = (a + sa) * ax + (b + sb) * ay + (c + sc) * az
+        dvy = (d + sd) * ax + (e + se) * ay + (f + sf) * az
+        dvz = (g + sg) * ax + (h + sh) * ay + (i + si) * az + GRAVITY_M_S2 * dt
         vx, vy, vz = self.velocity
         x, y, z = self.position
         self.position = (x + (vx + 0.5 * dvx) * dt, y + (vy + 0.5 * dvy) * dt, z + (vz + 0.5 * dvz) * dt)
         self.velocity = (vx + dvx, vy + dvy, vz + dvz)
         self._last_rate = gyroscope
-        self._last_force = (fx, fy, fz)
         gx -= bx
         gy -= by
         gz -= bz

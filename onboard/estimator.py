@@ -21,28 +21,25 @@ from collections import Counter
 
 import numpy as np
 
+from onboard.attitude import quaternion_of, rotation_between, turned_about_vertical
 from onboard.error_state_filter import (
     ATTITUDE,
-    GRAVITY_M_S2,
     GYRO_BIAS,
     POSITION,
     VELOCITY,
     ErrorStateFilter,
-    quaternion_of,
-    rotation_between,
 )
 from onboard.estimator_config import EstimatorConfig
+from onboard.imu_conditioning import StillStart, VibrationMeter
 from onboard.records import NEVER_NS, Array, FlowReading, ImuReading, RangeReading, Reading, Vector, VehicleState
+from onboard.state_output import publish, publish_attitude, publish_sigmas
 from protocol.messages import Pose
 
 __all__ = ["Estimator", "EstimatorConfig"]
 
 _FUTURE_NS = 20_000_000
 """A pose this far ahead of now has a wrong time stamp."""
-_VIBRATION_CORNER = 0.2
-"""Per-sample weight of the low-pass that the high-pass subtracts: 8 Hz at 200 Hz."""
-_VIBRATION_SMOOTHING_S = 0.15
-_AIR_PA_PER_M = 11.8
+_AIR_PA_PER_M = 11.6
 """Pressure per metre at 20 degrees C near sea level."""
 _ROTA = 8
 """Slow aids take turns: each is fused every eighth IMU sample, 25 Hz."""
@@ -58,12 +55,10 @@ class Estimator:
         self._aid_fresh_ns = int(config.aid_fresh_s * 1e9)
         self._recovery_ns = int(config.recovery_s * 1e9)
         self._delay_max_ns = int(config.pose_delay_max_s * 1e9)
-        self._gyro_delay_ns = int(config.gyro_delay_s * 1e9)
         self._h_flow: Array = np.zeros(15)
         self._on_ground = True
-        self._start_sums = [0.0] * 6
-        self._start_count = 0
-        self._low: Vector = (0.0, 0.0, -GRAVITY_M_S2)
+        self._start = StillStart(config.start_samples, config.start_rate_max_rad_s)
+        self._vibration = VibrationMeter()
         self._turn = 0
         self._pressure_sum = 0.0
         self._pressure_count = 0
@@ -121,7 +116,7 @@ class Estimator:
             return
         if first or dt > self._config.gap_s:
             dt = self._bridge_gap(reading.time_ns, dt)
-        self._measure_vibration(reading.accelerometer, dt)
+        state.vibration = self._vibration.take(reading.accelerometer, dt)
         config = self._config
         sigma = max(config.accelerometer_sigma, config.vibration_to_sigma * state.vibration)
         noise = (
@@ -130,46 +125,36 @@ class Estimator:
             config.gyro_bias_walk,
             config.accelerometer_bias_walk,
         )
-        self._filter.predict(reading.time_ns, dt, reading.accelerometer, reading.gyroscope, noise)
+        self._filter.predict(reading.time_ns, dt, reading.accelerometer, reading.gyroscope, noise, config.gyro_delay_s)
         if reading.pressure_pa > 0.0:
             self._pressure_sum += reading.pressure_pa
             self._pressure_count += 1
         self._turn = (self._turn + 1) % _ROTA
         self._fuse_slow_aid(self._turn, reading)
-        self._publish(reading)
+        publish(state, self._filter, reading)
+        state.height_valid = reading.time_ns - self._last_height_ns < 2 * self._aid_fresh_ns
+        if self._turn == 0:
+            publish_sigmas(state, self._filter)
 
     def _find_start(self, reading: ImuReading) -> None:
         """Waits for a run of still samples, then sets attitude and gyro bias from their means."""
-        config, sums = self._config, self._start_sums
-        norm = math.sqrt(sum(a * a for a in reading.accelerometer))
-        still = max(map(abs, reading.gyroscope)) < config.start_rate_max_rad_s and abs(norm - GRAVITY_M_S2) < 3.0
-        if not still:
-            self._start_sums, self._start_count = [0.0] * 6, 0
+        config = self._config
+        if not self._start.take(reading):
             return
-        for index, value in enumerate(reading.accelerometer + reading.gyroscope):
-            sums[index] += value
-        self._start_count += 1
-        if reading.pressure_pa > 0.0:
-            self._pressure_zero_pa = self._pressure_zero_pa or reading.pressure_pa
-        if self._start_count < config.start_samples:
-            return
-        ax, ay, az, gx, gy, gz = (value / self._start_count for value in sums)
-        roll, pitch = math.atan2(-ay, -az), math.atan2(ax, math.hypot(ay, az))
-        tilt, bias = config.start_tilt_sigma_rad, config.start_gyro_bias_sigma
+        roll, pitch = self._start.level()
+        tilt = config.start_tilt_sigma_rad
         sigmas = (
             *(config.start_position_sigma_m,) * 3,
             *(config.still_velocity_sigma_m_s,) * 3,
             *(tilt, tilt, config.start_yaw_sigma_rad),
-            *(bias,) * 3,
+            *(config.start_gyro_bias_sigma,) * 3,
             *(config.start_accelerometer_bias_sigma,) * 3,
         )
-        self._filter.start(quaternion_of(roll, pitch, 0.0), (gx, gy, gz), sigmas)
-        self._low = (ax, ay, az)
+        self._filter.start(quaternion_of(roll, pitch, 0.0), self._start.mean_rate(), sigmas)
         self.state.initialised = True
-        self._say(
-            reading.time_ns, f"attitude found: roll {math.degrees(roll):.1f}, pitch {math.degrees(pitch):.1f} deg"
-        )
-        self._publish(reading)
+        tilts = f"roll {math.degrees(roll):.1f}, pitch {math.degrees(pitch):.1f} deg"
+        self._say(reading.time_ns, f"attitude found: {tilts}")
+        publish(self.state, self._filter, reading)
 
     def _bridge_gap(self, time_ns: int, gap_s: float) -> float:
         """Widens the uncertainty after missing IMU samples; returns the time step to integrate over."""
@@ -180,15 +165,6 @@ class Estimator:
         self._filter.inflate(ATTITUDE, 0.5 * seconds)
         self._say(time_ns, f"IMU gap of {gap_s * 1e3:.0f} ms")
         return min(gap_s, 0.1)
-
-    def _measure_vibration(self, accelerometer: Vector, dt: float) -> None:
-        """Magnitude of the high-passed accelerometer, smoothed over about 0.15 s."""
-        k = _VIBRATION_CORNER
-        lx, ly, lz = self._low
-        hx, hy, hz = accelerometer[0] - lx, accelerometer[1] - ly, accelerometer[2] - lz
-        self._low = (lx + k * hx, ly + k * hy, lz + k * hz)
-        magnitude = (1.0 - k) * math.sqrt(hx * hx + hy * hy + hz * hz)
-        self.state.vibration += (magnitude - self.state.vibration) * dt / (_VIBRATION_SMOOTHING_S + dt)
 
     # -- aids that take turns -----------------------------------------------------------------------------------------
 
@@ -205,6 +181,7 @@ class Estimator:
     def _fuse_ground(self, turn: int, reading: ImuReading) -> None:
         """Standing still: velocity 0, rate = bias, height 0."""
         config, f = self._config, self._filter
+        self.state.last_velocity_aid_ns = reading.time_ns
         if turn < 3:
             f.correct_scalar(VELOCITY + turn, -f.velocity[turn], config.still_velocity_sigma_m_s**2, math.inf)
         elif turn < 6:
@@ -270,13 +247,17 @@ class Estimator:
             self._widen("flow", VELOCITY, 1.0, reading.time_ns)
 
     def _take_range(self, reading: RangeReading) -> None:
-        """Height from the ultrasonic sensor: distance = -d / R_33, over a level floor at d = 0."""
+        """Height from the ultrasonic sensor over a level floor at d = 0.
+
+        The first echo comes from straight below while the tilt is within the beam's cone, from its edge beyond it.
+        """
         config, f = self._config, self._filter
         past = f.at(reading.time_ns) if self.state.initialised else None
         valid = config.range_floor_m + config.range_margin_m < reading.distance_m < config.range_max_m
         if past is None or self._on_ground or not valid or past.rotation[8] < 0.7:
             return
-        innovation = -reading.distance_m * past.rotation[8] - past.position[2]
+        beyond = math.acos(min(1.0, past.rotation[8])) - config.range_half_cone_rad
+        innovation = -reading.distance_m * (math.cos(beyond) if beyond > 0.0 else 1.0) - past.position[2]
         if self._correct(
             "range", POSITION + 2, innovation, config.range_sigma_m**2, config.range_gate, reading.time_ns
         ):
@@ -318,7 +299,7 @@ class Estimator:
         if score > config.pose_gate:
             return False
         self._announce(before, 0.0, "pose", now_ns)
-        past = f.at(capture_ns + self._gyro_delay_ns)
+        past = f.at(capture_ns)
         if past is not None:
             w, i, j, k = pose.quaternion.tolist()
             turn = rotation_between((w, i, j, k), past.rotation)
@@ -360,7 +341,7 @@ class Estimator:
         before, yaw = f.position, self.state.euler[2]
         f.shift((x - past.position[0], y - past.position[1], z - past.position[2]), (0.0, 0.0, 0.0), turn)
         # A turned frame turns the velocity with it: what flow measured was in the body frame.
-        f.velocity = _turned(turn, f.velocity)
+        f.velocity = turned_about_vertical(turn, f.velocity)
         f.restart_error(POSITION, 2.0 * config.pose_position_sigma_m)
         f.restart_error(ATTITUDE, 2.0 * config.pose_attitude_sigma_rad)
         if self._had_pose:
@@ -369,7 +350,7 @@ class Estimator:
             f.forget_history()
         self.counts["pose_jump"] += 1
         self._accept_pose(now_ns)
-        self._publish_attitude()
+        publish_attitude(self.state, self._filter)
         self._announce(before, float(self.state.euler[2] - yaw), "pose", now_ns, always=True)
 
     # -- shared -------------------------------------------------------------------------------------------------------
@@ -417,47 +398,3 @@ class Estimator:
     def _say(self, now_ns: int, text: str) -> None:
         if len(self._events) < 64:
             self._events.append((now_ns, text))
-
-    def _publish(self, reading: ImuReading) -> None:
-        """Copies the filter's state out."""
-        state, f = self.state, self._filter
-        state.time_ns = reading.time_ns
-        out = state.position
-        out[0], out[1], out[2] = f.position
-        out = state.velocity
-        out[0], out[1], out[2] = f.velocity
-        bx, by, bz = f.gyro_bias
-        gx, gy, gz = reading.gyroscope
-        out = state.rates
-        out[0], out[1], out[2] = gx - bx, gy - by, gz - bz
-        out = state.gyro_bias
-        out[0], out[1], out[2] = bx, by, bz
-        bx, by, bz = f.accelerometer_bias
-        ax, ay, az = reading.accelerometer
-        out = state.specific_force
-        out[0], out[1], out[2] = ax - bx, ay - by, az - bz
-        out = state.accelerometer_bias
-        out[0], out[1], out[2] = bx, by, bz
-        self._publish_attitude()
-        state.height_valid = reading.time_ns - self._last_height_ns < 2 * self._aid_fresh_ns
-        if self._turn == 0:
-            variances = f.P.diagonal()[:6].tolist()
-            state.position_sigma_m = math.sqrt(max(variances[0], variances[1], 0.0))
-            state.velocity_sigma_m_s = math.sqrt(max(variances[3], variances[4], variances[5], 0.0))
-
-    def _publish_attitude(self) -> None:
-        state, f = self.state, self._filter
-        q, r, out = state.quaternion, state.rotation, f.rotation
-        q[0], q[1], q[2], q[3] = f.quaternion
-        r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2] = out
-        euler = state.euler
-        euler[0] = math.atan2(out[7], out[8])
-        euler[1] = math.asin(min(1.0, max(-1.0, -out[6])))
-        euler[2] = math.atan2(out[3], out[0])
-        state.tilt_rad = math.acos(min(1.0, max(-1.0, out[8])))
-
-
-def _turned(turn: Vector, v: Vector) -> Vector:
-    """`v` rotated about the vertical by the vertical part of `turn`."""
-    c, s = math.cos(turn[2]), math.sin(turn[2])
-    return (c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])

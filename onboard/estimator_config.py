@@ -16,7 +16,7 @@ class EstimatorConfig(Record):
     gyro_sigma: float = Field(default=0.03, gt=0, description="rad/s per sample, in flight")
     gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
     accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")
-    gyro_delay_s: float = Field(default=0.0, ge=0, le=0.05, description="s; rates are this old when they are stamped")
+    gyro_delay_s: float = Field(default=0.005, ge=0, le=0.05, description="s; rates are this old at their time stamp")
 
     start_samples: int = Field(default=50, ge=10, le=2000, description="still IMU samples that find the attitude")
     start_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; a faster rotation is not stillness")
@@ -36,7 +36,7 @@ class EstimatorConfig(Record):
     pose_agree_m: float = Field(default=0.2, gt=0, description="m between successive refused poses that agree")
     jump_threshold_m: float = Field(default=0.05, gt=0, description="m; a larger correction is announced as a jump")
 
-    flow_rate_sigma_rad_s: float = Field(default=0.08, gt=0, description="rad/s, per axis, of the flow rate")
+    flow_rate_sigma_rad_s: float = Field(default=0.1, gt=0, description="rad/s, per axis, of the flow rate")
     flow_scale_sigma: float = Field(default=0.05, ge=0, description="1; relative error of the flow velocity")
     flow_quality_min: int = Field(default=30, ge=0, le=255, description="worse flow is ignored")
     flow_height_min_m: float = Field(default=0.12, gt=0, description="m; nearer to the floor there is no flow")
@@ -46,6 +46,7 @@ class EstimatorConfig(Record):
     range_floor_m: float = Field(default=0.44, gt=0, description="m; the ultrasonic sensor reads nothing below")
     range_margin_m: float = Field(default=0.04, ge=0, description="m above the floor reading at which readings count")
     range_max_m: float = Field(default=4.0, gt=0, description="m")
+    range_half_cone_rad: float = Field(default=0.35, ge=0, lt=1.5, description="rad; half the beam's opening")
     range_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
     pressure_sigma_pa: float = Field(default=4.0, gt=0, description="Pa, of a mean of some samples, drift included")

@@ -41,6 +41,7 @@ QUEUE_MAX: Final = 32
 REPEAT_NS: Final = 5 * 10**9
 NAME_BYTES: Final = 10
 PARAMETER: Final = b"SYS_ID"
+FLOAT32_MAX: Final = 3.4e38
 
 _FTP_NACK: Final = 129
 _FTP_UNKNOWN_COMMAND: Final = 7
@@ -242,7 +243,7 @@ class GroundLink:
             fields = (boot_ms, self.values[name], name.encode("ascii", "replace")[:NAME_BYTES])
         else:
             return []
-        if any(isinstance(value, float) and not math.isfinite(value) for value in fields):
+        if any(isinstance(value, float) and not abs(value) <= FLOAT32_MAX for value in fields):
             self.rejected["not_finite_telemetry"] += 1
             return []
         return [self._writer.write(kind, fields, now_ns)]

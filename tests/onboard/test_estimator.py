@@ -38,8 +38,15 @@ class Truth:
         self.rotation = self._rotation(self.time_ns * 1e-9)
         before, after = self._rotation(self.time_ns * 1e-9 - dt), self._rotation(self.time_ns * 1e-9 + dt)
         self.rates = (before.inv() * after).as_rotvec() / (2 * dt)
-        self.force = self.rotation.inv().apply((at[3] - 2 * at[2] + at[1]) / dt**2 - GRAVITY)
+        self.force = self._mean_force()
         self.airborne = self.time_ns * 1e-9 > self.take_off_s
+
+    def _mean_force(self):
+        """Specific force in the body frame, the mean over the step that ends at each sample."""
+        dt = 1e-3
+        middle = self.time_ns * 1e-9 - 0.5 / RATE
+        acceleration = self._position(middle + dt) - 2 * self._position(middle) + self._position(middle - dt)
+        return self._rotation(middle).inv().apply(acceleration / dt**2 - GRAVITY)
 
     def _position(self, t):
         s = np.clip((t - self.take_off_s) / 2.0, 0.0, 1.0)
@@ -67,6 +74,7 @@ class Truth:
 class Noise:
     accelerometer: float = 0.3
     gyro: float = 0.02
+    gyro_delay_samples: int = 1
     accelerometer_bias: tuple[float, float, float] = (0.09, -0.06, 0.34)
     gyro_bias: tuple[float, float, float] = (0.05, -0.03, 0.02)
     flow_rate: float = 0.06
@@ -98,7 +106,8 @@ class Flight:
         bias_a = np.array(noise.accelerometer_bias) * rng.choice([-1.0, 1.0], 3)
         bias_g = np.array(noise.gyro_bias) * rng.choice([-1.0, 1.0], 3)
         accelerometer = (truth.force + bias_a + noise.accelerometer * rng.standard_normal((n, 3))).tolist()
-        gyroscope = (truth.rates + bias_g + noise.gyro * rng.standard_normal((n, 3))).tolist()
+        rates = np.roll(truth.rates, noise.gyro_delay_samples, axis=0)
+        gyroscope = (rates + bias_g + noise.gyro * rng.standard_normal((n, 3))).tolist()
         pressure = (101325.0 + 11.8 * truth.position[:, 2] + noise.pressure_pa * rng.standard_normal(n)).tolist()
         queue = []
         errors, covariances, sigmas = [], [], []
