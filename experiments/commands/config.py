@@ -1,0 +1,32 @@
+"""`dmrac config`: the resolved configuration of a scenario, for processes that are started one by one."""
+
+import argparse
+from pathlib import Path
+
+from experiments.scenario import DEFAULT_SCENARIO, Choices, resolve
+
+EXAMPLES = """examples:
+  dmrac config figure8_wind > flight.yaml
+  dmrac sim --config flight.yaml & dmrac offboard --config flight.yaml & dmrac onboard --config flight.yaml
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `dmrac config`."""
+    parser.add_argument("scenario", nargs="?", default=DEFAULT_SCENARIO, help="name in configs/scenarios, or a file")
+    parser.add_argument("--controller", help="name in configs/controllers, or a file")
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--duration", type=float, metavar="S")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Writes the configuration; returns 0."""
+    choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments)
+    text = resolve(arguments.scenario, choices).to_yaml()
+    if arguments.out is None:
+        print(text, end="")
+    else:
+        arguments.out.write_text(text, encoding="utf-8")
+    return 0

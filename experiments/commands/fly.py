@@ -1,0 +1,141 @@
+"""`dmrac fly`: a whole flight, in real time over UDP or in lockstep, with its record and flight card."""
+
+import argparse
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from configs.loader import ConfigError
+from experiments.flight_card import build_summary, print_card, write_summary
+from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
+from experiments.trace import FlightTrace
+
+EXAMPLES = """examples:
+  dmrac fly                                   the default scenario, figure8_wind, in real time
+  dmrac fly rotor_chip --controller pid       the same fault with another controller
+  dmrac fly figure8_wind --lockstep --seed 7  in virtual time: repeatable, several times faster
+  dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `dmrac fly`."""
+    parser.add_argument("scenario", nargs="?", default=DEFAULT_SCENARIO, help="name in configs/scenarios, or a file")
+    parser.add_argument("--controller", help="name in configs/controllers, or a file")
+    parser.add_argument("--seed", type=int, help="of everything random (default: the scenario's)")
+    parser.add_argument("--duration", type=float, metavar="S", help="s, the whole flight (default: the scenario's)")
+    parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
+    parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="overrule a value by path"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Flies; returns 0 (vehicle alive), 1 (vehicle lost) or 2 (nothing was started)."""
+    choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments)
+    config = resolve(arguments.scenario, choices)
+    if arguments.no_offboard and not arguments.lockstep:
+        raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
+    folder = make_folder(arguments.out, config.scenario)
+    (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
+    console = Console()
+    if arguments.lockstep:
+        summary, trace = fly_in_lockstep(config, folder, not arguments.no_offboard)
+    else:
+        summary, trace = fly_in_real_time(config, folder, console)
+    write_summary(folder, summary)
+    if trace is not None:
+        from experiments.flight_figure import draw_flight
+
+        title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
+        draw_flight(trace, title, folder / "flight.png")
+    print_card(summary, folder, console)
+    return 0 if summary["survived"] else 1
+
+
+def make_folder(out: Path | None, scenario: str) -> Path:
+    """A new folder for the record: `out`, or flights/<time>_<scenario>.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be made, or holds another flight already.
+    """
+    folder = out or Path("flights") / f"{time.strftime('%Y-%m-%d_%H%M%S')}_{scenario}"
+    number = 1
+    while out is None and folder.exists():
+        number += 1
+        folder = folder.with_name(f"{time.strftime('%Y-%m-%d_%H%M%S')}_{scenario}_{number}")
+    if (folder / "summary.json").exists():
+        raise ConfigError(f"--out {folder}: holds a flight already; choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {folder}: cannot be made: {error.strerror}") from None
+    return folder
+
+
+def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> tuple[dict[str, Any], FlightTrace]:
+    """One flight in virtual time, logged like a real one."""
+    from experiments.lockstep_flight import fly_lockstep
+    from experiments.lockstep_log import LockstepLog
+
+    with LockstepLog(folder, config) as log:
+        outcome = fly_lockstep(config, (log,), with_offboard)
+        for when_ns, process, text in outcome.events:
+            log.event(process, when_ns, text)
+    rejected = Counter(outcome.onboard["rejected"])
+    rejected.update((outcome.offboard or {}).get("rejected", {}))
+    onboard = outcome.onboard
+    summary = build_summary(
+        config, "lockstep", outcome.trace, outcome.crash_reason, onboard, outcome.radio, dict(rejected)
+    )
+    summary["trace_sha256"] = outcome.trace_sha256
+    return summary, outcome.trace
+
+
+def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tuple[dict[str, Any], FlightTrace | None]:
+    """One flight in three processes over UDP."""
+    from experiments.live_status import LiveStatus
+    from experiments.metrics import lost_target
+    from experiments.realtime_flight import run as fly_processes
+
+    with LiveStatus(console) as status:
+        result = fly_processes(config.network, folder / "config.yaml", config.duration_s, folder, status)
+    trace = read_trace(folder)
+    onboard = result.onboard or {}
+    sim = result.sim or {}
+    crash = sim.get("crash_reason", "the simulated vehicle left no summary")
+    crash = crash or (lost_target(trace) if trace is not None else "no log of the flight")
+    if result.onboard is None:
+        crash = crash or "onboard ended in flight"
+    rejected = Counter(onboard.get("rejected", {}))
+    rejected.update((result.offboard or {}).get("rejected", {}))
+    radio = {
+        direction: {name: counts[name] for name in ("sent", "delivered", "lost")}
+        for direction, counts in sim.get("link", {}).items()
+    }
+    summary = build_summary(config, "realtime", trace, crash, onboard, radio, dict(rejected))
+    summary["interrupted"] = result.interrupted
+    summary["notes"] = result.notes
+    return summary, trace
+
+
+def read_trace(folder: Path) -> FlightTrace | None:
+    """The trace of a recorded flight; None if a log is missing or empty."""
+    from experiments.trace import align
+    from flight_record.reader import FlightError, open_flight
+
+    try:
+        flight = open_flight(folder)
+    except FlightError:
+        return None
+    tick, truth = flight.get("onboard/tick"), flight.get("sim_vehicle/truth")
+    if tick is None or truth is None or len(tick) == 0 or len(truth) == 0:
+        return None
+    return align(tick.time_ns, tick.values, truth.time_ns, truth.values)

@@ -1,0 +1,70 @@
+"""Parts of a self-contained HTML page: no script, nothing fetched, readable on paper."""
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+
+STYLE = """
+:root { color-scheme: light dark; }
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
+table { border-collapse: collapse; margin: .5rem 0; } th, td { text-align: left; padding: .15rem .9rem .15rem 0; }
+td.number { text-align: right; font-variant-numeric: tabular-nums; } tr { border-bottom: 1px solid #8884; }
+pre, code { font: 13px/1.4 ui-monospace, monospace; } pre { overflow-x: auto; padding: .6rem; background: #8882; }
+img { max-width: 100%; background: white; } .good { color: #1a7f37; } .bad { color: #cf222e; font-weight: 600; }
+.best { font-weight: 700; } .scroll { overflow-x: auto; } .quiet { opacity: .7; }
+"""
+
+
+def page(title: str, parts: Iterable[str]) -> str:
+    """A whole page."""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n<body>\n<h1>{escape(title)}</h1>\n"
+        + "\n".join(part for part in parts if part)
+        + "\n</body></html>\n"
+    )
+
+
+def section(title: str, *parts: str) -> str:
+    """A headed section; nothing when all parts are empty."""
+    body = "\n".join(part for part in parts if part)
+    return f"<h2>{escape(title)}</h2>\n{body}" if body else ""
+
+
+def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """A table of plain texts; cells that read as numbers stand to the right. Nothing when there are no rows."""
+    if not rows:
+        return ""
+    top = "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>" if head else ""
+    return f'<div class="scroll"><table>{top}{"".join(map(_row, rows))}</table></div>'
+
+
+def folded(title: str, text: str) -> str:
+    """Text that opens on a click."""
+    return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>" if text else ""
+
+
+def code(text: str) -> str:
+    """Something to be typed."""
+    return f"<pre>{escape(text)}</pre>"
+
+
+def image(png: bytes, name: str) -> str:
+    """A PNG inside the page."""
+    return f'<img alt="{escape(name)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+
+
+def paragraph(text: str, style: str = "") -> str:
+    """A paragraph; `style` is a class of STYLE."""
+    return f'<p class="{style}">{escape(text)}</p>' if text else ""
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "<tr>" + "".join(_cell(cell) for cell in cells) + "</tr>"
+
+
+def _cell(text: str) -> str:
+    number = text.strip().lstrip("+-").replace(".", "", 1).replace("e-", "", 1).isdigit()
+    return f'<td class="number">{escape(text)}</td>' if number else f"<td>{escape(text)}</td>"
