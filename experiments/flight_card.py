@@ -1,4 +1,4 @@
-"""The flight card: summary.json, the table on the terminal and the figure, from a trace and the processes' summaries."""
+"""The flight card: summary.json and the table on the terminal, from a trace and the processes' summaries."""
 
 import json
 import math
@@ -52,6 +52,9 @@ def build_summary(
     }
     if trace is not None:
         summary["live_bound_median"] = _bounds(trace)
+        age = trace.tick["feature_age"][trace.on_path & (trace.tick["feature_age"] >= 0.0)]
+        median = _number(float(np.median(age))) if age.size else None
+        summary["features"] = {**summary["features"], "age_s_median": median}
     return summary
 
 

@@ -42,7 +42,8 @@ def draw_flight(trace: FlightTrace, title: str, path: Path) -> None:
 
 def _swap_times(trace: FlightTrace) -> Array:
     version = trace.tick["feature_version"]
-    return trace.time_s[1:][np.diff(version) != 0]
+    times: Array = trace.time_s[1:][np.diff(version) != 0]
+    return times
 
 
 def _mark_swaps(panel: Any, trace: FlightTrace) -> None:
@@ -83,12 +84,13 @@ def _roll_pitch(q: Array) -> Array:
     w, x, y, z = q.T
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    return np.degrees(np.stack([roll, pitch], axis=1))
+    degrees: Array = np.degrees(np.stack([roll, pitch], axis=1))
+    return degrees
 
 
 def _draw_adaptive(panel: Any, trace: FlightTrace, channel: int, label: str) -> None:
     name, axes = (("position", "ned"), ("attitude", "xyz"))[channel]
-    adaptive = trace.tick.vector(f"{name}_adaptive", axes)
+    adaptive = trace.tick.vector(f"{name}_adaptive_now", axes)
     true = _smoothed(trace.true_delta[:, 3 * channel : 3 * channel + 3], 20)
     airborne = (trace.truth["airborne"] > 0.5) & (trace.truth["position_d"] < -0.15)
     true[~airborne] = np.nan
@@ -160,15 +162,24 @@ def _draw_heights(panel: Any, trace: FlightTrace) -> None:
     panel.grid(alpha=0.3)
 
 
+def _worst_per_window(time_s: Array, values: Array, window_s: float) -> tuple[Array, Array]:
+    """Largest value in each window; NaN where there is none (values below 0 mean never)."""
+    window = (time_s / window_s).astype(np.int64)
+    worst = np.full(int(window[-1]) + 1, -1.0)
+    np.maximum.at(worst, window, values)
+    worst[worst < 0.0] = np.nan
+    return (np.arange(worst.size) + 0.5) * window_s, worst
+
+
 def _draw_link(panel: Any, trace: FlightTrace) -> None:
     age = np.where(trace.tick["feature_age"] < 0.0, np.nan, trace.tick["feature_age"])
     panel.plot(trace.time_s, age, color=COLOURS[0], linewidth=1.0)
     panel.set_ylabel("age of features [s]", color=COLOURS[0])
     panel.set_ylim(bottom=0.0)
     other = panel.twinx()
-    pose_age = np.where(trace.tick["pose_age"] < 0.0, np.nan, trace.tick["pose_age"])
-    other.semilogy(trace.time_s, np.clip(pose_age, 1e-3, None), color=COLOURS[1], linewidth=0.6)
-    other.set_ylabel("age of pose [s]", color=COLOURS[1])
+    seconds, worst = _worst_per_window(trace.time_s, trace.tick["pose_age"], 0.25)
+    other.semilogy(seconds, np.clip(worst, 1e-3, None), color=COLOURS[1], linewidth=0.8, linestyle="--")
+    other.set_ylabel("age of pose [s], dashed", color=COLOURS[1])
     panel.set_xlim(0.0, trace.time_s[-1])
     panel.set_xlabel("time [s]")
     panel.grid(alpha=0.3)

@@ -94,7 +94,7 @@ def fly_lockstep(
         if crash:
             events.append((result.now_ns, "sim_vehicle", f"vehicle lost: {crash}"))
             break
-    time_s = np.arange(flown) * period_s
+    time_s: Array = np.arange(flown, dtype=np.float64) * period_s
     trace = FlightTrace(time_s, Columns(TICK, ticks[:flown]), Columns(TRUTH, truths[:flown]))
     return LockstepOutcome(
         trace,

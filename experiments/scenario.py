@@ -17,6 +17,7 @@ from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, merge, r
 from configs.network import NetworkConfig
 from offboard.config import OffboardConfig
 from onboard.config import OnboardConfig
+from onboard.controllers.interface import Learner
 from sim_vehicle.config import SimVehicleConfig, read_vehicle_tree
 from sim_vehicle.radio import RadioConfig
 
@@ -106,10 +107,17 @@ def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) ->
         tree = set_path(tree, assignment)
     source = str(path) + ("".join(f" --set {item}" for item in choices.assignments))
     flight = fill(FlightConfig, tree, source)
-    flight.onboard.controller.build(
+    controller = flight.onboard.controller.build(
         flight.onboard.airframe, flight.seed, str(named_file("controllers", flight.controller))
     )
-    return flight
+    learns = isinstance(controller, Learner) and controller.accepts_features
+    return flight if learns else _without_training(flight)
+
+
+def _without_training(flight: FlightConfig) -> FlightConfig:
+    """The same flight with an offboard side that relays the pose and learns nothing: no one would use it."""
+    experience = flight.offboard.experience.model_copy(update={"mode": "frozen"})
+    return flight.model_copy(update={"offboard": flight.offboard.model_copy(update={"experience": experience})})
 
 
 def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a flight left behind, as columns on one time base: onboard ticks and the vehicle's truth at the same instants."""
+"""What a flight left behind, on one time base: onboard ticks and the vehicle's truth at the same instants."""
 
 from dataclasses import dataclass
 
@@ -62,7 +62,8 @@ class FlightTrace:
         dot = np.abs(
             (self.truth.vector("quaternion", "wxyz") * self.tick.vector("commanded_quaternion", "wxyz")).sum(1)
         )
-        return 2.0 * np.arccos(np.clip(dot, 0.0, 1.0))
+        angle: Array = 2.0 * np.arccos(np.clip(dot, 0.0, 1.0))
+        return angle
 
     @property
     def true_delta(self) -> Array:

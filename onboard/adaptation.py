@@ -17,6 +17,7 @@ The composite and the leak terms are integrated implicitly, so they are stable f
 the ball norm(W) <= W_max by the smooth projection operator, and by a discrete safeguard at W_max sqrt(1 + eps).
 """
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -156,4 +157,4 @@ class LastLayer:
     @property
     def weight_norm(self) -> float:
         """Frobenius norm of W, units of u."""
-        return float(np.vdot(self.W, self.W)) ** 0.5
+        return math.sqrt(float(np.vdot(self.W, self.W)))

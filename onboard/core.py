@@ -20,7 +20,8 @@ from onboard.guidance import Guidance
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
 from onboard.signal_vector import SignalVector
-from onboard.supervisor import AIRBORNE, SPINNING, Command, FlightMode, Supervisor, SupervisorInputs
+from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
+from onboard.supervisor import Supervisor, SupervisorInputs
 from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink
 from protocol.endpoint import Endpoint

@@ -44,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = make_folder(arguments.out, config.scenario)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     console = Console()
+    trace: FlightTrace | None
     if arguments.lockstep:
         summary, trace = fly_in_lockstep(config, folder, not arguments.no_offboard)
     else:

@@ -130,6 +130,11 @@ class CascadedController:
         for augmentation in self._augmentations:
             augmentation.reset()
 
+    @property
+    def accepts_features(self) -> bool:
+        """Whether a channel has network features."""
+        return any(isinstance(one, AdaptiveAugmentation) and one.learns for one in self._augmentations)
+
     def offer_features(self, features: FeatureSet) -> str:
         """Swaps both channels in one tick, or refuses."""
         plans = []

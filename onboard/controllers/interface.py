@@ -37,6 +37,10 @@ class Controller(Protocol):
 class Learner(Protocol):
     """What a controller adds to take features that were trained off board."""
 
+    @property
+    def accepts_features(self) -> bool:
+        """Whether it can use them as it is set; if not, offboard only relays the pose."""
+
     def offer_features(self, features: FeatureSet) -> str:
         """Swaps to the new features, all channels or none; returns "" or why not (protocol.messages.REFUSALS)."""
 

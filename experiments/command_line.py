@@ -1,0 +1,90 @@
+"""The `dmrac` command: one subcommand a module, imported only when it is called, so that onboard starts quickly."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Final, NamedTuple
+
+# numpy's and torch's own threads would compete with the 200 Hz loop; set before either is imported.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+EXIT_USAGE: Final = 2
+
+
+class Subcommand(NamedTuple):
+    """Where a subcommand lives, and what it is for."""
+
+    module: str
+    help: str
+
+
+SUBCOMMANDS: Final[dict[str, Subcommand]] = {
+    "fly": Subcommand("experiments.commands.fly", "fly a scenario: vehicle, onboard and offboard together"),
+    "onboard": Subcommand("onboard.process", "the 200 Hz flight process alone"),
+    "offboard": Subcommand("offboard.process", "the training process alone"),
+    "sim": Subcommand("sim_vehicle.process", "the simulated vehicle and its radio alone"),
+    "replay": Subcommand("experiments.commands.replay", "re-fly a recorded flight with exactly the fates its link had"),
+    "config": Subcommand("experiments.commands.config", "write the resolved configuration of a scenario"),
+    "bench": Subcommand("experiments.bench", "time the onboard step, the loop's pace and lockstep"),
+    "keygen": Subcommand("experiments.commands.keygen", "make a key that protects the onboard/offboard link"),
+    "tune": Subcommand("experiments.commands.tune", "search a controller's gains on training seeds"),
+    "campaign": Subcommand("experiments.commands.campaign", "fly scenario x controllers x sweeps x seeds"),
+    "figures": Subcommand("experiments.commands.figures", "tables and figures of a campaign"),
+    "reproduce": Subcommand("experiments.commands.reproduce", "fly every campaign and rebuild docs/results.md"),
+    "log": Subcommand("experiments.commands.log", "look into, check, merge and export flight logs"),
+    "view": Subcommand("experiments.commands.view", "open a flight in the 3-D viewer"),
+    "report": Subcommand("experiments.commands.report", "one self-contained page about a flight"),
+    "compare": Subcommand("experiments.commands.compare", "overlay flights"),
+    "preflight": Subcommand("experiments.commands.preflight", "check a vehicle's link before it may fly"),
+}
+
+
+def build_parser(name: str | None) -> argparse.ArgumentParser:
+    """The parser; only the subcommand that is called is imported and gets its options."""
+    parser = argparse.ArgumentParser(
+        prog="dmrac",
+        description="A small quadrotor that learns in flight.",
+        epilog="examples:\n  dmrac fly\n  dmrac fly rotor_chip --controller pid --lockstep\n  dmrac fly --help",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    subparsers = parser.add_subparsers(dest="subcommand", metavar="SUBCOMMAND", required=True)
+    for key, subcommand in SUBCOMMANDS.items():
+        if key != name:
+            subparsers.add_parser(key, help=subcommand.help)
+            continue
+        module = import_module(subcommand.module)
+        own = subparsers.add_parser(
+            key,
+            help=subcommand.help,
+            description=subcommand.help,
+            epilog=getattr(module, "EXAMPLES", None),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(own)
+        own.set_defaults(run=module.run)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; the exit status is 0 for success, 1 for a lost vehicle or failed check, 2 for bad usage or config."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    name = next((word for word in arguments if not word.startswith("-")), None)
+    parsed = build_parser(name).parse_args(arguments)
+    from configs.loader import ConfigError
+    from shell.sockets import AddressInUseError
+
+    try:
+        status: int = parsed.run(parsed)
+    except (ConfigError, AddressInUseError) as error:
+        print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except KeyboardInterrupt:
+        return 130
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
