@@ -122,6 +122,12 @@ def lockstep_speed(config: FlightConfig, with_offboard: bool) -> float:
     return float(outcome.trace.time_s[-1]) / (time.perf_counter() - start)
 
 
+EXAMPLES: Final = """examples:
+  dmrac bench
+  dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
+"""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac bench`."""
     parser.add_argument("scenario", nargs="?", default=DEFAULT_SCENARIO, help="scenario to fly (default: %(default)s)")
@@ -204,12 +210,17 @@ def measure_step(
 
 def step_table(steps: dict[str, dict[str, Quantiles]], period_ns: int) -> Table:
     """Block by block, with its share of the period."""
-    table = Table(title=f"onboard step, us of {period_ns / 1000:.0f}", box=None, pad_edge=False, title_justify="left")
-    table.add_column("block")
+    table = Table(
+        title=f"onboard step, us of {period_ns / 1000:.0f}; share of paced p99",
+        box=None,
+        pad_edge=False,
+        title_justify="left",
+    )
+    table.add_column("block", no_wrap=True)
     for way in ("paced", "hot"):
         for quantile in ("p50", "p99", "max"):
             table.add_column(f"{way} {quantile}", justify="right")
-    table.add_column("paced p99 of period", justify="right")
+    table.add_column("share", justify="right")
     for name, ways in steps.items():
         numbers = [f"{value:.0f}" for way in ("paced", "hot") for value in ways[way]]
         table.add_row(name, *numbers, f"{100_000 * ways['paced'][1] / period_ns:.1f} %")

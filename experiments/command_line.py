@@ -74,11 +74,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = next((word for word in arguments if not word.startswith("-")), None)
     parsed = build_parser(name).parse_args(arguments)
     from configs.loader import ConfigError
-    from shell.sockets import AddressInUseError
+    from shell.errors import StartError
 
     try:
         status: int = parsed.run(parsed)
-    except (ConfigError, AddressInUseError) as error:
+    except (ConfigError, StartError) as error:
         print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
         return EXIT_USAGE
     except KeyboardInterrupt:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from configs.network import NetworkConfig
+from shell.errors import StartError
 from shell.signals import StopRequest, die_with_parent
 from shell.sockets import require_free
 
@@ -32,8 +33,8 @@ LINE_MAX_BYTES: Final = 65_536
 OnStatus = Callable[[dict[str, Any]], None]
 
 
-class FlightError(Exception):
-    """A flight that could not be started. The message says which process failed and what it said."""
+class FlightStartError(StartError):
+    """A process of the flight did not start. The message says which, and what it said."""
 
 
 @dataclass(slots=True)
@@ -56,7 +57,8 @@ class Child:
     def __init__(self, name: str, config_path: Path, out: Path) -> None:
         self.name = name
         self.ready = False
-        self.command = [sys.executable, "-m", MODULES[name], "--config", str(config_path), "--out", str(out)]
+        self.command = [sys.executable, "-m", MODULES[name], "--config", str(config_path.resolve())]
+        self.command += ["--out", str(out.resolve())]
         self._errors = out / f"{name}_errors.txt"
         self._rest = b""
         with self._errors.open("ab") as errors:
@@ -67,7 +69,6 @@ class Child:
                 stderr=errors,
                 start_new_session=True,
                 preexec_fn=die_with_parent(),
-                cwd=Path(__file__).resolve().parents[1],
             )
         assert self.process.stdout is not None
         self.pipe = self.process.stdout
@@ -142,7 +143,7 @@ class Supervisor:
         self.result = RealtimeResult()
 
     def fly(self) -> None:
-        """The whole flight. Raises FlightError if a process does not start; ends every process in any case."""
+        """The whole flight. Raises FlightStartError if a process does not start; ends every process in any case."""
         try:
             self._start("sim")
             self._start("offboard")
@@ -167,9 +168,11 @@ class Supervisor:
             for name in names:
                 child = self._children[name]
                 if not child.running:
-                    raise FlightError(f"{name} ended at its start (status {child.process.returncode}): {child.said()}")
+                    raise FlightStartError(
+                        f"{name} ended at its start (status {child.process.returncode}): {child.said()}"
+                    )
             if time.monotonic() > limit:
-                raise FlightError(f"{' or '.join(names)} not ready within {READY_LIMIT_S:.0f} s")
+                raise FlightStartError(f"{' or '.join(names)} not ready within {READY_LIMIT_S:.0f} s")
         return True
 
     def _watch(self) -> None:
@@ -215,6 +218,7 @@ class Supervisor:
         for name in ("sim", "onboard", "offboard"):
             if name in self._children:
                 self._children[name].end(END_LIMIT_S)
+        self._relay()
         for name, child in self._children.items():
             child.kill()
             self.result.exit_status[name] = child.process.returncode
@@ -238,7 +242,7 @@ def run(
     ------
     AddressInUseError
         If an address is taken; nothing has been started then.
-    FlightError
+    FlightStartError
         If a process did not start; all have been ended then.
     """
     require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())

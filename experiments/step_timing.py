@@ -14,15 +14,15 @@ from onboard.realtime import PaceKeeper
 
 STEP: Final = "whole tick"
 BLOCKS: Final = (
-    ("MAVLink in, estimator", "take_in_vehicle"),
+    ("MAVLink, estimator", "take_in_vehicle"),
     ("msgpack in, pose", "take_in_offboard"),
     ("supervisor", "_supervise"),
     ("guidance", "_guide"),
     ("inputs", "_sense"),
     ("feature swap", "_swap_features"),
     ("controller", "_control"),
-    ("mixer, MAVLink out", "_mix"),
-    ("samples, msgpack out", "_sample"),
+    ("mixer, motors out", "_mix"),
+    ("samples out", "_sample"),
     ("status, ground", "_report"),
     ("tick record", "_record"),
 )

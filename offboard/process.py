@@ -179,6 +179,14 @@ class OffboardProcess:
         }
 
 
+EXAMPLES: Final = """examples:
+  dmrac offboard --config flight.yaml --out flight
+  dmrac offboard --config flight.yaml --out flight --resume flight/checkpoint.npz
+  dmrac offboard --config flight.yaml --onboard 10.0.0.2:14571 --bind-link 10.0.0.7:14573 \\
+      --bind-motion-capture 10.0.0.7:14574 --key-file flight.key
+"""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m offboard` and `dmrac offboard`."""
     parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")

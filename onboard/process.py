@@ -187,6 +187,14 @@ class OnboardProcess:
         }
 
 
+EXAMPLES: Final = """examples:
+  dmrac config figure8_wind > flight.yaml
+  dmrac onboard --config flight.yaml --out flight
+  dmrac onboard --config flight.yaml --vehicle 192.168.3.1:14560 --bind-vehicle 192.168.3.2:14561 \\
+      --offboard 10.0.0.7:14573 --bind-link 10.0.0.2:14571 --key-file flight.key
+"""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m onboard` and `dmrac onboard`."""
     parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
@@ -218,9 +226,9 @@ def run(arguments: argparse.Namespace) -> int:
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", attachments=attachments)
     try:
         status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
-        process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
         quiet_interpreter()
         status.say("ready")
+        process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
         result = process.fly()
     finally:
         log.close()

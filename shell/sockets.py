@@ -4,12 +4,14 @@ import errno
 import socket
 from typing import Final
 
+from shell.errors import StartError
+
 DATAGRAM_MAX_BYTES: Final = 2048
 """Anything longer is cut here; no message of ours is longer than 1200 bytes, so a cut one is refused by its core."""
 RECEIVE_BUFFER_BYTES: Final = 1 << 18
 
 
-class AddressInUseError(Exception):
+class AddressInUseError(StartError):
     """A local address cannot be bound. The message names it and says what to do."""
 
 

@@ -215,6 +215,12 @@ class SimProcess:
         }
 
 
+EXAMPLES: Final = """examples:
+  dmrac sim --config flight.yaml --out flight
+  dmrac sim --config flight.yaml --bind-vehicle 192.168.3.1:14560 --onboard 192.168.3.2:14561
+"""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m sim_vehicle` and `dmrac sim`."""
     parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")

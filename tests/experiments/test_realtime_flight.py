@@ -12,7 +12,7 @@ import pytest
 from configs.loader import CONFIG_DIRECTORY, load
 from configs.network import NetworkConfig
 from experiments import realtime_flight
-from experiments.realtime_flight import Child, FlightError, RealtimeResult, run
+from experiments.realtime_flight import Child, FlightStartError, RealtimeResult, run
 from shell.sockets import AddressInUseError, DatagramSocket
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,7 +95,9 @@ def test_goes_on_when_offboard_is_killed(stand_ins, tmp_path: Path) -> None:
 
 def test_a_process_that_cannot_start_ends_the_others_and_is_quoted(stand_ins, tmp_path: Path) -> None:
     stand_ins(offboard="print('offboard.labels: unknown key', file=sys.stderr); sys.exit(2)")
-    with pytest.raises(FlightError, match=r"offboard ended at its start \(status 2\): offboard.labels: unknown key"):
+    with pytest.raises(
+        FlightStartError, match=r"offboard ended at its start \(status 2\): offboard.labels: unknown key"
+    ):
         fly(tmp_path)
 
 
