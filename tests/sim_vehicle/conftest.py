@@ -1,0 +1,95 @@
+"""Vehicles for the tests, and a bench that drives the compiled step directly."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+import sim_vehicle.layout as at
+from configs.loader import merge
+from sim_vehicle.advance import WORK_ROWS, advance
+from sim_vehicle.config import SimVehicleConfig, load_vehicle
+from sim_vehicle.packing import pack_parameters
+from sim_vehicle.records import Array
+from sim_vehicle.vehicle import SimVehicle, initial_state
+
+IDEAL: dict[str, Any] = {
+    "battery": {"full_v": 3.7, "empty_v": 3.7, "resistance_ohm": 0.0, "polarisation_ohm": 0.0},
+    "drag": {"linear_n_s_m": 0.0, "quadratic_n_s2_m2": 0.0},
+    "floor": {"ground_effect": 0.0},
+    "initial": {"position_ned_m": [0.0, 0.0, -3.0]},
+    "box_m": 1000.0,
+}
+"""No air, a battery that never sags, high above the floor."""
+
+
+@dataclass
+class Bench:
+    """One vehicle's arrays, without world and sensors."""
+
+    config: SimVehicleConfig
+    step_s: float = 0.001
+    state: Array = field(init=False)
+    P: Array = field(init=False)
+    sums: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.state = initial_state(self.config)
+        self.P = pack_parameters(self.config, self.step_s)
+        self.sums = np.zeros(at.SUMS_SIZE)
+
+    def run(self, commands: Any, seconds: float, function: Callable[..., None] = advance) -> None:
+        count = round(seconds / self.step_s)
+        rows, row_state, noise = np.zeros((0, at.ROW_SIZE)), np.zeros((0, at.ROW_STATE_SIZE)), np.zeros((count, 0, 3))
+        work, fractions = np.zeros((WORK_ROWS, at.RIGID)), np.array(commands, dtype=np.float64)
+        function(self.state, fractions, self.P, rows, row_state, noise, self.sums, work, 0.0, count)
+
+
+@pytest.fixture
+def bench() -> Callable[..., Bench]:
+    def make(over: dict[str, Any] | None = None, name: str = "mambo", step_s: float = 0.001) -> Bench:
+        return Bench(load_vehicle(name, merge(IDEAL, over or {})), step_s)
+
+    return make
+
+
+@pytest.fixture
+def vehicle() -> Callable[..., SimVehicle]:
+    def make(over: dict[str, Any] | None = None, seed: int = 1, name: str = "mambo") -> SimVehicle:
+        return SimVehicle(load_vehicle(name, over), seed)
+
+    return make
+
+
+@pytest.fixture
+def motors() -> Callable[..., bytes]:
+    """A HIL_ACTUATOR_CONTROLS frame, by pymavlink."""
+
+    def make(fractions: Any, armed: bool = True, time_us: int = 0) -> bytes:
+        controls = [*(float(x) for x in fractions), *([0.0] * (16 - len(fractions)))]
+        mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+        frame: bytes = mavlink.MAVLink_hil_actuator_controls_message(time_us, controls, mode, 0).pack(
+            mavlink.MAVLink(None, 1, 1)
+        )
+        return frame
+
+    return make
+
+
+@pytest.fixture
+def frames() -> Callable[..., list[Any]]:
+    """Every message in some datagrams, decoded by pymavlink's stream parser; a datagram that is none fails the test."""
+
+    def decode(datagrams: list[bytes], kind: str = "") -> list[Any]:
+        messages = []
+        for datagram in datagrams:
+            found = mavlink.MAVLink(None).parse_buffer(datagram)
+            assert found is not None
+            assert len(found) == 1
+            messages += found
+        return [message for message in messages if not kind or message.get_type() == kind]
+
+    return decode
