@@ -144,21 +144,32 @@ def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If the assignment has no `=`, or its path runs through something that is not a mapping.
+        If the assignment has no `=`, or its path runs through something that is neither a mapping nor a list.
     """
     path, equals, text = assignment.partition("=")
     if not equals or not path.strip():
         raise ConfigError(f"--set {assignment}: expected path.to.key=value")
-    over: Any = parse_yaml(text, f"--set {assignment}")
-    node: Any = tree
-    keys = path.strip().split(".")
-    for depth, key in enumerate(keys):
-        if not isinstance(node, Mapping | None):
-            raise ConfigError(f"--set {assignment}: {'.'.join(keys[:depth])} holds no keys")
-        node = None if node is None else node.get(key)
-    for key in reversed(keys):
-        over = {key: over}
-    return merge(tree, over)
+    value = parse_yaml(text, f"--set {assignment}")
+    changed: dict[str, Any] = _with_value(tree, path.strip().split("."), 0, value, assignment)
+    return changed
+
+
+def _with_value(node: Any, keys: list[str], depth: int, value: Any, assignment: str) -> Any:
+    """`node` with `value` at keys[depth:]; a number in the path counts the items of a list from 0."""
+    if depth == len(keys):
+        return merge(node, value) if isinstance(value, Mapping) and isinstance(node, Mapping) else value
+    key = keys[depth]
+    if isinstance(node, list | tuple):
+        if not key.isdigit() or int(key) >= len(node):
+            at = ".".join(keys[:depth])
+            raise ConfigError(f"--set {assignment}: {at} is a list of {len(node)}; count its items from 0")
+        items = list(node)
+        items[int(key)] = _with_value(node[int(key)], keys, depth + 1, value, assignment)
+        return items
+    if not isinstance(node, Mapping | None):
+        raise ConfigError(f"--set {assignment}: {'.'.join(keys[:depth])} holds no keys")
+    below = None if node is None else node.get(key)
+    return {**(node or {}), key: _with_value(below, keys, depth + 1, value, assignment)}
 
 
 def _lists_as_tuples(value: Any) -> Any:
