@@ -2,6 +2,7 @@
 
 import time
 from collections import deque
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -11,14 +12,18 @@ from rich.table import Table
 from rich.text import Text
 
 PLAIN_PERIOD_S: Final = 2.0
+SILENT_S: Final = 2.0
+"""Values of a process that has said nothing for so long are not shown any more."""
 EVENTS_SHOWN: Final = 6
 
 
 class FlightStatus:
     """The newest values each process reported, and the latest events. No output of its own."""
 
-    def __init__(self) -> None:
-        self.values: dict[str, dict[str, Any]] = {"onboard": {}, "offboard": {}, "sim": {}}
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._values: dict[str, dict[str, Any]] = {}
+        self._heard_s: dict[str, float] = {}
         self.events: deque[str] = deque(maxlen=EVENTS_SHOWN)
 
     def take_in(self, entry: dict[str, Any]) -> None:
@@ -26,12 +31,18 @@ class FlightStatus:
         process = str(entry.get("process", ""))
         if entry.get("kind") == "event":
             self.events.append(f"{process}: {entry.get('text', '')}")
-        elif process in self.values:
-            self.values[process] = entry
+        elif entry.get("kind") == "status":
+            self._values[process] = entry
+            self._heard_s[process] = self._clock()
+
+    def of(self, process: str) -> dict[str, Any]:
+        """The newest values of a process; none when it has said nothing for a while."""
+        silent_s = self._clock() - self._heard_s.get(process, -SILENT_S)
+        return self._values[process] if silent_s < SILENT_S else {}
 
     def rows(self) -> list[tuple[str, str]]:
         """(name, value) of everything worth showing now."""
-        onboard, offboard, sim = (self.values[name] for name in ("onboard", "offboard", "sim"))
+        onboard, offboard, sim = (self.of(name) for name in ("onboard", "offboard", "sim"))
         return [
             ("time", _number(sim.get("time_s"), "s", 1)),
             ("mode", str(onboard.get("mode", "-"))),
@@ -86,7 +97,7 @@ class LiveStatus:
             self._live.update(self.status.table(), refresh=True)
         elif entry.get("kind") == "event":
             self._print(f"{entry.get('process')}: {entry.get('text')}")
-        elif time.monotonic() >= self._next_plain and self.status.values["sim"]:
+        elif time.monotonic() >= self._next_plain and self.status.of("sim"):
             self._next_plain = time.monotonic() + PLAIN_PERIOD_S
             self._print(self.status.line())
 
@@ -111,6 +122,8 @@ def _features(onboard: dict[str, Any]) -> str:
 
 def _losses(offboard: dict[str, Any]) -> str:
     """Mean squared error of the newest training round on samples it did not see, by channel."""
+    if not offboard:
+        return "-"
     losses = [_number(offboard.get(f"validation_loss_{channel}"), "", 3) for channel in ("position", "attitude")]
     return f"{losses[0]} (m/s^2)^2, {losses[1]} (rad/s^2)^2, round {offboard.get('rounds', '-')}"
 

@@ -8,6 +8,7 @@ replaced: the flight must go on without it, and it is told how to start another.
 import json
 import os
 import selectors
+import shlex
 import signal
 import subprocess
 import sys
@@ -186,12 +187,17 @@ class Supervisor:
             if offboard_seen and not offboard.running:
                 offboard_seen = False
                 self._note(f"offboard ended (status {offboard.process.returncode}) {offboard.said()}".rstrip())
-                self._note(f"the flight goes on without it; start another with: {' '.join(offboard.command)}")
+                self._note(f"the flight goes on without it; start another with: {self._restart(offboard)}")
             if time.monotonic() > limit or self._stop.count >= 2:
                 self._note("ended at once" if self._stop.count >= 2 else "the flight took too long and was ended")
                 return
         if sim.running and self._stop.count == 0:
             self._note(f"onboard ended in flight (status {onboard.process.returncode}): {onboard.said()}")
+
+    def _restart(self, offboard: Child) -> str:
+        """The command that starts another offboard process, with what this one had learnt."""
+        checkpoint = self._out.resolve() / "checkpoint.npz"
+        return shlex.join([*offboard.command, *(("--resume", str(checkpoint)) if checkpoint.exists() else ())])
 
     def _pass_stop_on(self, onboard: Child) -> None:
         if self._stop.count > self._stops_passed_on:
