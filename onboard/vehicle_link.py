@@ -11,7 +11,7 @@ Bad input, and what happens:
   time goes backwards a little                        that sample is dropped (a late datagram)
   time goes backwards a lot, for three samples        the vehicle restarted: its clock is mapped anew, event
   a second vehicle on the port                        only the first one is heard, event; silent for long: released
-  two vehicles with one system id                     clock restarts in a row: `conflict` is set, event
+  two vehicles with one system id                     time jumps to and fro: `conflict` is set, event
 """
 
 import math
@@ -44,6 +44,8 @@ MOTOR_COUNT: Final = 4
 _UNUSED: Final = (0.0,) * 12
 _UNKNOWN_VOLTAGE: Final = 0xFFFF
 _RESTART_SAMPLES: Final = 3
+_CONFLICT_NS: Final = 5 * 10**9
+_CONFLICT_COUNT: Final = 20
 _MICROSECONDS_MAX: Final = 2**63 // 1000
 
 
@@ -82,6 +84,8 @@ class VehicleClock:
         self._suspects = 0
         self._suspect_ns = NEVER_NS
         self.restarts = 0
+        self.interleaved = 0
+        """How often stamps of an older clock came between good ones."""
         self.known = False
 
     def accept(self, stamp_ns: int, now_ns: int) -> str:
@@ -96,7 +100,9 @@ class VehicleClock:
                 leak_ns = int(self._drift * step_ns) + 1
                 self._offset_ns = min(latency_ns, self._offset_ns + leak_ns)
             self._newest_ns = stamp_ns
-            self._suspects = 0
+            if self._suspects:
+                self._suspects = 0
+                self.interleaved += 1
             return ""
         if step_ns == 0:
             return "time_repeated"
@@ -194,14 +200,14 @@ class VehicleLink:
         """
         controls, mode = (0.0, 0.0, 0.0, 0.0), 0
         if armed:
-            f1, f2, f3, f4 = fractions
+            f1, f2, f3, f4 = map(float, fractions)
             if math.isfinite(f1 + f2 + f3 + f4):
                 mode = ARMED
                 controls = (
-                    min(max(float(f1), 0.0), 1.0),
-                    min(max(float(f2), 0.0), 1.0),
-                    min(max(float(f3), 0.0), 1.0),
-                    min(max(float(f4), 0.0), 1.0),
+                    min(max(f1, 0.0), 1.0),
+                    min(max(f2, 0.0), 1.0),
+                    min(max(f3, 0.0), 1.0),
+                    min(max(f4, 0.0), 1.0),
                 )
             else:
                 self.rejected["motor_command"] += 1
@@ -256,12 +262,13 @@ class VehicleLink:
 
     def _handle_clock(self, fault: str, now_ns: int) -> bool:
         """Reacts to a bad time stamp; True when the sample may be used all the same."""
+        again = now_ns - self._restarted_ns < _CONFLICT_NS
+        if self._clock.interleaved >= _CONFLICT_COUNT or (fault == "restart" and again):
+            self.conflict = True
+            self._say("conflict", "the vehicle's time jumps to and fro: two vehicles with one system id?", now_ns)
         if fault != "restart":
             self.rejected[fault] += 1
             return False
-        if now_ns - self._restarted_ns < 5 * 10**9:
-            self.conflict = True
-            self._say("conflict", "vehicle clock restarts again and again: two vehicles with one system id?", now_ns)
         self._restarted_ns = now_ns
         self._say("restart", "vehicle clock went backwards: vehicle restarted, its time is mapped anew", now_ns)
         return True
