@@ -8,6 +8,7 @@ suffice, whatever was lost, and nothing is sent twice. No real code can do bette
 import argparse
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -45,7 +46,7 @@ def network_pair(rng: np.random.Generator) -> FeatureSet:
     """Two networks with random parameters."""
 
     def channel() -> ChannelFeatures:
-        weights = tuple(rng.normal(size=(out, into)) / into**0.5 for into, out in zip(WIDTHS, WIDTHS[1:], strict=False))
+        weights = tuple(rng.normal(size=(out, into)) / into**0.5 for into, out in pairwise(WIDTHS))
         biases = tuple(rng.normal(size=out) for out in WIDTHS[1:])
         return ChannelFeatures(INPUTS, np.zeros(6), np.ones(6), weights, biases, rng.normal(size=(WIDTHS[-1] + 1, 3)))
 

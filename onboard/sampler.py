@@ -21,6 +21,7 @@ from protocol.signals import CHANNELS, SIGNAL_COUNT
 SAMPLE_BYTES: Final = 4 * (SIGNAL_COUNT + 2 * len(CHANNELS) * 3)
 BATCH_OVERHEAD_BYTES: Final = 116
 """Header, MAC, msgpack framing and numbers of a batch (at most 88), and the 28 of UDP and IPv4."""
+_BURST_BYTES: Final = 2.0 * (BATCH_OVERHEAD_BYTES + SAMPLES_PER_BATCH_MAX * SAMPLE_BYTES)
 
 Array = NDArray[np.float64]
 
@@ -56,16 +57,12 @@ class SampleQueue:
         self._start_ns: int | None = None
         self._due_ns = 0
         self._pushed_ns = 0
-        self._allowance_bytes = self._burst_bytes
+        self._allowance_bytes = _BURST_BYTES
         self._refilled_ns: int | None = None
         self.taken = 0
         """Samples taken since start."""
         self.dropped = 0
         """Samples dropped for want of budget."""
-
-    @property
-    def _burst_bytes(self) -> float:
-        return 2.0 * (BATCH_OVERHEAD_BYTES + SAMPLES_PER_BATCH_MAX * SAMPLE_BYTES)
 
     def push(self, time_ns: int, signals: Array, delivered: Array, adaptive: Array) -> None:
         """Takes in one tick: signals [SIGNAL_COUNT]; delivered u_hat and adaptive nu_ad [2, 3] each; all are copied."""
@@ -95,6 +92,8 @@ class SampleQueue:
 
     def poll(self, now_ns: int, feature_version: int) -> list[SampleBatch]:
         """The batches to send now. Samples taken since the last poll count as flown with `feature_version`."""
+        if not self._waiting:
+            return []
         for sample in reversed(self._waiting):
             if sample.version is not None:
                 break
@@ -113,7 +112,7 @@ class SampleQueue:
         since_ns = 0 if self._refilled_ns is None else max(0, now_ns - self._refilled_ns)
         self._refilled_ns = now_ns
         earned = since_ns * 1e-9 * self._config.budget_bytes_s
-        self._allowance_bytes = min(self._burst_bytes, self._allowance_bytes + earned)
+        self._allowance_bytes = min(_BURST_BYTES, self._allowance_bytes + earned)
 
     def _ready_run(self, now_ns: int) -> int:
         """Length of the batch at the head: full, cut short by a gap or a new version, or overdue; 0 when to wait."""
