@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.carried_experience import dump_learnt, read_experience, start_from
 from experiments.metrics import TARGET_DISTANCE_MAX_M
 from experiments.scenario import FlightConfig
 from experiments.trace import Columns, FlightTrace
@@ -46,6 +47,8 @@ class LockstepOutcome:
     events: list[tuple[int, str, str]] = field(default_factory=list)
     """(time_ns, process, text)."""
     offboard_records: list[tuple[RecordType, int, Array]] = field(default_factory=list)
+    learnt: bytes | None = None
+    """What another flight can start from (experiments.carried_experience); None if nothing adapts."""
 
 
 def build(config: FlightConfig, with_offboard: bool = True) -> tuple[Lockstep, OnboardCore, Any, Radio]:
@@ -69,10 +72,26 @@ def build_offboard(config: FlightConfig, session: int) -> Any:
 
 
 def fly_lockstep(
-    config: FlightConfig, observers: tuple[Observer, ...] = (), with_offboard: bool = True
+    config: FlightConfig,
+    observers: tuple[Observer, ...] = (),
+    with_offboard: bool = True,
+    experience: bytes | None = None,
 ) -> LockstepOutcome:
-    """Flies a scenario in virtual time, until its duration is over or the vehicle is lost."""
+    """Flies a scenario in virtual time, until its duration is over or the vehicle is lost.
+
+    Parameters
+    ----------
+    experience: what an earlier flight learnt (experiments.carried_experience); None: what the config names, if any.
+
+    Raises
+    ------
+    ConfigError
+        If the experience cannot be read, or does not fit this flight.
+    """
     lockstep, onboard, offboard, radio = build(config, with_offboard)
+    experience = read_experience(config.experience) if experience is None else experience
+    if experience is not None:
+        start_from(experience, onboard, offboard)
     period_s = config.onboard.period_ns * 1e-9
     ticks_max = round(config.duration_s / period_s)
     ticks: Array = np.zeros((ticks_max, len(TICK.fields)))
@@ -105,6 +124,7 @@ def fly_lockstep(
         lockstep.trace_sha256,
         events,
         records,
+        dump_learnt(onboard, offboard),
     )
 
 

@@ -36,6 +36,7 @@ class ScenarioFile(Record):
     guidance: dict[str, Any]
     disturbances: tuple[dict[str, Any], ...] = ()
     training_time_s: Annotated[float, Field(ge=0, le=10)] = 0.6
+    experience: str = ""
     onboard: dict[str, Any] = Field(default_factory=dict)
     offboard: dict[str, Any] = Field(default_factory=dict)
     vehicle_values: dict[str, Any] = Field(default_factory=dict)
@@ -51,6 +52,9 @@ class FlightConfig(Record):
     seed: Annotated[int, Field(ge=0, lt=2**31)]
     duration_s: Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
     training_time_s: Annotated[float, Field(ge=0, le=10, description="lockstep: modelled time of a training round")]
+    experience: Annotated[str, Field(description="lockstep: file of what an earlier flight learnt; empty: nothing")] = (
+        ""
+    )
     onboard: OnboardConfig
     offboard: OffboardConfig
     vehicle: SimVehicleConfig
@@ -136,6 +140,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "seed": seed,
         "duration_s": duration,
         "training_time_s": file.training_time_s,
+        "experience": file.experience,
         "onboard": merge(onboard, file.onboard),
         "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
         "vehicle": merge(vehicle, file.vehicle_values),

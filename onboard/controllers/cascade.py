@@ -104,6 +104,7 @@ class CascadedController:
         self._output = ControlOutput()
         self._command: Array = np.zeros(3)
         self._last_rates: Array = np.zeros(3)
+        self._last_delivered = (0.0, 0.0, 0.0, 0.0)
         self._last_commanded = (1.0, 0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
@@ -151,6 +152,24 @@ class CascadedController:
             augmentation.commit(new, plan, memory)
         return ""
 
+    def last_layers(self) -> tuple[Array | None, Array | None]:
+        """W [k, 3] of the position and the attitude channel; None for a channel without."""
+        position, attitude = (
+            one.last_layer.W.copy() if isinstance(one, AdaptiveAugmentation) else None for one in self._augmentations
+        )
+        return position, attitude
+
+    def start_from(self, last_layers: tuple[Array | None, Array | None]) -> None:
+        """Takes over W of an earlier flight with the same features; raises ValueError if the shapes differ."""
+        for augmentation, W in zip(self._augmentations, last_layers, strict=True):
+            if W is None or not isinstance(augmentation, AdaptiveAugmentation):
+                continue
+            if W.shape != augmentation.last_layer.W.shape:
+                raise ValueError(
+                    f"last layer of shape {W.shape}, this controller's is {augmentation.last_layer.W.shape}"
+                )
+            augmentation.last_layer.replace(W, W)
+
     # --- taking in -----------------------------------------------------------------------------------------------
 
     def _take_in(self, inputs: ControlInputs) -> None:
@@ -160,13 +179,14 @@ class CascadedController:
             channel.dt, channel.adapt, channel.saturated = inputs.dt, inputs.adapt, inputs.saturated
         # u_hat and Delta of the position channel: what thrust and attitude really give, against the accelerometer.
         down = state.rotation[:, 2]
-        thrust_acceleration = inputs.delivered_thrust_n / self._airframe.mass_kg
+        thrust, torque = self._mean_delivered(inputs)
+        thrust_acceleration = thrust / self._airframe.mass_kg
         np.multiply(down, -thrust_acceleration, out=position.delivered)
         np.subtract(state.rotation @ state.specific_force, position.delivered, out=position.residual_raw)
         position.delivered[2] += GRAVITY
         position.rate[:] = state.velocity
         # The same of the attitude channel: torque by the actuator model against the gyroscope's derivative.
-        attitude.delivered[:] = self._angular_acceleration(inputs.delivered_torque_nm, state.rates)
+        attitude.delivered[:] = self._angular_acceleration(torque, state.rates)
         np.subtract(state.rates, self._last_rates, out=attitude.residual_raw)
         attitude.residual_raw /= inputs.dt
         attitude.residual_raw -= attitude.delivered
@@ -180,6 +200,13 @@ class CascadedController:
         np.minimum(np.maximum(error[:3], -limit, out=error[:3]), limit, out=error[:3])
         error[3:] = target.now.velocity
         error[3:] -= state.velocity
+
+    def _mean_delivered(self, inputs: ControlInputs) -> tuple[float, Vector3]:
+        """Thrust [N] and torque [N m] over the tick that has just ended: that is what moved the vehicle since."""
+        was, now = self._last_delivered, (inputs.delivered_thrust_n, *inputs.delivered_torque_nm)
+        self._last_delivered = now
+        thrust, roll, pitch, yaw = (0.5 * (a + b) for a, b in zip(was, now, strict=True))
+        return thrust, (roll, pitch, yaw)
 
     def _angular_acceleration(self, torque: Vector3, rates: Array) -> Vector3:
         """J^-1 (tau - omega x J omega), rad/s^2."""

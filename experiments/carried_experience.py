@@ -1,0 +1,74 @@
+"""What one lockstep flight hands to another: trained features for offboard, last layers for a controller that has its own.
+
+The file is a numpy archive that offboard.experience.load_version reads (key "features"), with the adaptive controllers'
+last layers beside it. A learning controller starts from the features, which offboard sends again over the link; a
+controller with fixed features (mrac, bias) starts from the last layer.
+"""
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from configs.loader import ConfigError
+from onboard.controllers.interface import Learner
+from onboard.core import OnboardCore
+
+CHANNEL_KEYS: Final = ("position_last_layer", "attitude_last_layer")
+
+
+def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes | None:
+    """What the flight learnt, as the bytes of a file; None if there is nothing."""
+    arrays: dict[str, Any] = {}
+    controller = onboard.controller
+    if offboard is not None and offboard.learner.latest is not None:
+        from protocol.codec import encode_feature_set
+
+        encoded = encode_feature_set(offboard.learner.latest, "float32")
+        arrays["features"] = np.frombuffer(encoded, dtype=np.uint8)
+    if hasattr(controller, "last_layers"):
+        layers = zip(CHANNEL_KEYS, controller.last_layers(), strict=True)
+        arrays |= {key: W for key, W in layers if W is not None}
+    if not arrays:
+        return None
+    out = io.BytesIO()
+    np.savez(out, allow_pickle=False, **arrays)
+    return out.getvalue()
+
+
+def read_experience(path: str) -> bytes | None:
+    """The bytes of the file a config names; None for no name. Raises ConfigError if it cannot be read."""
+    if not path:
+        return None
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"experience: {path}: cannot be read: {error.strerror}") from None
+
+
+def start_from(data: bytes, onboard: OnboardCore, offboard: Any) -> None:
+    """Gives what was learnt to the cores before their first step.
+
+    Raises
+    ------
+    ConfigError
+        If the file is not one, holds nothing for this controller, or was made with other networks.
+    """
+    controller = onboard.controller
+    learns = isinstance(controller, Learner) and controller.accepts_features
+    try:
+        if learns and offboard is not None:
+            from offboard.experience import ExperienceError
+
+            try:
+                offboard.warm_start(data)
+            except ExperienceError as error:
+                raise ValueError(str(error)) from None
+        elif hasattr(controller, "start_from"):
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+                position, attitude = (archive[key] if key in archive.files else None for key in CHANNEL_KEYS)
+            controller.start_from((position, attitude))
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(f"experience: {error}") from None
