@@ -61,7 +61,7 @@ class SubstepNormals:
         self._next = 0
 
     def take(self, count: int) -> Array:
-        """[count, rows, per_row]: draws of the next `count` (at most BLOCK / 4) sub-steps, whatever the calls' sizes."""
+        """[count, rows, per_row]: draws of the next `count` sub-steps (at most BLOCK / 4), however they are called."""
         end = self._next + count
         if end > len(self._block):
             rest = self._block[self._next :]

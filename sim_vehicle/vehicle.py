@@ -5,7 +5,7 @@ point at or before its time, and sensors sample on every fifth one (200 Hz), wha
 """
 
 from collections import Counter, deque
-from math import cos, degrees, radians, sin
+from math import cos, degrees, sin
 from typing import Final
 
 import numpy as np
@@ -24,19 +24,17 @@ from sim_vehicle.advance import (
 )
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.draws import Normals, SubstepNormals
+from sim_vehicle.limits import flight_limits
 from sim_vehicle.mavlink_link import VehicleCodec
 from sim_vehicle.packing import GRAVITY, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, Array, VehicleOutput
 from sim_vehicle.sensors import Flow, Imu, MotionCapture, Schedule, Ultrasonic
-from sim_vehicle.world import GUST_STREAM, World
+from sim_vehicle.world import GUST_STREAM, World, row_count
 
 SAMPLE_NS: Final = 5 * SUBSTEP_NS
 """ns, IMU period."""
 IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM = 1, 2, 3, 4, 5
 """Random streams [seed, n] of the sensors."""
-HARD_TOUCH_M_S: Final = 1.0
-TOUCH_TILT_RAD: Final = radians(35.0)
-LOST_TILT_RAD: Final = radians(80.0)
 LONGEST_RUN: Final = 400
 """Sub-steps in one call of the compiled step."""
 
@@ -48,13 +46,12 @@ class SimVehicle:
         self._config = config
         self._world = World(config, seed)
         self._world.apply(0)
-        rows = len(self._world.rows)
-        self._noise = SubstepNormals(np.random.default_rng([seed, GUST_STREAM, 1]), rows, at.NOISE_PER_ROW)
+        self._noise = substep_normals(config, seed)
         self._state = initial_state(config)
         self._sums: Array = np.zeros(at.SUMS_SIZE)
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
         self._commands: Array = np.zeros(4)
-        self._limits: Array = np.array([HARD_TOUCH_M_S, TOUCH_TILT_RAD, LOST_TILT_RAD, config.box_m])
+        self._limits: Array = flight_limits(config)
         hover_thrust_n = config.body.mass_kg * GRAVITY / 4
         sensors = config.sensors
         self._imu = Imu(sensors.imu, hover_thrust_n, seed, IMU_STREAM)
@@ -190,6 +187,12 @@ class SimVehicle:
         voltage = float(state[at.VOLTAGE]) + self._config.sensors.battery_noise_v * self._battery_noise.take()
         remaining = 1.0 - used_mah / self._config.battery.capacity_mah
         return self._codec.battery(voltage, float(self._sums[at.CURRENT]), used_mah, remaining)
+
+
+def substep_normals(config: SimVehicleConfig, seed: int) -> SubstepNormals:
+    """The draws of all rows of a vehicle's world, sub-step by sub-step."""
+    rng = np.random.default_rng([seed, GUST_STREAM, 1])
+    return SubstepNormals(rng, row_count(config.disturbances), at.NOISE_PER_ROW)
 
 
 def initial_state(config: SimVehicleConfig) -> Array:

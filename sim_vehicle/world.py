@@ -101,6 +101,11 @@ class World:
             self.shaking[rotor] += raw * chip.mount_transmission, raw * chip.gyroscope_rad_s_per_m_s2
 
 
+def row_count(blocks: tuple[Disturbance, ...]) -> int:
+    """How many of them act at every sub-step."""
+    return sum(_row(block) is not None for block in blocks)
+
+
 def _draw(block: Disturbance, seed: int, number: int) -> Array:
     """What is random in a block: the rotor's index, or four motor gains."""
     rng = np.random.default_rng([seed, WORLD_STREAM + number])
