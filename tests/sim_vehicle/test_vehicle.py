@@ -122,10 +122,10 @@ def test_take_off_and_landing_are_no_crash(vehicle, motors):
     for k in range(1200):
         goal = 0.3 if k < 800 else -0.5
         height, sinking = -truth[2], truth[5]
-        climb = np.clip(1.5 * (goal - height), -0.5, 0.5)  # the ground effect holds it up below that
+        climb = np.clip(1.5 * (goal - height), -0.5, 0.5)
         thrust = 0.063 * (GRAVITY + 6.0 * (climb + sinking)) / 4
         fraction = thrust / 0.327 * (3.7 / truth[COLUMN["battery_voltage"]]) ** 2
-        flying.take_in(motors([min(1.0, fraction)] * 4), k * TICK)
+        flying.take_in(motors([min(1.0, fraction)] * 4, armed=k < 1100), k * TICK)
         truth = flying.step((k + 1) * TICK).truth
         heights.append(height)
     assert flying.crash_reason == ""
