@@ -159,9 +159,9 @@ class Supervisor:
         event = COMMAND_EVENTS[command]
         if all(entry is not event for entry, _ in TRANSITIONS[self.mode]):
             return f"not in mode {self.mode.name}"
-        if self._inputs is None:
-            return "not running yet"
-        return self.unready(self._inputs) if command is Command.ARM else ""
+        if command is not Command.ARM:
+            return ""
+        return "not running yet" if self._inputs is None else self.unready(self._inputs)
 
     def unready(self, inputs: SupervisorInputs) -> str:
         """What stands against arming; "" when nothing does."""
