@@ -158,7 +158,9 @@ class FeatureReceiver:
 
     def reset(self) -> None:
         """Forgets everything, as after a restart of the peer, whose versions may begin anew."""
-        self.__init__()  # type: ignore[misc]
+        self.transfer_version, self._digest, self._count, self._bits = 0, b"", 0, 0
+        self._pieces = {}
+        self.refused = (0, 0)
 
     def receive(self, chunk: FeatureChunk) -> FeatureSet | None:
         """Takes in a chunk; the feature set when it is the last one missing and the whole is valid."""

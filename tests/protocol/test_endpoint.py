@@ -249,6 +249,16 @@ def test_a_jump_of_either_clock_is_found_at_once() -> None:
     assert onboard.clock_jumps == 1
 
 
+def test_our_own_clock_may_jump_either_way() -> None:
+    onboard, offboard = ends()
+    exchange(onboard, offboard, 100 * S, 10 * S, 5 * MS, 5 * MS)
+    for now in (5 * S, 900 * S, 0):
+        assert onboard.decode(offboard.encode(POSE, 200 * S), now) is not None
+        exchange(onboard, offboard, now, 10 * S + now, 5 * MS, 5 * MS)
+    assert onboard.clock_offset_ns == 10 * S
+    assert onboard.statistics.rejected_total == 0
+
+
 def test_a_reply_to_nothing_or_replayed_or_late_moves_no_clock() -> None:
     onboard, offboard = ends()
     assert onboard.decode(offboard.encode(TimeSyncReply(5, 900, 900), 900), 6) is None
