@@ -9,6 +9,7 @@ from configs.realtime import RealtimeConfig
 from onboard.airframe import AirframeConfig
 from onboard.controllers.interface import ControllerConfig
 from onboard.estimator_config import EstimatorConfig
+from onboard.ground_link import GroundLinkConfig
 from onboard.guidance import GuidanceConfig
 from onboard.sampler import SamplerConfig
 from onboard.supervisor import SupervisorConfig
@@ -28,6 +29,7 @@ class OnboardConfig(Record):
     estimator: EstimatorConfig
     supervisor: SupervisorConfig
     vehicle_link: VehicleLinkConfig
+    ground_link: GroundLinkConfig
     guidance: GuidanceConfig
     controller: ControllerConfig
     samples: SamplerConfig

@@ -5,6 +5,7 @@ vehicle_link -> estimator -> supervisor -> guidance -> controller -> mixer -> ve
                     protocol -> feature_reception (swap) -+          sampler -> protocol
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ from onboard.config import OnboardConfig
 from onboard.control_records import ControlInputs, ControlOutput, Target
 from onboard.estimator import Estimator
 from onboard.feature_reception import FeatureReception
+from onboard.ground_link import GroundLink
 from onboard.guidance import Guidance
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
@@ -66,6 +68,7 @@ class OnboardCore:
         self._vehicle_link = VehicleLink(config.vehicle_link)
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
+        self._ground_link = GroundLink(config.ground_link)
         self._guidance = Guidance(config.guidance)
         self.controller = config.controller.build(config.airframe, config.seed)
         self._mixer = Mixer(config.airframe)
@@ -128,6 +131,12 @@ class OnboardCore:
             case _:
                 pass  # a time sync reply: the endpoint has taken note
 
+    def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
+        """One datagram of the ground station; never raises for what is in it."""
+        for command in self._ground_link.receive(datagram, now_ns):
+            refusal = self._supervisor.command(command.command, now_ns)
+            self._ground_link.acknowledge(command, refusal, now_ns)
+
     def request_land(self, now_ns: int) -> None:
         """Lands as soon as possible, as if the ground station had asked."""
         self._supervisor.command(Command.LAND, now_ns)
@@ -179,7 +188,7 @@ class OnboardCore:
                 pose_age_s=(now_ns - state.last_pose_ns) * 1e-9,
                 velocity_aid_age_s=(now_ns - state.last_velocity_aid_ns) * 1e-9,
                 offboard_age_s=(now_ns - self._last_offboard_ns) * 1e-9,
-                ground_age_s=0.0,
+                ground_age_s=(now_ns - self._ground_link.last_heard_ns) * 1e-9,
                 battery_age_s=(now_ns - self._battery.time_ns) * 1e-9,
                 battery_v=self._battery.voltage_v,
                 battery_remaining=self._battery.remaining,
@@ -193,7 +202,9 @@ class OnboardCore:
                 preflight=self._preflight(now_ns),
             )
         )
-        self._events.extend(self._supervisor.take_events())
+        for when_ns, text in self._supervisor.take_events():
+            self._events.append((when_ns, text))
+            self._ground_link.say(text)
         if mode is FlightMode.TAKE_OFF and self._mode is not FlightMode.TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
@@ -285,13 +296,25 @@ class OnboardCore:
             self._send(batch, now_ns)
 
     def _report(self, now_ns: int) -> None:
-        """Status and time sync, each at its own period."""
+        """Status, time sync and telemetry, each at its own period."""
         if now_ns >= self._next_sync_ns:
             self._next_sync_ns = now_ns + round(self._config.time_sync_period_s * 1e9)
             self._send(TimeSyncRequest(now_ns), now_ns)
+        self._output.to_ground += self._ground_link.poll(now_ns, self._mode, self._estimator.state, self._battery)
         if now_ns >= self._next_status_ns:
+            self._show_values(now_ns)
             self._next_status_ns = now_ns + round(self._config.status_period_s * 1e9)
             self._send(self._status(now_ns), now_ns)
+
+    def _show_values(self, now_ns: int) -> None:
+        """What a ground station shows beside the flight itself, as named values."""
+        row = self._output.tick
+        error = row[12:15] - row[28:31]
+        self._ground_link.values.update(
+            feat_ver=float(self._reception.version),
+            feat_age=self._reception.age_s(now_ns),
+            track_err=math.sqrt(float(error @ error)),
+        )
 
     def _status(self, now_ns: int) -> Status:
         statistics, pose_ns = self._endpoint.statistics, self._estimator.state.last_pose_ns
@@ -348,7 +371,7 @@ class OnboardCore:
         error = row[12:15] - row[28:31]
         return {
             "mode": self._mode.name,
-            "tracking_error_m": float(np.sqrt(error @ error)),
+            "tracking_error_m": math.sqrt(float(error @ error)),
             "feature_version": self._reception.version,
             "feature_age_s": self._reception.age_s(now_ns),
             "link_lost": self._endpoint.statistics.lost,
