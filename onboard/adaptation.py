@@ -3,18 +3,27 @@
 Theory of operation
 -------------------
 The channel's error e = x_rm - x against the hedged reference model obeys e_dot = A_rm e + B (nu_ad - Delta)
-exactly, whatever the actuators can deliver. With Delta = W*' Phi and V = e'P e + tr((W - W*)' Gamma^-1 (W - W*)),
+exactly, whatever the actuators can deliver. With Delta = W*' Phi, W~ = W - W* and m^2 = eps + Phi' Gamma Phi the law
 
-    W_dot = -Gamma Phi e' P B                       (tracking)      gives V_dot = -e'Q e,
-    W_dot = -lambda Gamma Phi (W'Phi - Delta_hat)'  (composite)     adds -2 lambda |(W - W*)'Phi|^2.
+    W_dot = -Gamma Phi (gamma e' P B + lambda (W'Phi - Delta_hat)') / m^2        (tracking, composite)
+
+gives, along V = e'P e + (c / gamma) tr(W~' Gamma^-1 W~) with any constant c > 0 and Delta_hat = Delta,
+
+    V_dot = -e'Q e + 2 (1 - c / m^2) e'P B W~'Phi - 2 c lambda / (gamma m^2) |W~'Phi|^2.
 
 The sign of the tracking term follows from e = x_rm - x and u = ... - nu_ad; with the opposite sign (as printed in
-Joshi, Virdi, Chowdhary 2020) V grows. Gains are normalised by m^2 = eps + Phi' Gamma Phi, so the bandwidth of nu_ad
-is the stated gain whatever the number of active features. Normalising leaves the cross term 2 (1 - 1/m^2) e'PB W~'Phi
-uncancelled; it is dominated when lambda_min(Q) lambda >= |PB|^2 m^2 / 2 (docs/control.md derives it).
+Joshi, Virdi, Chowdhary 2020) V grows. Gains are normalised by m^2 so that the bandwidth of nu_ad is the stated gain
+whatever the number of active features. Normalising leaves the cross term, which vanishes where m^2 is constant (bias
+alone, c = m^2). Elsewhere the composite term dominates it: with c = m_min m_max and rho = m_max / m_min it takes
 
-The composite and the leak terms are integrated implicitly, so they are stable for any step and gain. W is kept in
-the ball norm(W) <= W_max by the smooth projection operator, and by a discrete safeguard at W_max sqrt(1 + eps).
+    lambda >= gamma |PB|^2 (rho - 1)^2 / (2 rho lambda_min(Q)),
+
+and the weight of the bias keeps rho near 1. docs/control.md derives this, and a test checks every shipped controller.
+
+In discrete time the composite and the leak terms are implicit, so they are stable for any step and gain. The tracking
+term is implicit in its own effect on e_2 one step later, which limits its gain to 1 / (p dt^2), p the part of PB that
+weighs e_2. W is kept in the ball norm(W) <= W_max by the smooth projection operator, and by a discrete safeguard at
+W_max sqrt(1 + eps). Inputs that are not finite change nothing.
 """
 
 import math
@@ -30,6 +39,8 @@ Array = NDArray[np.float64]
 
 PROJECTION_MARGIN = 0.1
 """eps of the projection operator: the square of the norm may exceed W_max^2 by this share."""
+SQUARE_MAX = 1e30
+"""No square of a sensible number is this large; a step with larger ones, or with NaN, is left out."""
 
 
 class AdaptationConfig(Record):
@@ -98,6 +109,7 @@ class LastLayer:
         """PB: [n, 3], from the Lyapunov equation of the channel's reference model."""
         self.config = config
         self._PB = PB
+        self._rate_weight = float(np.abs(PB[PB.shape[0] // 2 :]).max())
         self.W: Array = np.zeros((feature_count, 3))
         self.memory: Array = np.zeros((feature_count, 3))
         """theta_n, the trained last layer, towards which W leaks."""
@@ -126,7 +138,7 @@ class LastLayer:
         Parameters
         ----------
         Phi: [k], features at the present state.
-        e: [n], x_rm - x.
+        e: [n], x_rm - x; the second half is the rate of the first.
         residual: [3], Delta_hat, filtered x_dot - A x - B u_hat.
         dt: s.
         """
@@ -134,13 +146,17 @@ class LastLayer:
         gamma_Phi = self._gamma * Phi
         s = float(Phi @ gamma_Phi)
         m2 = config.normalisation_floor + s
-        direction = (-config.tracking_gain / m2) * (e @ self._PB)
+        # Tracking term, implicit in what it does to e_2 one step later.
+        gain = config.tracking_gain / (1.0 + config.tracking_gain * self._rate_weight * dt * dt)
+        direction = (-gain / m2) * (e @ self._PB)
         # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
         a = config.composite_gain * dt / m2
         if a > 0.0:
             # The tracking step comes first; its effect on W'Phi is s * direction * dt.
             mismatch = Phi @ self.W + (s * dt) * direction - residual
             direction = direction - (config.composite_gain / m2 / (1.0 + a * s)) * mismatch
+        if not (s < SQUARE_MAX and float(direction @ direction) < SQUARE_MAX):  # NaN fails too
+            return
         rate = gamma_Phi[:, None] * direction
         self.W += dt * projected_rate(self.W, rate, self._gamma, config.weight_norm_max)
         if config.leak > 0.0:

@@ -44,7 +44,7 @@ class ControlInputs:
     adapt: bool
     """False on the ground and whenever an input is too old to learn from: hold every adaptive state still."""
     level_only: bool = False
-    """True when there is no velocity to fly by: hold level, sink with `sink_acceleration`, leave position alone."""
+    """True when there is no velocity to fly by: hold level, sink slowly, leave position alone."""
 
 
 @dataclass(slots=True)
@@ -60,7 +60,7 @@ class ChannelTelemetry:
     adaptive: Array = field(default_factory=lambda: np.zeros(3))
     """nu_ad as commanded (evaluated ahead)."""
     adaptive_now: Array = field(default_factory=lambda: np.zeros(3))
-    """nu_ad of the present state, W'Phi(x)."""
+    """nu_ad of the present state, W'Phi(x); the same as `adaptive` for a controller that does not look ahead."""
     residual: Array = field(default_factory=lambda: np.zeros(3))
     """Delta_hat."""
     weight_norm: float = 0.0

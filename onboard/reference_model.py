@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from configs.loader import Record
-from onboard.rotation import quaternion_multiply, quaternion_to_rotation_vector
+from onboard.rotation import Quaternion, quaternion_multiply, quaternion_to_rotation_vector, rotate
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
@@ -77,47 +77,64 @@ class PositionReferenceModel:
 
 
 class AttitudeReferenceModel:
-    """Attitude quaternion and body rates; the error lives in the tangent space at the vehicle's attitude.
+    """Attitude quaternion and body rates of the reference, and the error e against the vehicle's.
 
-    With e_1 the rotation vector from the vehicle to the reference and e_2 = omega_rm - omega,
-    e_1_dot = e_2 + O(|omega| |e_1|): linear for small errors at any tilt, without the Euler angles' singularity.
+    e_1 is the rotation vector from the vehicle to the reference and e_2 = R(e_1) omega_rm - omega, the difference of
+    the rates in the vehicle's axes. Then e_1_dot = e_2 + O(|e_1| |e_2|), at any tilt and any rate: without the
+    singularity of Euler angles, and without a term in omega that would turn e about. The reference is driven through
+    e as well, omega_rm_dot = R(e_1)' (K_r r - K x - K e - (u - u_hat) + omega x e_2), which makes e_2_dot =
+    -K e + nu_ad - Delta hold however far away the commanded attitude is.
     """
 
     def __init__(self, gains: ChannelGains) -> None:
         self._k1 = tuple(gains.stiffness().tolist())
         self._k2 = tuple(gains.rate_gain().tolist())
-        self.quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+        self.quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
         self.rates: Vector3 = (0.0, 0.0, 0.0)
+        """Body rates of the reference, in its own axes, rad/s."""
+        self._turn: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self._e: tuple[float, ...] = (0.0,) * 6
+        self._vehicle_rates: Vector3 = (0.0, 0.0, 0.0)
 
     def reset(self, quaternion: Array, rates: Array) -> None:
         """Starts over at the vehicle's attitude [4] and rates [3]."""
         w, x, y, z = quaternion.tolist()
         self.quaternion = (w, x, y, z)
         p, q, r = rates.tolist()
-        self.rates = (p, q, r)
+        self.rates = self._vehicle_rates = (p, q, r)
+        self._turn = (1.0, 0.0, 0.0, 0.0)
+        self._e = (0.0,) * 6
 
     def error(self, quaternion: Array, rates: Array, out: Array) -> None:
         """E = [e_1; e_2] [6] against the vehicle's attitude [4] and rates [3], rad and rad/s."""
         w, x, y, z = quaternion.tolist()
-        out[:3] = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), self.quaternion))
-        out[3:] = self.rates
-        out[3:] -= rates
+        p, q, r = rates.tolist()
+        self._turn = quaternion_multiply((w, -x, -y, -z), self.quaternion)
+        e1, e2, e3 = quaternion_to_rotation_vector(self._turn)
+        wx, wy, wz = rotate(self._turn, self.rates)
+        self._e = (e1, e2, e3, wx - p, wy - q, wz - r)
+        self._vehicle_rates = (p, q, r)
+        out[:] = self._e
 
-    def step(self, commanded: tuple[float, float, float, float], rates_ff: Vector3, hedge: Vector3, dt: float) -> None:
-        """Advances one period towards the commanded attitude (quaternion) and feed-forward rates [rad/s].
+    def step(self, command: Vector3, hedge: Vector3, dt: float) -> None:
+        """Advances one period from where `error` last saw the vehicle.
 
+        Parameters
+        ----------
+        command: K_r r - K x in the vehicle's axes, that is u + nu_ad; rad/s^2.
         hedge: u - u_hat, rad/s^2.
         """
-        w, x, y, z = self.quaternion
-        ex, ey, ez = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
-        p, q, r = self.rates
+        e1, e2, e3, e4, e5, e6 = self._e
         k1, k2 = self._k1, self._k2
-        ap = k1[0] * ex + k2[0] * (rates_ff[0] - p) - hedge[0]
-        aq = k1[1] * ey + k2[1] * (rates_ff[1] - q) - hedge[1]
-        ar = k1[2] * ez + k2[2] * (rates_ff[2] - r) - hedge[2]
+        p, q, r = self._vehicle_rates
+        ax = command[0] - hedge[0] - k1[0] * e1 - k2[0] * e4 + (q * e6 - r * e5)
+        ay = command[1] - hedge[1] - k1[1] * e2 - k2[1] * e5 + (r * e4 - p * e6)
+        az = command[2] - hedge[2] - k1[2] * e3 - k2[2] * e6 + (p * e5 - q * e4)
+        w, x, y, z = self._turn
+        ap, aq, ar = rotate((w, -x, -y, -z), (ax, ay, az))
+        p, q, r = self.rates
         h = 0.5 * dt
-        mp, mq, mr = p + h * ap, q + h * aq, r + h * ar
-        step = (1.0, h * mp, h * mq, h * mr)
+        step = (1.0, h * (p + h * ap), h * (q + h * aq), h * (r + h * ar))
         nw, nx, ny, nz = quaternion_multiply(self.quaternion, step)
         norm = (nw * nw + nx * nx + ny * ny + nz * nz) ** 0.5
         self.quaternion = (nw / norm, nx / norm, ny / norm, nz / norm)

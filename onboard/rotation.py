@@ -21,6 +21,18 @@ def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
+def rotate(q: Quaternion, v: Vector3) -> Vector3:
+    """The vector v turned by the unit quaternion q: v + 2 w (n x v) + 2 n x (n x v), n its vector part."""
+    w, x, y, z = q
+    a, b, c = v
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return (
+        a + w * tx + y * tz - z * ty,
+        b + w * ty + z * tx - x * tz,
+        c + w * tz + x * ty - y * tx,
+    )
+
+
 def quaternion_to_rotation_vector(q: Quaternion) -> Vector3:
     """Axis times angle [rad], the shorter way round."""
     w, x, y, z = q

@@ -80,6 +80,7 @@ class Integral:
             if channel.saturated:  # conditional integration: only unwinding is allowed
                 change = np.where(change * self._nu < 0.0, change, 0.0)
             self._nu = np.clip(self._nu + change, -self._limit, self._limit)
+        telemetry.adaptive_now[:] = self._nu
         return self._nu
 
     def reset(self) -> None:
@@ -103,22 +104,27 @@ class L1:
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
         """One step of predictor, adaptation and filter."""
-        if not channel.adapt:
-            self._started = False
-            return self._nu
-        a, T = self._config.predictor_pole_rad_s, channel.dt
-        if not self._started:
-            self._prediction, self._sigma, self._started = channel.rate.copy(), self._nu.copy(), True
+        if channel.adapt:
+            self._predict(channel)
         else:
-            decay = exp(-a * T)
-            error = self._prediction - channel.rate
-            # Exact over the step for constant u_hat and sigma_hat: v_tilde decays, the rest integrates.
+            self._started = False
+        telemetry.adaptive_now[:] = self._nu
+        return self._nu
+
+    def _predict(self, channel: ChannelState) -> None:
+        a, T = self._config.predictor_pole_rad_s, channel.dt
+        decay = exp(-a * T)
+        if not self._started:
+            error, self._sigma, self._started = np.zeros(3), self._nu.copy(), True
+        else:
+            # u_hat over the step that has just ended is known only now.
+            error = self._prediction + T * channel.delivered - channel.rate
             self._sigma = -(a * decay / (1.0 - decay)) * error
-            self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma + T * channel.delivered
+        # Exact over the coming step for constant u_hat and sigma_hat: v_tilde decays, the rest integrates.
+        self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma
         share = 1.0 - exp(-self._config.bandwidth_rad_s * T)
         limit = self._config.limit
         self._nu = np.clip(self._nu + share * (self._sigma - self._nu), -limit, limit)
-        return self._nu
 
     def reset(self) -> None:
         """Predictor and filter start over."""
@@ -140,6 +146,7 @@ class Indi:
             share = 1.0 - exp(-channel.dt / self._config.filter_s)
             limit = self._config.limit
             self._nu = np.clip(self._nu + share * (channel.residual_raw - self._nu), -limit, limit)
+        telemetry.adaptive_now[:] = self._nu
         return self._nu
 
     def reset(self) -> None:

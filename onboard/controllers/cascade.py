@@ -105,7 +105,7 @@ class CascadedController:
         self._command: Array = np.zeros(3)
         self._last_rates: Array = np.zeros(3)
         self._last_delivered = (0.0, 0.0, 0.0, 0.0)
-        self._last_commanded = (1.0, 0.0, 0.0, 0.0)
+        self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
 
@@ -239,8 +239,7 @@ class CascadedController:
             self._running = inputs.adapt
             return
         if state.position_reset_count != self._resets_seen:
-            self._position_model.shift(state.position_jump)
-            self._resets_seen = state.position_reset_count
+            self._follow_jump(inputs)
         position, attitude = self._channels
         hedge = self._output.position.demand - position.delivered if self._settings.hedging else np.zeros(3)
         self._position_model.step(self._command, hedge, inputs.dt)
@@ -248,11 +247,20 @@ class CascadedController:
         position.model_error[3:] = self._position_model.velocity - state.velocity
         turn = self._output.attitude.demand - attitude.delivered if self._settings.hedging else np.zeros(3)
         hp, hq, hr = turn.tolist()
-        self._attitude_model.step(self._last_commanded, (0.0, 0.0, 0.0), (hp, hq, hr), inputs.dt)
+        self._attitude_model.step(self._turn_command, (hp, hq, hr), inputs.dt)
         self._attitude_model.error(state.quaternion, state.rates, attitude.model_error)
         if float(attitude.model_error[:3] @ attitude.model_error[:3]) > MODEL_ERROR_MAX_RAD**2:
             self._attitude_model.reset(state.quaternion, state.rates)
             attitude.model_error[:] = 0.0
+
+    def _follow_jump(self, inputs: ControlInputs) -> None:
+        """A jump of the estimate is no motion: the references jump along, or start over where they cannot."""
+        state = inputs.state
+        if state.position_reset_count == self._resets_seen + 1 and state.yaw_jump == 0.0:
+            self._position_model.shift(state.position_jump)
+            self._resets_seen = state.position_reset_count
+        else:  # the frame has turned, or the size of a jump in between is not known
+            self._restart_models(inputs)
 
     def _restart_models(self, inputs: ControlInputs) -> None:
         state = inputs.state
@@ -276,8 +284,9 @@ class CascadedController:
         if inputs.level_only:
             u[:2] = 0.0
             u[2] = self._k2[2] * (self._settings.level_sink_speed_m_s - channel.rate[2]) - nu[2]
-        # K_r r as the reference model needs it: u = K_r r - K x - nu_ad.
-        self._command = u + self._k1 * inputs.state.position + self._k2 * inputs.state.velocity + nu
+        # K_r r as the reference model needs it: u = K_r r - K x - nu_ad. Here nu_ad is that of the present state, which
+        # the law weighs e with; what the look-ahead adds counts as part of the command.
+        self._command = u + self._k1 * inputs.state.position + self._k2 * inputs.state.velocity + telemetry.adaptive_now
         telemetry.error[:] = channel.model_error
         telemetry.delivered[:] = channel.delivered
         telemetry.adaptive[:] = nu
@@ -320,6 +329,7 @@ class CascadedController:
         telemetry.error[:] = channel.model_error
         telemetry.delivered[:] = channel.delivered
         telemetry.adaptive[:] = nu
-        self._last_commanded = commanded
+        m1, m2, m3 = telemetry.adaptive_now.tolist()
+        self._turn_command = (ap + m1, aq + m2, ar + m3)
         jx, jy, jz = self._airframe.inertia_kg_m2
         return (jx * ap + (jz - jy) * q * r, jy * aq + (jx - jz) * p * r, jz * ar + (jy - jx) * p * q)
