@@ -168,7 +168,8 @@ def _worst_per_window(time_s: Array, values: Array, window_s: float) -> tuple[Ar
     worst = np.full(int(window[-1]) + 1, -1.0)
     np.maximum.at(worst, window, values)
     worst[worst < 0.0] = np.nan
-    return (np.arange(worst.size) + 0.5) * window_s, worst
+    seconds: Array = (np.arange(worst.size, dtype=np.float64) + 0.5) * window_s
+    return seconds, worst
 
 
 def _draw_link(panel: Any, trace: FlightTrace) -> None:

@@ -17,12 +17,12 @@ from onboard.config import OnboardConfig
 from onboard.control_records import ControlInputs, ControlOutput, Target
 from onboard.estimator import Estimator
 from onboard.feature_reception import FeatureReception
+from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.ground_link import GroundLink
 from onboard.guidance import Guidance
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
 from onboard.signal_vector import SignalVector
-from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.supervisor import Supervisor, SupervisorInputs
 from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink

@@ -103,6 +103,7 @@ def bumpless_last_layer(Phi_bar: Array, nu: Array, memory: Array, mu: float) -> 
     Phi_bar: [k, n] new features of the recent states. nu: [3, n] what nu_ad was there. memory: [k, 3].
     """
     k = Phi_bar.shape[0]
-    gram: Array = np.asarray(Phi_bar @ Phi_bar.T + mu * np.eye(k), dtype=np.float64)
+    gram: Array = Phi_bar @ Phi_bar.T
+    gram.flat[:: k + 1] += mu
     correction: Array = np.linalg.solve(gram, Phi_bar @ (nu - memory.T @ Phi_bar).T)
     return memory + correction
