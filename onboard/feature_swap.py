@@ -5,8 +5,9 @@ W_new is the minimiser of
 
     sum over recent states norm(W_new' Phi_bar(x_i) - W' Phi(x_i))^2 + mu norm(W_new - theta_n)^2,
 
-continuous where the vehicle is and has just been, the trained memory theta_n elsewhere. eps_2 is then measured on the
-same recent states, and a swap that would still jump is refused.
+continuous where the vehicle is and has just been, the trained memory theta_n elsewhere. The states are those of the
+last second, the present one, and the one looked ahead to, whose nu_ad is what is commanded. eps_2 is then measured on
+the same states, and a swap that would still jump is refused.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from configs.loader import Record
+from onboard.adaptation import PROJECTION_MARGIN
 from onboard.features import Features
 
 Array = NDArray[np.float64]
@@ -47,9 +49,11 @@ class RecentStates:
         self._next = (self._next + 1) % self._ring.shape[0]
         self._filled = min(self._filled + 1, self._ring.shape[0])
 
-    def columns(self) -> Array:
-        """[SIGNAL_COUNT, n], in no particular order."""
-        return self._ring[: self._filled].T
+    def columns(self, now: Array) -> Array:
+        """[SIGNAL_COUNT, n + m], in no particular order: the ring's and the m of `now`; none while the ring is empty."""
+        if self._filled == 0:
+            return np.zeros((self._ring.shape[1], 0))
+        return np.hstack([self._ring[: self._filled].T, now])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +94,7 @@ def plan_swap(
     jump = float(np.sqrt((change * change).sum(axis=0).max()))
     if not np.isfinite(jump):
         return SwapPlan(W_new, jump, "not_finite")
-    if float(np.linalg.norm(W_new)) > weight_norm_max * 1.0488:  # sqrt(1 + PROJECTION_MARGIN)
+    if float(np.linalg.norm(W_new)) > weight_norm_max * (1.0 + PROJECTION_MARGIN) ** 0.5:
         return SwapPlan(W_new, jump, "weight_norm")
     return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "")
 
@@ -105,5 +109,6 @@ def bumpless_last_layer(Phi_bar: Array, nu: Array, memory: Array, mu: float) -> 
     k = Phi_bar.shape[0]
     gram: Array = Phi_bar @ Phi_bar.T
     gram.flat[:: k + 1] += mu
-    correction: Array = np.linalg.solve(gram, Phi_bar @ (nu - memory.T @ Phi_bar).T)
+    mismatch: Array = Phi_bar @ (nu - memory.T @ Phi_bar).T
+    correction: Array = np.linalg.solve(gram, mismatch).astype(np.float64)
     return memory + correction
