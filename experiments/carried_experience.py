@@ -1,4 +1,4 @@
-"""What one lockstep flight hands to another: trained features for offboard, last layers for a controller that has its own.
+"""What one lockstep flight hands to another: trained features for offboard, last layers for who has no trained ones.
 
 The file is a numpy archive that offboard.experience.load_version reads (key "features"), with the adaptive controllers'
 last layers beside it. A learning controller starts from the features, which offboard sends again over the link; a
@@ -19,8 +19,8 @@ from onboard.core import OnboardCore
 CHANNEL_KEYS: Final = ("position_last_layer", "attitude_last_layer")
 
 
-def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes | None:
-    """What the flight learnt, as the bytes of a file; None if there is nothing."""
+def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
+    """What the flight learnt, as the bytes of a file; an archive without arrays if nothing in it adapts."""
     arrays: dict[str, Any] = {}
     controller = onboard.controller
     if offboard is not None and offboard.learner.latest is not None:
@@ -31,8 +31,6 @@ def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes | None:
     if hasattr(controller, "last_layers"):
         layers = zip(CHANNEL_KEYS, controller.last_layers(), strict=True)
         arrays |= {key: W for key, W in layers if W is not None}
-    if not arrays:
-        return None
     out = io.BytesIO()
     np.savez(out, allow_pickle=False, **arrays)
     return out.getvalue()

@@ -47,8 +47,8 @@ class LockstepOutcome:
     events: list[tuple[int, str, str]] = field(default_factory=list)
     """(time_ns, process, text)."""
     offboard_records: list[tuple[RecordType, int, Array]] = field(default_factory=list)
-    learnt: bytes | None = None
-    """What another flight can start from (experiments.carried_experience); None if nothing adapts."""
+    learnt: bytes = b""
+    """What another flight can start from (experiments.carried_experience)."""
 
 
 def build(config: FlightConfig, with_offboard: bool = True) -> tuple[Lockstep, OnboardCore, Any, Radio]:
