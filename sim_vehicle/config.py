@@ -19,6 +19,7 @@ from sim_vehicle.parameters import (
     NominalConfig,
     SensorsConfig,
 )
+from sim_vehicle.radio import RadioConfig
 
 VEHICLE_DIRECTORY = CONFIG_DIRECTORY / "vehicle"
 
@@ -36,6 +37,9 @@ class SimVehicleConfig(Record):
     link: LinkConfig
     initial: InitialConfig = InitialConfig()
     disturbances: tuple[Disturbance, ...] = Field(default=(), max_length=64)
+    impairment: RadioConfig | None = Field(
+        default=None, description="of the vehicle's own link, up: sensors, down: motors; left out: a perfect wire"
+    )
     box_m: float = Field(default=10.0, gt=0.0, description="m, further than this from the origin the flight is lost")
 
 

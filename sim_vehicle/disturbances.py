@@ -112,7 +112,29 @@ class BatterySag(_Timed):
     time_constant_s: float = Field(default=10.0, gt=0.0, description="s")
 
 
+class SensorFault(_Timed):
+    """A sensor falls silent, repeats its last reading with fresh time stamps, or sends NaN."""
+
+    kind: Literal["sensor_fault"] = "sensor_fault"
+    sensor: Literal["imu", "flow", "ultrasonic", "battery", "motion_capture"]
+    fault: Literal["silent", "frozen", "not_finite"]
+
+    @model_validator(mode="after")
+    def _can_be_sent(self) -> "SensorFault":
+        if self.fault == "not_finite" and self.sensor in ("ultrasonic", "battery"):
+            raise ValueError(f"{self.sensor} sends whole numbers, which are always finite")
+        return self
+
+
+class ClockJump(_Timed):
+    """The vehicle's clock (not motion capture's) is off by a jump; minus the onset: it counts from 0, as restarted."""
+
+    kind: Literal["clock_jump"] = "clock_jump"
+    jump_s: float = Field(ge=-3600.0, le=3600.0, description="s; the clock never shows less than 0")
+
+
 Disturbance = Annotated[
-    RotorChip | Wind | FanJet | Gusts | Cloth | Payload | MotorGain | BatterySag, Field(discriminator="kind")
+    RotorChip | Wind | FanJet | Gusts | Cloth | Payload | MotorGain | BatterySag | SensorFault | ClockJump,
+    Field(discriminator="kind"),
 ]
 """Any one of them; `kind` says which."""

@@ -13,7 +13,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import common as mavlink
 
 from sim_vehicle.parameters import LinkConfig, MotionCaptureConfig, UltrasonicConfig
-from sim_vehicle.sensors import FlowSample, ImuSample, PoseSample
+from sim_vehicle.sensors import BatterySample, FlowSample, ImuSample, PoseSample
 
 HEADER: Final = 10
 """Bytes of a MAVLink 2 header."""
@@ -97,18 +97,18 @@ class VehicleCodec:
         )
         return _pack(message, self._sensors)
 
-    def battery(self, voltage_v: float, current_a: float, used_mah: float, remaining: float) -> bytes:
-        """BATTERY_STATUS. remaining: fraction 0..1."""
+    def battery(self, sample: BatterySample) -> bytes:
+        """BATTERY_STATUS of one cell."""
         message = mavlink.MAVLink_battery_status_message(
             0,
             mavlink.MAV_BATTERY_FUNCTION_ALL,
             mavlink.MAV_BATTERY_TYPE_LIPO,
             int(TEMPERATURE_C * 100),
-            [max(0, min(NO_CELL - 1, round(voltage_v * 1000)))] + [NO_CELL] * 9,
-            min(32767, round(current_a * 100)),
-            round(used_mah),
+            [max(0, min(NO_CELL - 1, round(sample.voltage_v * 1000)))] + [NO_CELL] * 9,
+            min(32767, round(sample.current_a * 100)),
+            round(sample.used_mah),
             -1,
-            round(100 * max(0.0, min(1.0, remaining))),
+            round(100 * max(0.0, min(1.0, sample.remaining))),
         )
         return _pack(message, self._sensors)
 

@@ -130,6 +130,17 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
+class BatterySample:
+    """The battery's gauge."""
+
+    voltage_v: float
+    current_a: float
+    used_mah: float
+    remaining: float
+    """Fraction, 0..1."""
+
+
+@dataclass(frozen=True, slots=True)
 class PoseSample:
     """What motion capture solved."""
 

@@ -24,17 +24,19 @@ from sim_vehicle.advance import (
 )
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.draws import Normals, SubstepNormals
+from sim_vehicle.faults import SensorFaults
 from sim_vehicle.limits import flight_limits
 from sim_vehicle.mavlink_link import VehicleCodec
 from sim_vehicle.packing import GRAVITY, SUBSTEP_NS
+from sim_vehicle.radio import Radio
 from sim_vehicle.records import TRUTH, Array, VehicleOutput
-from sim_vehicle.sensors import Flow, Imu, MotionCapture, Schedule, Ultrasonic
+from sim_vehicle.sensors import BatterySample, Flow, Imu, MotionCapture, Schedule, Ultrasonic
 from sim_vehicle.world import GUST_STREAM, World, row_count
 
 SAMPLE_NS: Final = 5 * SUBSTEP_NS
 """ns, IMU period."""
-IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM = 1, 2, 3, 4, 5
-"""Random streams [seed, n] of the sensors."""
+IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM, WIRE_STREAM = 1, 2, 3, 4, 5, 6
+"""Random streams [seed, n] of the sensors and the vehicle's link."""
 LONGEST_RUN: Final = 400
 """Sub-steps in one call of the compiled step."""
 
@@ -61,6 +63,11 @@ class SimVehicle:
         self._battery_noise = Normals(np.random.default_rng([seed, BATTERY_STREAM]))
         self._each_second = Schedule(1.0)
         self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture)
+        self._faults = SensorFaults(self._world)
+        self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
+        self._wire: Radio | None = None
+        if config.impairment is not None:
+            self._wire = Radio(config.impairment, np.random.default_rng([seed, WIRE_STREAM]), start_ns=0)
         self._poses: deque[tuple[int, bytes]] = deque()
         self._pending: deque[tuple[int, tuple[float, float, float, float], bool]] = deque(maxlen=256)
         self._armed = False
@@ -90,6 +97,12 @@ class SimVehicle:
 
         Anything that is no sound motor command is counted in `rejected` and dropped.
         """
+        if self._wire is None:
+            self._receive(datagram, now_ns)
+        else:
+            self._wire.send("down", datagram, now_ns)
+
+    def _receive(self, datagram: bytes, now_ns: int) -> None:
         command = self._codec.motor_command(datagram)
         if command is not None:
             due_ns = now_ns + round(self._config.motors.command_delay_s * 1e9)
@@ -106,6 +119,12 @@ class SimVehicle:
             if self._time_ns >= self._sample_ns:
                 self._sample_ns += SAMPLE_NS
                 self._sample(to_onboard)
+                if self._wire is not None:
+                    for datagram in to_onboard:
+                        self._wire.send("up", datagram, self._time_ns)
+                    to_onboard.clear()
+        if self._wire is not None:
+            to_onboard = self._wire.due("up", now_ns)
         to_motion_capture = []
         while self._poses and self._poses[0][0] <= now_ns:
             to_motion_capture.append(self._poses.popleft()[1])
@@ -115,6 +134,11 @@ class SimVehicle:
 
     def _take_command(self) -> int:
         """Put the command due into force; gives the time of the next change (ns)."""
+        arrival_ns = None
+        if self._wire is not None:
+            for datagram in self._wire.due("down", self._time_ns):
+                self._receive(datagram, self._time_ns)
+            arrival_ns = self._wire.next_due_ns("down")
         while self._pending and self._pending[0][0] <= self._time_ns:
             due_ns, fractions, self._armed = self._pending.popleft()
             self._commanded_ns = due_ns
@@ -128,6 +152,8 @@ class SimVehicle:
         next_ns = timeout_ns if self._armed else self._time_ns + LONGEST_RUN * SUBSTEP_NS
         if self._pending:
             next_ns = min(next_ns, self._pending[0][0])
+        if arrival_ns is not None:
+            next_ns = min(next_ns, arrival_ns)
         return -(-next_ns // SUBSTEP_NS) * SUBSTEP_NS
 
     def _run(self, end_ns: int) -> None:
@@ -164,29 +190,37 @@ class SimVehicle:
 
     def _sample(self, to_onboard: list[bytes]) -> None:
         """Sample every sensor that is due at the present time."""
-        now_ns, state, sums, codec = self._time_ns, self._state, self._sums, self._codec
-        time_us = now_ns // 1000 + round(self._config.link.clock_offset_s * 1e6)
-        to_onboard.append(codec.imu(self._imu.sample(state, sums, self._world.shaking), time_us))
+        now_ns, state, sums, codec, passed = self._time_ns, self._state, self._sums, self._codec, self._faults.passed
+        capture_us = now_ns // 1000 + self._clock_offset_us
+        time_us = max(0, capture_us + self._world.clock_jump_ns // 1000)
+        imu = passed("imu", self._imu.sample(state, sums, self._world.shaking))
+        if imu is not None:
+            to_onboard.append(codec.imu(imu, time_us))
         if self._flow.schedule.is_due(now_ns):
-            to_onboard.append(codec.flow(self._flow.sample(state, sums), time_us))
+            flow = passed("flow", self._flow.sample(state, sums))
+            if flow is not None:
+                to_onboard.append(codec.flow(flow, time_us))
         if self._ultrasonic.schedule.is_due(now_ns):
-            distance_m = self._ultrasonic.sample(state)
+            distance_m = passed("ultrasonic", self._ultrasonic.sample(state))
             if distance_m is not None:
                 to_onboard.append(codec.distance(distance_m, time_us))
         if self._each_second.is_due(now_ns):
-            to_onboard += [codec.heartbeat(self._armed), self._battery_frame()]
+            to_onboard.append(codec.heartbeat(self._armed))
+            battery = passed("battery", self._read_battery())
+            if battery is not None:
+                to_onboard.append(codec.battery(battery))
         if self._capture.schedule.is_due(now_ns):
-            pose = self._capture.sample(state, now_ns)
+            pose = passed("motion_capture", self._capture.sample(state, now_ns))
             if pose is not None:
                 due_ns = now_ns + round(self._capture.config.latency_s * 1e9)
-                self._poses.append((due_ns, codec.pose(pose, time_us)))
+                self._poses.append((due_ns, codec.pose(pose, capture_us)))
 
-    def _battery_frame(self) -> bytes:
+    def _read_battery(self) -> BatterySample:
         state = self._state
         used_mah = float(state[at.CHARGE_USED]) / 3.6
         voltage = float(state[at.VOLTAGE]) + self._config.sensors.battery_noise_v * self._battery_noise.take()
         remaining = 1.0 - used_mah / self._config.battery.capacity_mah
-        return self._codec.battery(voltage, float(self._sums[at.CURRENT]), used_mah, remaining)
+        return BatterySample(voltage, float(self._sums[at.CURRENT]), used_mah, remaining)
 
 
 def substep_normals(config: SimVehicleConfig, seed: int) -> SubstepNormals:

@@ -1,7 +1,8 @@
 """The world: turns a scenario's disturbances into what the compiled step reads, and changes it at onset and end.
 
-Two ways. What changes only at onset and end (damaged rotors, motor gains, payload) is written into the parameters at
-those events. What acts at every sub-step (wind, jet, gusts, cloth, sag) is a row of numbers that airflow.py reads:
+What changes only at onset and end (damaged rotors, motor gains, payload) is written into the parameters at those
+events; sensor faults are names that faults.py looks up. What acts at every sub-step (wind, jet, gusts, cloth, sag) is
+a row of numbers that airflow.py reads:
 
     wind   velocity n e d
     jet    nozzle n e d, unit direction n e d, diameter, speed
@@ -16,7 +17,19 @@ import numpy as np
 
 import sim_vehicle.layout as at
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.disturbances import BatterySag, Cloth, Disturbance, FanJet, Gusts, MotorGain, Payload, RotorChip, Wind
+from sim_vehicle.disturbances import (
+    BatterySag,
+    ClockJump,
+    Cloth,
+    Disturbance,
+    FanJet,
+    Gusts,
+    MotorGain,
+    Payload,
+    RotorChip,
+    SensorFault,
+    Wind,
+)
 from sim_vehicle.packing import SUBSTEP_NS, pack_parameters, set_mass
 from sim_vehicle.records import Array
 
@@ -50,6 +63,10 @@ class World:
         self._start_rows(seed)
         self.shaking: Array = np.zeros((4, 2))
         """[4, 2] what reaches accelerometer (m/s^2) and gyro (rad/s) of each rotor's imbalance, at hover speed."""
+        self.faults: dict[str, str] = {}
+        """What ails each sensor at present, by its name."""
+        self.clock_jump_ns = 0
+        """By how much the vehicle's clock is off."""
         self.next_event_ns = 0
         """When `apply` is due again."""
 
@@ -62,6 +79,8 @@ class World:
         payloads = tuple((block.mass_kg, block.offset_m) for block, _ in active if isinstance(block, Payload))
         body = self._config.body
         set_mass(P, body.mass_kg, body.inertia_kg_m2, body.centre_of_mass_m, payloads)
+        self.faults = {block.sensor: block.fault for block, _ in active if isinstance(block, SensorFault)}
+        self.clock_jump_ns = round(1e9 * sum(block.jump_s for block, _ in active if isinstance(block, ClockJump)))
         times = [time for block in self._blocks for time in (_onset_ns(block), _end_ns(block))]
         self.next_event_ns = min((time for time in times if time > now_ns), default=NEVER_NS)
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.mavlink_link import VehicleCodec
+from sim_vehicle.sensors import BatterySample
 
 CONFIG = load_vehicle("mambo")
 KEY = bytes(range(32))
@@ -131,7 +132,11 @@ def test_sequence_numbers_run_on(frames):
 def test_contents_of_slow_messages(frames):
     sender = codec()
     battery, beat, distance = frames(
-        [sender.battery(3.7312, 4.2, 55.4, 0.916), sender.heartbeat(True), sender.distance(1.234, 5_000_000)]
+        [
+            sender.battery(BatterySample(3.7312, 4.2, 55.4, 0.916)),
+            sender.heartbeat(True),
+            sender.distance(1.234, 5_000_000),
+        ]
     )
     assert battery.voltages == [3731] + [65535] * 9
     assert (battery.current_battery, battery.current_consumed, battery.battery_remaining) == (420, 55, 92)
