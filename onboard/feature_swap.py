@@ -50,7 +50,7 @@ class RecentStates:
         self._filled = min(self._filled + 1, self._ring.shape[0])
 
     def columns(self, now: Array) -> Array:
-        """[SIGNAL_COUNT, n + m], in no particular order: the ring's and the m of `now`; none while the ring is empty."""
+        """[SIGNAL_COUNT, n + m], in any order: the ring's and the m of `now`; none while the ring is empty."""
         if self._filled == 0:
             return np.zeros((self._ring.shape[1], 0))
         return np.hstack([self._ring[: self._filled].T, now])

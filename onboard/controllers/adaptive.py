@@ -67,6 +67,7 @@ class AdaptiveAugmentation:
         self.features: Features = self._start_features(rng)
         self.last_layer = LastLayer(config.law, self.features.feature_count, P[:, 3:].copy())
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
+        self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
         self._ticks = 0
         self._residual: Array = np.zeros(3)
         self._eps_1_squared = 0.0
@@ -87,6 +88,7 @@ class AdaptiveAugmentation:
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
         """Updates W at the present state, then answers nu_ad where the vehicle will be."""
         dt = channel.dt
+        self._signals = channel.signals
         Phi = self.features.evaluate(self.features.select(channel.signals))
         Phi_now = Phi[:, 0]
         if channel.adapt:
@@ -132,7 +134,7 @@ class AdaptiveAugmentation:
             new,
             channel.last_layer,
             self._config.law.weight_norm_max,
-            self._recent.columns(),
+            self._recent.columns(self._signals),
         )
         return new, plan
 
