@@ -19,7 +19,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "onboard": ("configs", "protocol"),
     "offboard": ("configs", "protocol"),
     "sim_vehicle": ("configs", "protocol"),
-    "flight_record": ("configs",),
+    "flight_record": ("configs", "shell"),
     "shell": ("configs",),
     "experiments": PACKAGES,
 }

@@ -1,0 +1,69 @@
+"""`dmrac view FLIGHT`: the flight in the Rerun viewer, in a window or in a browser."""
+
+import argparse
+import sys
+import tempfile
+import webbrowser
+from pathlib import Path
+
+from flight_record.reader import FlightError, open_flight
+from flight_record.scene import build_scene
+from flight_record.viewer import WEB_PORT, ViewerError, WebViewer, show_window, viewer_binary
+
+DESCRIPTION = "Shows a flight: path, vehicle, thrust, wind and disturbance in space, curves, events on the time line."
+EXAMPLES = """examples:
+  dmrac view flights/20260101_120000_figure8_wind
+  dmrac view FLIGHT --web                  in a browser on this machine
+  dmrac view FLIGHT --save flight.rrd      a file for the viewer, nothing shown
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the subcommand's options."""
+    parser.description = DESCRIPTION
+    parser.epilog = EXAMPLES
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("flight", type=Path, metavar="FLIGHT", help="a flight folder or one .mcap file")
+    parser.add_argument("--web", action="store_true", help="serve it to a browser, on loopback only")
+    parser.add_argument("--port", type=int, default=WEB_PORT, help="port for --web (%(default)s; 0 takes a free one)")
+    parser.add_argument("--no-open", action="store_true", help="with --web: only print the address")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="write a recording (.rrd) instead of showing it")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit status: 0 shown or written, 2 the flight cannot be read or shown."""
+    try:
+        return _show(args)
+    except (FlightError, ViewerError) as error:
+        print(f"dmrac view: {error}", file=sys.stderr)
+    except OSError as error:
+        print(f"dmrac view: {error.filename}: cannot be written: {error.strerror}", file=sys.stderr)
+    return 2
+
+
+def _show(args: argparse.Namespace) -> int:
+    viewer_binary()  # says in one line when the extra is missing, ahead of the import
+    from flight_record.recording import save_recording
+
+    flight = open_flight(args.flight)
+    name = flight.path.resolve().name
+    if args.save is not None:
+        save_recording(build_scene(flight), args.save, name)
+        print(args.save)
+        return 0
+    with tempfile.TemporaryDirectory(prefix="dmrac_view_") as folder:
+        file = Path(folder) / f"{name}.rrd"
+        save_recording(build_scene(flight), file, name)
+        return _serve(file, args) if args.web else show_window(file)
+
+
+def _serve(file: Path, args: argparse.Namespace) -> int:
+    with WebViewer(file, args.port) as viewer:
+        print(f"{viewer.url}\nCtrl-C ends it", flush=True)
+        if not args.no_open:
+            webbrowser.open(viewer.url)
+        try:
+            viewer.serve()
+        except KeyboardInterrupt:
+            print()
+    return 0

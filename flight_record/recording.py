@@ -1,0 +1,163 @@
+"""A scene as a Rerun recording, with the blueprint made for this work. Needs the `viz` extra."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from flight_record.scene import Curve, Motion, Scene
+
+APPLICATION: Final = "async-dmrac"
+TIMELINE: Final = "flight"
+ARM_M: Final = 0.0442
+"""Half the distance between neighbouring rotors of a Mambo: it is drawn in its real size."""
+ROTORS: Final = ((ARM_M, ARM_M, 0.0), (-ARM_M, -ARM_M, 0.0), (ARM_M, -ARM_M, 0.0), (-ARM_M, ARM_M, 0.0))
+"""PX4 order: front right, rear left, front left, rear right; body FRD."""
+THRUST_M_PER_N: Final = 1.0
+ARROW_SCALE: Final = {"wind": 0.05, "disturbance": 4.0, "nu_ad": 0.25}
+"""Drawn metres per m/s, per N, per m/s^2 (a Mambo weighs 0.063 kg, so force and nu_ad are drawn alike)."""
+ARROW_COLOURS: Final = {"wind": (120, 170, 255), "disturbance": (235, 90, 60), "nu_ad": (60, 190, 120)}
+CURVE_COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
+REFERENCE_COLOURS: Final = ((150, 150, 150), (180, 180, 180), (120, 120, 120))
+PATH_POINTS_MAX: Final = 5000
+
+
+def save_recording(scene: Scene, path: Path, name: str) -> None:
+    """Writes the scene to an .rrd file. Raises OSError."""
+    recording = new_recording(name)
+    path.touch()  # an OSError of ours in one line instead of the library's warning
+    recording.save(path, default_blueprint=blueprint(scene.groups))
+    log_static(recording, scene)
+    log_scene(recording, scene)
+    log_paths(recording, scene)
+    recording.flush()
+    recording.disconnect()
+
+
+def new_recording(name: str) -> rr.RecordingStream:
+    """An empty recording."""
+    return rr.RecordingStream(APPLICATION, recording_id=name, send_properties=False)
+
+
+def log_static(recording: rr.RecordingStream, scene: Scene) -> None:
+    """What never changes: axes, the airframe, the curves' names and colours."""
+    recording.log("world", rr.ViewCoordinates.FRD, static=True)
+    recording.log(
+        "world/vehicle/body", rr.Boxes3D(half_sizes=[[0.03, 0.012, 0.008]], colors=[(220, 220, 220)]), static=True
+    )
+    recording.log(
+        "world/vehicle/arms",
+        rr.LineStrips3D([[ROTORS[0], ROTORS[1]], [ROTORS[2], ROTORS[3]]], colors=[(200, 200, 200)], radii=[0.004]),
+        static=True,
+    )
+    recording.log(
+        "world/vehicle/nose",
+        rr.Arrows3D(vectors=[[0.08, 0.0, 0.0]], colors=[(240, 200, 60)], radii=[0.003]),
+        static=True,
+    )
+    counts: dict[tuple[str, bool], int] = {}
+    for curve in scene.curves:
+        at = counts.get((curve.group, curve.reference), 0)
+        counts[curve.group, curve.reference] = at + 1
+        colours = REFERENCE_COLOURS if curve.reference else CURVE_COLOURS
+        style = rr.SeriesLines(
+            colors=[colours[at % len(colours)]], names=[curve.name], widths=[2.5 if curve.reference else 1.2]
+        )
+        recording.log(curve_entity(curve), style, static=True)
+
+
+def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
+    """Everything that has a time."""
+    if scene.motion is not None:
+        _log_motion(recording, scene.motion, scene.start_ns)
+    if scene.target is not None:
+        times, positions = scene.target
+        style = {"colors": [(170, 170, 170)] * len(times), "radii": [0.02] * len(times)}
+        _send(recording, "world/target", times, scene.start_ns, rr.Points3D.columns(positions=positions, **style))
+    for curve in scene.curves:
+        known = np.isfinite(curve.values)
+        columns = rr.Scalars.columns(scalars=curve.values[known])
+        _send(recording, curve_entity(curve), curve.time_ns[known], scene.start_ns, columns)
+    if scene.events:
+        times = np.array([event.time_ns for event in scene.events], dtype=np.int64)
+        texts = [f"{event.process}: {event.text}" for event in scene.events]
+        _send(recording, "events", times, scene.start_ns, rr.TextLog.columns(text=texts))
+
+
+def log_paths(recording: rr.RecordingStream, scene: Scene) -> None:
+    """The whole path flown and the whole path wanted, as lines."""
+    paths = {"world/path/target": (scene.target[1], (110, 110, 110))} if scene.target is not None else {}
+    if scene.motion is not None:
+        paths["world/path/flown"] = (scene.motion.position, (0, 114, 178))
+    for entity, (positions, colour) in paths.items():
+        step = max(len(positions) // PATH_POINTS_MAX, 1)
+        recording.log(entity, rr.LineStrips3D([positions[::step]], colors=[colour], radii=[0.004]), static=True)
+
+
+def _log_motion(recording: rr.RecordingStream, motion: Motion, start_ns: int) -> None:
+    n = len(motion.time_ns)
+    xyzw = motion.quaternion[:, [1, 2, 3, 0]]
+    pose = rr.Transform3D.columns(translation=motion.position, quaternion=xyzw)
+    _send(recording, "world/vehicle", motion.time_ns, start_ns, pose)
+    thrust = np.zeros((n, 4, 3))
+    thrust[:, :, 2] = -THRUST_M_PER_N * motion.thrust
+    arrows = rr.Arrows3D.columns(
+        vectors=thrust.reshape(-1, 3),
+        origins=np.tile(np.array(ROTORS), (n, 1)),
+        colors=[(240, 200, 60)] * (4 * n),
+    ).partition([4] * n)
+    _send(recording, "world/vehicle/thrust", motion.time_ns, start_ns, arrows)
+    for name, vectors in motion.arrows.items():
+        columns = rr.Arrows3D.columns(
+            vectors=ARROW_SCALE[name] * vectors, origins=motion.position, colors=[ARROW_COLOURS[name]] * n
+        )
+        _send(recording, f"world/arrows/{name}", motion.time_ns, start_ns, columns)
+
+
+def _send(recording: rr.RecordingStream, entity: str, times_ns: Any, start_ns: int, columns: Any) -> None:
+    if len(times_ns) == 0:
+        return
+    seconds = (times_ns - start_ns) * 1e-9
+    rr.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=seconds)], columns, recording=recording)
+
+
+def curve_entity(curve: Curve) -> str:
+    """Where a curve stands in the recording."""
+    return f"{group_entity(curve.group)}/{_word(curve.name)}"
+
+
+def group_entity(group: str) -> str:
+    """Where a group of curves stands in the recording."""
+    return f"curves/{_word(group)}"
+
+
+def _word(text: str) -> str:
+    return "".join(character if character.isascii() and character.isalnum() else "_" for character in text).strip("_")
+
+
+def blueprint(groups: tuple[str, ...]) -> rrb.Blueprint:
+    """The layout: the room and the events to the left, curves to the right."""
+    room = rrb.Spatial3DView(
+        origin="world",
+        name="room (grey: target, blue: wind, red: true disturbance, green: nu_ad)",
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5),
+        eye_controls=rrb.EyeControls3D(
+            position=(-2.1, 1.1, -2.3), look_target=(0.0, 0.0, -0.8), eye_up=(0.0, 0.0, -1.0)
+        ),
+    )
+    legend = rrb.PlotLegend(corner="LeftTop")
+    views = [rrb.TimeSeriesView(origin=group_entity(group), name=group, plot_legend=legend) for group in groups]
+    first, second = views[:6], views[6:]
+    tabs = [
+        rrb.Vertical(*part, name=name) for part, name in ((first, "control"), (second, "link and learning")) if part
+    ]
+    left = rrb.Vertical(room, rrb.TextLogView(origin="events", name="events"), row_shares=[4, 1])
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[3, 2]) if tabs else left,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        auto_views=False,
+    )
