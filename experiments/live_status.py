@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 PLAIN_PERIOD_S: Final = 2.0
+DRAWING_PERIOD_S: Final = 0.25
 SILENT_S: Final = 2.0
 """Values of a process that has said nothing for so long are not shown any more."""
 EVENTS_SHOWN: Final = 6
@@ -78,6 +79,7 @@ class LiveStatus:
         self._console = console
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._next_plain = 0.0
+        self._next_drawing = 0.0
 
     def __enter__(self) -> Self:
         if self._live is not None:
@@ -88,18 +90,26 @@ class LiveStatus:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
+            self._next_drawing = 0.0
+            self._redraw()
             self._live.stop()
 
     def __call__(self, entry: dict[str, Any]) -> None:
         """Take one reported line in and show what it changes."""
         self.status.take_in(entry)
         if self._live is not None:
-            self._live.update(self.status.table(), refresh=True)
+            self._redraw()
         elif entry.get("kind") == "event":
             self._print(f"{entry.get('process')}: {entry.get('text')}")
         elif time.monotonic() >= self._next_plain and self.status.of("sim"):
             self._next_plain = time.monotonic() + PLAIN_PERIOD_S
             self._print(self.status.line())
+
+    def _redraw(self) -> None:
+        """Not at every line: drawing takes milliseconds of a processor that the flight needs."""
+        if self._live is not None and time.monotonic() >= self._next_drawing:
+            self._next_drawing = time.monotonic() + DRAWING_PERIOD_S
+            self._live.update(self.status.table(), refresh=True)
 
     def _print(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)

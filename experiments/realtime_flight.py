@@ -137,7 +137,7 @@ class Supervisor:
         self._out = out
         self._duration_s = duration_s
         self._on_status = on_status
-        self._children: dict[str, Child] = {}
+        self.children: dict[str, Child] = {}
         self._selector = selectors.DefaultSelector()
         self._stop = StopRequest()
         self._stops_passed_on = 0
@@ -156,18 +156,18 @@ class Supervisor:
 
     def _start(self, name: str) -> None:
         child = Child(name, self._config_path, self._out)
-        self._children[name] = child
+        self.children[name] = child
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
 
     def _wait_until_ready(self, *names: str) -> bool:
         limit = time.monotonic() + READY_LIMIT_S
-        while not all(self._children[name].ready for name in names):
+        while not all(self.children[name].ready for name in names):
             self._relay()
             if self._stop.count:
                 self.result.interrupted = True
                 return False
             for name in names:
-                child = self._children[name]
+                child = self.children[name]
                 if not child.running:
                     raise FlightStartError(
                         f"{name} ended at its start (status {child.process.returncode}): {child.said()}"
@@ -179,7 +179,7 @@ class Supervisor:
     def _watch(self) -> None:
         """Until the simulated vehicle's time is over or onboard has ended."""
         limit = time.monotonic() + self._duration_s + OVERTIME_S
-        sim, onboard, offboard = (self._children[name] for name in ("sim", "onboard", "offboard"))
+        sim, onboard, offboard = (self.children[name] for name in ("sim", "onboard", "offboard"))
         offboard_seen = True
         while sim.running and onboard.running:
             self._relay()
@@ -203,7 +203,8 @@ class Supervisor:
         if self._stop.count > self._stops_passed_on:
             self._stops_passed_on = self._stop.count
             self.result.interrupted = True
-            self._note("asked to end: landing (once more ends at once)")
+            if self._stop.count == 1:
+                self._note("asked to end: landing (once more ends at once)")
             onboard.ask(signal.SIGINT)
 
     def _relay(self) -> None:
@@ -222,10 +223,10 @@ class Supervisor:
     def _end_all(self) -> None:
         """The vehicle first, so that onboard, hearing nothing more, does not wait to land."""
         for name in ("sim", "onboard", "offboard"):
-            if name in self._children:
-                self._children[name].end(END_LIMIT_S)
+            if name in self.children:
+                self.children[name].end(END_LIMIT_S)
         self._relay()
-        for name, child in self._children.items():
+        for name, child in self.children.items():
             child.kill()
             self.result.exit_status[name] = child.process.returncode
             child.tidy()
