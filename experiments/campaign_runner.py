@@ -4,6 +4,7 @@ Both are a `concurrent.futures.Executor`. Few flights are under way at a time, s
 campaign; a worker that dies costs its flight one more try, then that flight becomes a row with its error.
 """
 
+import json
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator
@@ -139,7 +140,7 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
             raise ConfigError(f"--out {run.folder}: holds a campaign already; add --resume, or choose another folder")
         if read_tree(path).get("fingerprint") != mark:
             raise ConfigError(
-                f"--resume {run.folder}: its flights were made with other settings: the campaign or configs have changed "
+                f"--resume {run.folder}: its flights were made with other settings: campaign or configs have changed "
                 "since; choose another folder"
             )
     about = {"name": run.name, "fingerprint": mark, "seeds": run.seeds or run.campaign.seeds.count, "campaign": tree}
@@ -237,9 +238,7 @@ class _Loop:
         self._finish(job, result.row | {"command": job.command(folder)})
 
     def _fail(self, job: FlightJob, reason: str) -> None:
-        import json
-
-        about = {"key": job.key, "campaign": job.campaign, "case": job.case, "controller": job.controller}
+        about: dict[str, Any] = {"key": job.key, "campaign": job.campaign, "case": job.case, "controller": job.controller}
         about |= {"seed": job.seed, "point": json.dumps(dict(job.point)), "command": job.command(self._run.folder)}
         self._finish(job, empty_row() | about | {"error": reason})
 

@@ -131,7 +131,9 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     controller = choices.controller or file.controller
     onboard = merge(read_tree(CONFIG_DIRECTORY / "onboard.yaml"), {"guidance": _guidance(file, duration)})
     onboard = merge(onboard, _simulated_pilot(onboard))
-    onboard = merge(onboard, {"seed": seed, "controller": read_tree(named_file("controllers", controller))})
+    law = read_tree(named_file("controllers", controller))
+    onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
+    onboard = merge(onboard, {"seed": seed, "controller": law})
     vehicle = merge(read_vehicle_tree(named_file("vehicle", file.vehicle)), {"disturbances": list(file.disturbances)})
     return {
         "scenario": name,
