@@ -9,7 +9,7 @@ time are nearly equal and would leak from one to the other.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -60,6 +60,11 @@ class SampleTable:
         return SampleTable(
             self.time_ns[rows].copy(), self.signals[rows].copy(), self.labels[rows].copy(), self.split[rows].copy()
         )
+
+    def released(self, before_ns: int) -> "SampleTable":
+        """The same with validation samples from before a time given to training."""
+        old = (self.split == VALIDATION) & (self.time_ns < before_ns)
+        return replace(self, split=np.where(old, TRAINING, self.split).astype(np.int8))
 
     def put(self, row: int, sample: LabelledSample, split: int) -> None:
         """Write one row."""

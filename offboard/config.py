@@ -39,9 +39,11 @@ class BufferConfig(Record):
     history_tolerance: float = Field(gt=0.0, description="smallest norm(dPhi)^2 / norm(Phi) that is new")
     refresh_age_s: float = Field(gt=0.0, description="s; an older entry is replaced by a sample it resembles")
     newest: int = Field(ge=16, le=4000, description="samples, store of the newest, new or not")
+    newest_scale: float = Field(gt=0.0, description="samples of age over which the draw of the newest fades by 1/e")
     newest_fraction: float = Field(ge=0.0, le=1.0, description="share of each mini-batch drawn from the newest")
     block_s: float = Field(gt=0.0, le=10.0, description="s, length of a block that goes to one split as a whole")
     blocks_per_group: int = Field(ge=3, description="one block in each group of so many is held out for validation")
+    release_s: float = Field(gt=0.0, description="s after which validation samples are trained on, newer ones held out")
     groups_per_test: int = Field(ge=1, description="one block in every so many groups is held out for testing")
 
     @model_validator(mode="after")

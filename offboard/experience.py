@@ -48,7 +48,7 @@ def dump_experience(experience: Experience) -> bytes:
     header = {
         "format": FORMAT,
         "layers": len(network.weights),
-        "moments": [len(moments) for moments in state.moments],
+        "moments": len(state.moments),
         "steps": state.steps,
         "rounds": state.rounds,
         "versions": len(experience.versions),
@@ -66,8 +66,7 @@ def dump_experience(experience: Experience) -> bytes:
     }
     for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
         arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
-    for parameter, moments in enumerate(state.moments):
-        arrays |= {f"moment_{parameter}_{number}": moment for number, moment in enumerate(moments)}
+    arrays |= {f"moment_{number}": moment for number, moment in enumerate(state.moments)}
     for name, table in (("buffer", experience.buffer), ("newest", experience.newest)):
         arrays |= {f"{name}_{column}": getattr(table, column) for column in _COLUMNS}
     for number, features in enumerate(experience.versions):
@@ -105,10 +104,7 @@ def _from_arrays(arrays: dict[str, NDArray[Any]]) -> Experience:
         arrays["last_layer"],
         arrays["last_bias"],
     )
-    moments = tuple(
-        tuple(arrays[f"moment_{parameter}_{number}"] for number in range(count))
-        for parameter, count in enumerate(header["moments"])
-    )
+    moments = tuple(arrays[f"moment_{number}"] for number in range(header["moments"]))
     versions = tuple(decode_feature_set(arrays[f"version_{number}"].tobytes()) for number in range(header["versions"]))
     tables = [SampleTable(*(arrays[f"{name}_{column}"] for column in _COLUMNS)) for name in ("buffer", "newest")]
     return Experience(

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from offboard.config import LabelConfig
-from protocol.messages import SampleBatch
+from protocol.messages import SAMPLES_PER_BATCH_MAX, SampleBatch
 from protocol.signals import CHANNELS, SIGNAL_COUNT, SIGNAL_INDEX
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ class LabelMaker:
         if self._newest >= 0 and first + n - 1 <= self._newest - RING // 2:
             return []
         if self._newest < 0:
-            self._next = first
+            self._next = max(0, first - SAMPLES_PER_BATCH_MAX)  # the batch before may still be on its way
         for offset in range(n):
             self._store(batch, offset)
         self._newest = max(self._newest, first + n - 1)

@@ -110,14 +110,15 @@ class Learner:
         if not enough or self.labelled == self._labelled_at_last_job:
             return None
         self._labelled_at_last_job = self.labelled
+        before_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
         return TrainingJob(
             network_config=self._config.network,
             config=self._config.trainer,
             seed=self._config.seed,
             state=self._state,
-            buffer=self._buffer.rows(),
-            newest=self._newest.rows(),
-            newest_fraction=self._config.buffer.newest_fraction,
+            buffer=self._buffer.rows().released(before_ns),
+            newest=self._newest.rows().released(before_ns),
+            buffer_config=self._config.buffer,
             flying=self._sent.get(flying_version),
             version=self.version + 1,
             samples_seen=self.labelled,

@@ -119,13 +119,6 @@ def _below_bound(W: Array32, bound: float) -> Array32:
     return shrunk
 
 
-def inner_features(z: torch.Tensor, weights: list[torch.Tensor], biases: list[torch.Tensor]) -> torch.Tensor:
-    """Phi without its constant, [C, n, k - 1], from scaled inputs z [C, n, m]."""
-    for W, b in zip(weights, biases, strict=True):
-        z = torch.tanh(torch.baddbmm(b, z, W))
-    return z
-
-
 class SpectralBound:
     """Keeps each inner layer's largest singular value below the bound while training.
 

@@ -7,22 +7,22 @@ the units of u. Nothing here knows a clock, a file or a thread: `TrainingJob.run
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from offboard.buffer import TEST, TRAINING, VALIDATION, SampleTable
-from offboard.config import NetworkConfig, TrainerConfig
+from offboard.config import BufferConfig, NetworkConfig, TrainerConfig
 from offboard.gate import Evidence
+from offboard.gradient import Optimiser, Views, layer_outputs, loss_gradient, parameters_of
 from offboard.network import (
     Array32,
     InputPlan,
     NetworkState,
     SpectralBound,
     feature_set,
-    inner_features,
     phi,
     scales_from_data,
 )
@@ -38,8 +38,8 @@ class TrainerState:
     """What one round hands to the next."""
 
     network: NetworkState
-    moments: tuple[tuple[Array32, ...], ...]
-    """Of the optimiser, for each parameter; empty before the first round."""
+    moments: tuple[Array32, ...]
+    """Of the optimiser, on the flat vector of parameters; empty before the first round."""
     steps: int
     """Mini-batches so far."""
     rounds: int
@@ -67,7 +67,7 @@ class TrainingJob:
     state: TrainerState
     buffer: SampleTable
     newest: SampleTable
-    newest_fraction: float
+    buffer_config: BufferConfig
     flying: FeatureSet | None
     """The version in the air, None for the random start features (whose nu_ad is not known here)."""
     version: int
@@ -95,37 +95,26 @@ class _Round:
             network = replace(network, offset=offset, scale=scale)
         self._network = network
         self._samples = newest.rows + buffer.rows
-        self._newest_rows = newest.rows
+        self._draw = _draw_probability(job, newest, buffer)
         self._z, self._y_raw = self._inputs(newest.joined(buffer))
         self._label_scale = self._scale_of_labels()
         self._y = self._y_raw / self._label_scale
         self._held_out = [self._held_out_of(split) for split in (VALIDATION, TEST)]
-        self._weights = [_tensor(W) for W in network.weights]
-        self._biases = [_tensor(b) for b in network.biases]
-        self._theta = _tensor(network.last_layer) / self._label_scale
-        self._theta_bias = _tensor(network.last_bias) / self._label_scale
-        self._spectral = SpectralBound(self._weights, job.network_config.spectral_norm_max)
+        self._parameters = parameters_of(network)
+        self._parameters.last_layer.div_(self._label_scale)
+        self._parameters.last_bias.div_(self._label_scale)
+        self._gradient = Views.of(torch.zeros_like(self._parameters.flat), network)
+        self._optimiser = Optimiser(job.config, self._parameters.flat.numel(), job.state.moments, job.state.steps)
+        self._spectral = SpectralBound(self._parameters.weights, job.network_config.spectral_norm_max)
 
     def run(self) -> TrainingResult:
         job = self._job
-        parameters = [*self._weights, *self._biases, self._theta, self._theta_bias]
-        for parameter in parameters:
-            parameter.requires_grad_(True)
-        optimiser = _optimiser(job.config, parameters)
-        _load_moments(optimiser, parameters, job.state)
-        losses = np.array([self._epoch(optimiser, indices) for indices in self._batches()])
-        for parameter in parameters:
-            parameter.requires_grad_(False)
+        losses = np.array([self._epoch(indices) for indices in self._batches()])
         self._spectral.exact()
         if job.config.refit_last_layer:
             self._refit()
             losses[-1, 1:] = self._held_out_losses()
-        state = TrainerState(
-            self._network_now(),
-            _moments(optimiser, parameters),
-            job.state.steps + job.config.batches,
-            job.state.rounds + 1,
-        )
+        state = TrainerState(self._network_now(), self._optimiser.moments, self._optimiser.steps, job.state.rounds + 1)
         parent = 0 if job.flying is None else job.flying.version
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
         candidate = decode_feature_set(encode_feature_set(trained, job.wire_dtype))
@@ -154,41 +143,37 @@ class _Round:
 
     def _batches(self) -> Iterator[torch.Tensor]:
         """Row numbers of the mini-batches of each epoch, [batches per epoch, M]."""
-        config, g = self._job.config, self._generator
-        n_new, n_all = self._newest_rows, self._z.shape[1]
-        from_newest = round(config.batch_size * self._job.newest_fraction)
-        if n_new == 0 or n_new == n_all:
-            from_newest = 0 if n_new == 0 else config.batch_size
-        new = torch.randint(0, max(n_new, 1), (config.batches, from_newest), generator=g)
-        old = torch.randint(
-            n_new, max(n_all, n_new + 1), (config.batches, config.batch_size - from_newest), generator=g
-        )
+        config = self._job.config
+        drawn = torch.rand(config.batches * config.batch_size, generator=self._generator, dtype=torch.float64)
+        rows = torch.searchsorted(self._draw.cumsum(0), drawn).clamp_max(self._samples - 1)
+        rows = rows.view(config.batches, config.batch_size)
         for part in np.array_split(np.arange(config.batches), config.epochs):
-            yield torch.cat([new, old], dim=1)[part[0] : part[-1] + 1] if part.size else new[:0]
+            yield rows[torch.from_numpy(part)]
 
-    def _epoch(self, optimiser: torch.optim.Optimizer, indices: torch.Tensor) -> Array:
+    def _epoch(self, indices: torch.Tensor) -> Array:
         """Some mini-batches; training, validation and test loss, [3, 2]."""
         total = torch.zeros(len(self._plan.channels), 3)
         every = self._job.config.projection_every
-        for number, rows in enumerate(indices):
-            errors = self._predict(self._z[:, rows]) - self._y[:, rows]
-            per_axis = errors.square().mean(dim=1)
-            optimiser.zero_grad(set_to_none=True)
-            per_axis.mean().backward()
-            optimiser.step()
-            total += per_axis.detach()
+        inputs, labels = self._z[:, indices].unbind(1), self._y[:, indices].unbind(1)
+        for number, (z, y) in enumerate(zip(inputs, labels, strict=True)):
+            errors = loss_gradient(z, y, self._parameters, self._gradient, self._dropout(z.shape[1]))
+            self._optimiser.step(self._parameters.flat, self._gradient.flat)
+            total += errors.square().mean(dim=1)
             if number % every == every - 1:
                 self._spectral.approximate()
         trained = self._to_channels((total / max(len(indices), 1))[:, None])
         return np.vstack([trained, self._held_out_losses()])
 
+    def _dropout(self, rows: int) -> torch.Tensor | None:
+        share = self._job.network_config.dropout
+        if share == 0.0:
+            return None
+        shape = (len(self._plan.channels), rows, self._job.network_config.features - 1)
+        return (torch.rand(shape, generator=self._generator) >= share) / (1.0 - share)
+
     def _predict(self, z: torch.Tensor) -> torch.Tensor:
-        features = inner_features(z, self._weights, self._biases)
-        dropout = self._job.network_config.dropout
-        if dropout > 0.0 and features.requires_grad:
-            kept = torch.rand(features.shape, generator=self._generator) >= dropout
-            features = features * kept / (1.0 - dropout)
-        return torch.baddbmm(self._theta_bias, features, self._theta)
+        features = layer_outputs(z, self._parameters)[-1]
+        return torch.baddbmm(self._parameters.last_bias, features, self._parameters.last_layer)
 
     def _held_out_losses(self) -> Array:
         """Validation and test loss per channel, [2, 2]; NaN where there is no sample."""
@@ -197,8 +182,7 @@ class _Round:
             if z.shape[1] == 0:
                 rows.append(np.full(len(CHANNELS), np.nan))
             else:
-                with torch.no_grad():
-                    errors = self._predict(z) - y / self._label_scale
+                errors = self._predict(z) - y / self._label_scale
                 rows.append(self._to_channels(errors.square().mean(dim=1, keepdim=True)))
         return np.array(rows)
 
@@ -209,32 +193,23 @@ class _Round:
         return losses
 
     def _refit(self) -> None:
-        """Last layer theta = argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge norm(theta)^2, w as the mini-batches draw."""
-        features = inner_features(self._z, self._weights, self._biases).double()
+        """Last layer: argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge norm(theta)^2, w as mini-batches draw."""
+        features = layer_outputs(self._z, self._parameters)[-1].double()
         Phi = torch.cat([features, torch.ones(*features.shape[:2], 1, dtype=torch.float64)], dim=2)
-        w = self._draw_weights()[None, :, None]
+        w = self._draw[None, :, None]
         gram = (Phi * w).transpose(1, 2) @ Phi + self._job.config.ridge * torch.eye(Phi.shape[2], dtype=torch.float64)
         theta = torch.linalg.solve(gram, (Phi * w).transpose(1, 2) @ self._y.double()).float()
-        self._theta.copy_(theta[:, :-1])
-        self._theta_bias.copy_(theta[:, -1:])
-
-    def _draw_weights(self) -> torch.Tensor:
-        """Probability with which a mini-batch draws each row, [n]."""
-        n_new, n_all = self._newest_rows, self._z.shape[1]
-        share = self._job.newest_fraction if 0 < n_new < n_all else float(n_new > 0)
-        w = torch.empty(n_all, dtype=torch.float64)
-        w[:n_new] = share / max(n_new, 1)
-        w[n_new:] = (1.0 - share) / max(n_all - n_new, 1)
-        return w
+        self._parameters.last_layer.copy_(theta[:, :-1])
+        self._parameters.last_bias.copy_(theta[:, -1:])
 
     def _network_now(self) -> NetworkState:
         return NetworkState(
             self._network.offset,
             self._network.scale,
-            tuple(W.numpy().copy() for W in self._weights),
-            tuple(b.numpy().copy() for b in self._biases),
-            (self._theta * self._label_scale).numpy(),
-            (self._theta_bias * self._label_scale).numpy(),
+            tuple(W.numpy().copy() for W in self._parameters.weights),
+            tuple(b.numpy().copy() for b in self._parameters.biases),
+            (self._parameters.last_layer * self._label_scale).numpy(),
+            (self._parameters.last_bias * self._label_scale).numpy(),
         )
 
     def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
@@ -260,12 +235,22 @@ class _Round:
         z, _ = self._held_out[0]
         if not table.rows:
             return 0.0
-        by_torch = inner_features(z, self._weights, self._biases).numpy()
+        by_torch = layer_outputs(z, self._parameters)[-1].numpy()
         channels = [channel for channel in (trained.position, trained.attitude) if channel is not None]
         differences = [
             np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row]).max() for row, channel in enumerate(channels)
         ]
         return float(max(differences))
+
+
+def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable) -> torch.Tensor:
+    """Probability with which a mini-batch draws each row, the newest (newer ones likelier) before the buffer, [n]."""
+    config = job.buffer_config
+    share = config.newest_fraction if newest.rows and buffer.rows else float(newest.rows > 0)
+    fading = np.exp(-np.arange(newest.rows)[::-1] / config.newest_scale)
+    of_newest = share * fading / max(float(fading.sum()), 1e-12)
+    of_buffer = np.full(buffer.rows, (1.0 - share) / max(buffer.rows, 1))
+    return torch.from_numpy(np.concatenate([of_newest, of_buffer]))
 
 
 def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array) -> Array:
@@ -288,40 +273,3 @@ def _power(labels: Array, channels: tuple[int, ...]) -> Array:
 
 def _of_split(table: SampleTable, split: int) -> SampleTable:
     return table.take(table.split == split)
-
-
-def _tensor(array: Array32) -> torch.Tensor:
-    return torch.from_numpy(array.copy())
-
-
-def _optimiser(config: TrainerConfig, parameters: list[torch.Tensor]) -> torch.optim.Optimizer:
-    if config.optimiser == "adam":
-        return torch.optim.Adam(parameters, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
-    return torch.optim.SGD(
-        parameters, lr=config.learning_rate, momentum=config.momentum, weight_decay=config.weight_decay, fused=True
-    )
-
-
-MOMENT_NAMES: Final = {"adam": ("exp_avg", "exp_avg_sq"), "sgd": ("momentum_buffer",)}
-
-
-def _moment_names(optimiser: torch.optim.Optimizer) -> tuple[str, ...]:
-    return MOMENT_NAMES["adam" if isinstance(optimiser, torch.optim.Adam) else "sgd"]
-
-
-def _load_moments(optimiser: torch.optim.Optimizer, parameters: list[torch.Tensor], state: TrainerState) -> None:
-    names = _moment_names(optimiser)
-    for parameter, moments in zip(parameters, state.moments, strict=False):
-        if len(moments) == len(names):
-            known = {name: _tensor(moment) for name, moment in zip(names, moments, strict=True)}
-            optimiser.state[parameter] = {"step": torch.tensor(float(state.steps)), **known}
-
-
-def _moments(optimiser: torch.optim.Optimizer, parameters: list[torch.Tensor]) -> tuple[tuple[Array32, ...], ...]:
-    names = _moment_names(optimiser)
-    kept = []
-    for parameter in parameters:
-        known = optimiser.state.get(parameter, {})
-        present = [known[name] for name in names if known.get(name) is not None]
-        kept.append(tuple(moment.numpy().copy() for moment in present))
-    return tuple(kept)

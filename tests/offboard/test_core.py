@@ -137,7 +137,8 @@ def test_same_flight_same_bytes() -> None:
 
 
 def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
-    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    relay = {"latency_s": 0.008}
+    core, onboard = OffboardCore(offboard_config(pose_relay=relay), 7, None), Onboard()
     core.take_in(onboard.endpoint.encode(TimeSyncRequest(5 * MS), 5 * MS), 100 * MS)
     codec = mavlink.MAVLink(None, srcSystem=1)
     pose = mavlink.MAVLink_att_pos_mocap_message(80_000, [1.0, 0.0, 0.0, 0.0], 0.5, 0.25, -1.0)
@@ -146,7 +147,7 @@ def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
         onboard.take_in(datagram, 7 * MS)
     assert [(reply.receive_ns, reply.transmit_ns) for reply in onboard.replies] == [(100 * MS, 102 * MS)]
     assert len(onboard.poses) == 1
-    assert onboard.poses[0].time_ns == 100 * MS
+    assert onboard.poses[0].time_ns == 92 * MS
     assert core.step(103 * MS).to_onboard == []
 
 
