@@ -37,6 +37,7 @@ from shell.status import StatusLines
 
 VEHICLE_DATAGRAMS_PER_TICK: Final = 16
 OFFBOARD_DATAGRAMS_PER_TICK: Final = 16
+GROUND_DATAGRAMS_PER_TICK: Final = 4
 VEHICLE_SILENT_NS: Final = 500_000_000
 """A vehicle that has said nothing for so long is not waited for when the process is asked to end."""
 FINAL_SAFE_COMMANDS: Final = 3
@@ -118,6 +119,8 @@ class OnboardProcess:
             self._core.take_in_vehicle(datagram, now)
         for datagram in self._sockets.offboard.receive(OFFBOARD_DATAGRAMS_PER_TICK):
             self._core.take_in_offboard(datagram, now)
+        for datagram in self._sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK):
+            self._core.take_in_ground(datagram, now)
 
     def _give_out(self, output: OnboardOutput, now: int) -> None:
         for datagram in output.to_vehicle:

@@ -97,7 +97,7 @@ def test_takes_in_steps_gives_out_and_logs_until_asked_to_end() -> None:
     assert bench.sockets.vehicle.sent == [b"motors"] * 10 + [b"off"] * FINAL_SAFE_COMMANDS
     assert bench.sockets.offboard.sent == [b"sample"] * 10
     assert bench.sockets.ground.sent == [b"telemetry"] * 10
-    assert set(bench.core.taken) == {("vehicle", b"hello"), ("offboard", b"hello")}
+    assert set(bench.core.taken) == {("vehicle", b"hello"), ("offboard", b"hello"), ("ground", b"hello")}
     assert [topic for topic, _ in bench.logged] == ["onboard/tick", "onboard/loop"] * 10
     summary = bench.process.summary()
     assert (summary["ticks"], summary["mode"], summary["escapes"]) == (10, "LANDED", 0)
