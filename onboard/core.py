@@ -123,9 +123,9 @@ class OnboardCore:
             self._next_sync_ns = now_ns
         match message:
             case Pose():
-                offset = self._endpoint.clock_offset_ns
-                capture_ns = now_ns if offset is None else message.time_ns - offset
-                self._estimator.take_in_pose(message, capture_ns, now_ns)
+                offset_ns = self._endpoint.clock_offset_ns
+                if offset_ns is not None:  # else its age is not known, nor that it is not a recording
+                    self._estimator.take_in_pose(message, message.time_ns - offset_ns, now_ns)
             case FeatureChunk():
                 self._reception.receive(message)
             case _:
