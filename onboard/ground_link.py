@@ -190,7 +190,7 @@ class GroundLink:
                 (mavlink.MAVLink_file_transfer_protocol_message, (0, frame.system, frame.component, *nack))
             )
         elif frame.message_id == MISSION_REQUEST_LIST:
-            self._waiting.append((mavlink.MAVLink_mission_count_message, (0, frame.system, frame.component, 0, 0)))
+            self._waiting.append((mavlink.MAVLink_mission_count_message, (0, frame.system, frame.component, 0)))
         else:
             kind = mavlink.MAV_PARAM_TYPE_REAL32
             fields = (float(self._config.system), 1, 0, PARAMETER, kind)

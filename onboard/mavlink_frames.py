@@ -12,6 +12,7 @@ import hmac
 import struct
 from collections import Counter
 from collections.abc import Iterable
+from functools import cache
 from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -78,6 +79,12 @@ def check_key(key: bytes | None) -> bytes | None:
     if key is not None and len(key) != KEY_BYTES:
         raise ValueError(f"a signing key of {len(key)} bytes, expected {KEY_BYTES}")
     return key
+
+
+@cache
+def _field_count(kind: Any) -> int:
+    """Number of values in a message's payload."""
+    return len(kind.unpacker.unpack(bytes(kind.unpacker.size)))
 
 
 class FrameReader:
@@ -199,11 +206,16 @@ class FrameWriter:
     def write(self, kind: Any, fields: tuple[Any, ...], now_ns: int) -> bytes:
         """A frame of the pymavlink message class `kind` with `fields` in wire order.
 
+        Numeric extensions that a newer pymavlink has added at the end are sent as 0, that is, not at all.
+
         Raises
         ------
         struct.error
             If a field does not fit its type: our own mistake.
         """
+        missing = _field_count(kind) - len(fields)
+        if missing > 0:
+            fields += (0,) * missing
         payload: bytes = kind.unpacker.pack(*fields).rstrip(b"\0") or b"\0"
         message_id = kind.id
         sequence = self._sequence
