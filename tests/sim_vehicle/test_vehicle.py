@@ -249,6 +249,37 @@ def test_vehicles_based_on_each_other_in_a_ring(tmp_path):
         read_vehicle_tree(path)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_whatever_happens_the_numbers_stay_sound(vehicle, motors, seed):
+    """Random motors and disturbances, on the floor and off it: finite, unit quaternion, not through the floor."""
+    rng = np.random.default_rng(seed)
+    disturbances = [
+        {
+            "kind": "payload",
+            "mass_kg": 0.05 * rng.random() + 1e-3,
+            "offset_m": (0.05 * rng.standard_normal(3)).tolist(),
+        },
+        {"kind": "rotor_chip", "thrust_factor": 0.1 + 0.9 * rng.random(), "onset_s": 0.2, "end_s": 0.6},
+        {"kind": "wind", "velocity_ned_m_s": (6.0 * rng.standard_normal(3)).tolist()},
+        {"kind": "gusts", "sigma_m_s": 3.0, "length_scale_m": 0.3},
+        {"kind": "cloth", "onset_s": 0.3},
+        {"kind": "battery_sag", "drop_v": 1.5, "time_constant_s": 0.3},
+        {"kind": "motor_gain", "common": 0.8, "spread": 0.3},
+    ]
+    flying = vehicle(
+        {"disturbances": disturbances, "initial": {"position_ned_m": [0, 0, -2 * rng.random() - 0.1]}}, seed
+    )
+    for k in range(300):
+        if k % 10 == 0:
+            command = motors(rng.random(4), armed=rng.random() < 0.95)
+        flying.take_in(command, k * TICK)
+        truth = flying.step((k + 1) * TICK).truth
+        assert np.all(np.isfinite(truth))
+        assert np.linalg.norm(truth[6:10]) == pytest.approx(1.0, abs=1e-9)
+        assert truth[2] < 0.12
+        assert 1.0 < truth[COLUMN["battery_voltage"]] < 4.2
+
+
 WITHOUT_NUMBA = """
 import sys
 sys.modules["numba"] = None
