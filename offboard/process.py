@@ -29,7 +29,7 @@ from offboard.records import OffboardOutput
 from protocol.keys import load_key
 from protocol.session import session_number
 from shell.files import write_atomically, write_json
-from shell.kernel import THREAD_SWITCH_S, ask_for_realtime, resident_mb
+from shell.kernel import THREAD_SWITCH_S, resident_mb
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
 from shell.status import StatusLines
@@ -220,7 +220,6 @@ def run(arguments: argparse.Namespace) -> int:
     log = FlightLogWriter(arguments.out / "offboard.mcap", "offboard", attachments=attachments)
     try:
         process = OffboardProcess(core, network, log, arguments.out, status, stop)
-        ask_for_realtime(priority=0)
         sys.setswitchinterval(THREAD_SWITCH_S)
         status.say("ready")
         result = process.serve()
