@@ -4,10 +4,10 @@ The compiled functions of this package use only scalars, tuples and flat numpy a
 too. `python_twin` gives that uncompiled twin, all the way down, as the reference which the compiled code must equal.
 """
 
+import contextlib
 import hashlib
 import os
 import shutil
-import tempfile
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -24,38 +24,55 @@ COMPILED: Final[bool] = numba is not None
 COMPILED_CODE: Final = b"sim_vehicle.layout"
 """Mark of the files that hold compiled code, and of what they share."""
 
+YOUNG_S: Final = 3600.0
+"""s; younger caches of other sources are left alone."""
+
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
-def _use_cache_of_this_source() -> None:
-    """Keep numba's cache under a digest of this package's compiled source.
+def _cache_directory() -> Path | None:
+    """Where this source's machine code is kept between runs; None where nothing can be written.
 
-    Numba looks only at the file of the function that it loads, so that a change in a called file would otherwise
-    leave stale machine code in use.
+    It is named by a digest of the compiled source. Numba itself looks only at the file of the function that it loads,
+    so that a change in a called file would leave stale machine code in use. The cache holds pickles, so it lies only
+    where this user alone writes: beside the source, or in the home directory.
     """
     here = Path(__file__).resolve().parent
     sources = [path.read_bytes() for path in sorted(here.glob("*.py"))]
-    digest = hashlib.sha256(b"".join(text for text in sources if COMPILED_CODE in text)).hexdigest()[:16]
-    base = here / "__pycache__"
-    if not os.access(base if base.exists() else here, os.W_OK):
-        base = Path(tempfile.gettempdir()) / f"async-dmrac-{os.getuid()}"
-    directory = base / f"numba-{digest}"
-    if not directory.exists():
-        for stale in base.glob("numba-*"):
-            shutil.rmtree(stale, ignore_errors=True)
-        directory.mkdir(parents=True, exist_ok=True)
-    numba.config.CACHE_DIR = str(directory)
+    name = "numba-" + hashlib.sha256(b"".join(text for text in sources if COMPILED_CODE in text)).hexdigest()[:16]
+    for base in (here / "__pycache__", Path("~/.cache/async-dmrac").expanduser()):
+        try:
+            (base / name).mkdir(parents=True, exist_ok=True)
+        except (OSError, RuntimeError):
+            continue
+        if os.access(base / name, os.W_OK):
+            _forget_old_caches(base, name)
+            return base / name
+    return None
 
 
-if COMPILED:
-    _use_cache_of_this_source()
+def _forget_old_caches(base: Path, name: str) -> None:
+    """Remove other sources' caches unless they are young, when another process may still be writing there."""
+    newest = (base / name).stat().st_mtime
+    for other in base.glob("numba-*"):
+        with contextlib.suppress(OSError):
+            if newest - other.stat().st_mtime > YOUNG_S:
+                shutil.rmtree(other, ignore_errors=True)
+
+
+_CACHE: Final = _cache_directory() if COMPILED else None
 
 
 def compiled(function: FunctionT) -> FunctionT:
     """`function`, compiled at its first call when numba is installed, else as it is."""
     if not COMPILED:
         return function
-    return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
+    try:
+        return numba.njit(cache=_CACHE is not None, error_model="numpy")(function)  # type: ignore[no-any-return]
+    finally:
+        numba.config.CACHE_DIR = before
 
 
 def python_twin(function: FunctionT) -> FunctionT:
