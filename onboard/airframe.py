@@ -58,17 +58,20 @@ class Mixer:
         if spread > high - low:
             roll *= (high - low) / spread
             pitch *= (high - low) / spread
-        a, b, c, d = pitch - roll, roll - pitch, pitch + roll, -pitch - roll
-        base = 0.25 * thrust_n
-        base = min(max(base, low - min(a, b, c, d)), high - max(a, b, c, d))
-        # What yaw may take is what each motor has left: motors 1, 2 rise and 3, 4 fall with positive yaw.
-        if yaw >= 0.0:
-            room = min(high - base - a, high - base - b, base + c - low, base + d - low)
-            yaw = min(yaw, max(room, 0.0))
-        else:
-            room = min(base + a - low, base + b - low, high - base - c, high - base - d)
-            yaw = max(yaw, -max(room, 0.0))
-        return base + a + yaw, base + b + yaw, base + c - yaw, base + d - yaw
+        # Roll and pitch part motors 1, 2 by +-first and motors 3, 4 by +-second; yaw raises one pair, lowers the other.
+        first, second = pitch - roll, pitch + roll
+        raised, lowered = abs(first), abs(second)
+        if yaw < 0.0:
+            raised, lowered = lowered, raised
+        turn, middle = abs(yaw), 0.5 * (raised + lowered)
+        # The mean thrust for which some part of the yaw, from none to all, keeps every motor within its limits.
+        lowest = max(low + lowered, low + raised - turn, low + middle)
+        highest = min(high - raised, high - lowered + turn, high - middle)
+        base = min(max(0.25 * thrust_n, lowest), highest)
+        turn = max(min(turn, high - base - raised, base - lowered - low), 0.0)
+        if yaw < 0.0:
+            turn = -turn
+        return base + first + turn, base - first + turn, base + second - turn, base - second - turn
 
 
 class ActuatorModel:
