@@ -25,6 +25,7 @@ from experiments.lockstep_flight import fly_lockstep
 from experiments.realtime_flight import Child
 from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.step_timing import BLOCKS, STEP, Recording, Replay, quantiles_us, record_flight, run_hot, run_paced
+from shell.errors import StartError
 from shell.kernel import ask_for_realtime, quiet_interpreter
 
 START_LIMIT_S: Final = 20.0
@@ -91,7 +92,7 @@ def start_onboard(config: FlightConfig) -> StartUp:
 
     Raises
     ------
-    RuntimeError
+    StartError
         If it does not come up.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -107,7 +108,7 @@ def start_onboard(config: FlightConfig) -> StartUp:
         ready_s = time.monotonic() - start
         if not child.ready:
             child.kill()
-            raise RuntimeError(f"onboard did not start: {child.said()}")
+            raise StartError(f"onboard did not start: {child.said()}")
         time.sleep(1.0)
         child.end(5.0)
         child.tidy()

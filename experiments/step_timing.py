@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.lockstep_flight import ONBOARD_SESSION, build
 from experiments.scenario import FlightConfig
-from onboard.core import OnboardCore
+from onboard.core import OnboardCore, OnboardOutput
 from onboard.realtime import PaceKeeper
 
 STEP: Final = "whole tick"
@@ -80,8 +80,14 @@ def quantiles_us(durations_ns: Iterable[int]) -> tuple[float, float, float]:
     return float(p50), float(p99), float(highest)
 
 
-def record_flight(config: FlightConfig, seconds: float) -> Recording:
-    """The datagrams that reach onboard in the first `seconds` of a lockstep flight, offboard included."""
+Observer = Callable[[OnboardOutput], None]
+
+
+def record_flight(config: FlightConfig, seconds: float, observe: Observer = lambda output: None) -> Recording:
+    """The datagrams that reach onboard in the first `seconds` of a lockstep flight, offboard included.
+
+    `observe` is called with onboard's output of each tick.
+    """
     lockstep, onboard, _, _ = build(config)
     recording = Recording()
     for method, into in (("take_in_vehicle", recording.vehicle), ("take_in_offboard", recording.offboard)):
@@ -89,7 +95,9 @@ def record_flight(config: FlightConfig, seconds: float) -> Recording:
     for _ in range(round(seconds * 1e9 / config.onboard.period_ns)):
         recording.vehicle.append([])
         recording.offboard.append([])
-        recording.now_ns.append(lockstep.step().now_ns)
+        result = lockstep.step()
+        recording.now_ns.append(result.now_ns)
+        observe(result.onboard)
     return recording
 
 
@@ -108,6 +116,8 @@ class Replay:
         self._core = OnboardCore(config.onboard, ONBOARD_SESSION, None)
         self._recording = recording
         self._next = 0
+        self.observe: Observer | None = None
+        """Called with the output of each tick."""
         self.watch = Stopwatch()
         if blocks:
             for name, method in BLOCKS:
@@ -126,7 +136,9 @@ class Replay:
             self._core.take_in_vehicle(datagram, now)
         for datagram in self._recording.offboard[index]:
             self._core.take_in_offboard(datagram, now)
-        self._core.step(now)
+        output = self._core.step(now)
+        if self.observe is not None:
+            self.observe(output)
         self._next += 1
 
 

@@ -69,4 +69,6 @@ def _plain(value: Any) -> Any:
 
 
 def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return " ".join(f"{name} {_short(below)}" for name, below in value.items())
     return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -37,7 +37,7 @@ RADIO_DATAGRAMS_PER_WAKE: Final = 64
 AFTER_CRASH_NS: Final = 500_000_000
 """The others go on recording for so long after a crash."""
 WARM_UP_STEPS: Final = 20
-START_LIMIT_S: Final = 30.0
+START_LIMIT_S: Final = 120.0
 PRIORITY: Final = 10
 """SCHED_FIFO, below onboard's: the simulated world must keep time too, but not at the loop's cost."""
 RADIO_STREAM: Final = 301
@@ -230,6 +230,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--offboard-link", metavar="HOST:PORT", help="offboard's address for the radio")
     parser.add_argument("--motion-capture", metavar="HOST:PORT", help="offboard's address for motion capture")
     parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own MAVLink address")
+    parser.add_argument("--bind-radio-onboard", metavar="HOST:PORT", help="own radio address towards onboard")
+    parser.add_argument("--bind-radio-offboard", metavar="HOST:PORT", help="own radio address towards offboard")
     parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
 
 
@@ -274,6 +276,8 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
         "offboard_link": arguments.offboard_link,
         "motion_capture": arguments.motion_capture,
         "vehicle": arguments.bind_vehicle,
+        "radio_onboard": arguments.bind_radio_onboard,
+        "radio_offboard": arguments.bind_radio_offboard,
     }
 
 
