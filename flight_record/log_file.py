@@ -1,6 +1,7 @@
 """One log file read back, whole or torn: what stands in it up to the first damage."""
 
 import mmap
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -84,43 +85,78 @@ def read_log_file(path: Path) -> LogFile:
     FlightError
         If the file cannot be opened, is no flight log, or was written by a newer version of this project.
     """
-    try:
-        with path.open("rb") as file:
-            size = path.stat().st_size
-            data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
-    except OSError as error:
-        raise FlightError(f"{path}: cannot be read: {error.strerror}") from None
-    log = LogFile(path=path, process=path.stem)
-    if not MAGIC.startswith(bytes(data[: len(MAGIC)])):
-        raise FlightError(f"{path}: not an MCAP file")
-    _Parser(log, memoryview(data)).parse()
-    return log
+    return LogTail(path).read()
+
+
+class LogTail:
+    """Reads a log file, also while it grows: each `read` gives what has come since the one before."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._position = len(MAGIC)
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._metadata: dict[str, str] = {}
+        self._process = path.stem
+        self._ended = False
+
+    def read(self) -> LogFile:
+        """What is new: all of it at the first call. Raises FlightError."""
+        log = LogFile(path=self.path, process=self._process, metadata=self._metadata)
+        if self._ended:
+            return log
+        data = self._map()
+        if not MAGIC.startswith(bytes(data[: len(MAGIC)])):
+            raise FlightError(f"{self.path}: not an MCAP file")
+        parser = _Parser(log, data, self._schemas, self._channels)
+        self._position = parser.parse(self._position)
+        self._ended = parser.ended
+        self._process, self._metadata = log.process, log.metadata
+        return log
+
+    def _map(self) -> memoryview:
+        try:
+            with self.path.open("rb") as file:
+                size = os.fstat(file.fileno()).st_size
+                return memoryview(mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) if size else b"")
+        except OSError as error:
+            raise FlightError(f"{self.path}: cannot be read: {error.strerror}") from None
 
 
 class _Parser:
-    def __init__(self, log: LogFile, data: memoryview) -> None:
+    def __init__(
+        self, log: LogFile, data: memoryview, schemas: dict[int, Schema], channels: dict[int, Channel]
+    ) -> None:
         self._log = log
         self._data = data
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._schemas = schemas
+        self._channels = channels
         self._vectors: dict[int, list[NDArray[Any]]] = {}
+        self.ended = False
+        """The last record of the data was there."""
 
-    def parse(self) -> None:
-        """Fills the log up to the first damage. Raises FlightError for a file that is none of ours."""
-        for position, opcode, body in self._records():
+    def parse(self, position: int) -> int:
+        """Fills the log from a position up to the first damage; returns where it stopped.
+
+        Raises FlightError for a file that is none of ours.
+        """
+        for start, opcode, body in self._records(position):
+            position = start + RECORD_HEAD_BYTES + len(body)
             try:
                 self._take(opcode, body)
             except (EndOfFile, KeyError, ValueError, struct.error) as error:
-                self._log.damage = f"damaged record at byte {position} ({error})"
+                self._log.damage = f"damaged record at byte {start} ({error})"
                 break
             if opcode == Opcode.DATA_END:
+                self.ended = True
                 self._log.whole = bytes(self._data[-len(MAGIC) :]) == MAGIC
                 break
         self._gather()
+        return position
 
-    def _records(self) -> Iterator[tuple[int, int, memoryview]]:
+    def _records(self, position: int) -> Iterator[tuple[int, int, memoryview]]:
         """(position, opcode, body) of every whole record; ends at the first torn or impossible one."""
-        position, data = len(MAGIC), self._data
+        data = self._data
         while position + RECORD_HEAD_BYTES <= len(data):
             opcode = data[position]
             length = int.from_bytes(data[position + 1 : position + RECORD_HEAD_BYTES], "little")

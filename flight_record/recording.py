@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from flight_record.scene import Curve, Motion, Scene
+from flight_record.scene import GROUPS, Curve, Motion, Scene
 
 APPLICATION: Final = "async-dmrac"
 TIMELINE: Final = "flight"
@@ -22,6 +22,8 @@ ARROW_COLOURS: Final = {"wind": (120, 170, 255), "disturbance": (235, 90, 60), "
 CURVE_COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
 REFERENCE_COLOURS: Final = ((150, 150, 150), (180, 180, 180), (120, 120, 120))
 PATH_POINTS_MAX: Final = 5000
+TRAIL_S: Final = 4.0
+TRAIL_COLOUR: Final = (0, 114, 178)
 
 
 def save_recording(scene: Scene, path: Path, name: str) -> None:
@@ -39,6 +41,13 @@ def save_recording(scene: Scene, path: Path, name: str) -> None:
 def new_recording(name: str) -> rr.RecordingStream:
     """An empty recording."""
     return rr.RecordingStream(APPLICATION, recording_id=name, send_properties=False)
+
+
+def connect(name: str, address: str) -> rr.RecordingStream:
+    """A recording that goes to a running viewer. The layout is that of `scene.GROUPS`, whatever comes of them."""
+    recording = new_recording(name)
+    recording.connect_grpc(address, default_blueprint=blueprint(GROUPS))
+    return recording
 
 
 def log_static(recording: rr.RecordingStream, scene: Scene) -> None:
@@ -101,6 +110,8 @@ def _log_motion(recording: rr.RecordingStream, motion: Motion, start_ns: int) ->
     xyzw = motion.quaternion[:, [1, 2, 3, 0]]
     pose = rr.Transform3D.columns(translation=motion.position, quaternion=xyzw)
     _send(recording, "world/vehicle", motion.time_ns, start_ns, pose)
+    trail = rr.Points3D.columns(positions=motion.position, colors=[TRAIL_COLOUR] * n, radii=[0.006] * n)
+    _send(recording, "world/trail", motion.time_ns, start_ns, trail)
     thrust = np.zeros((n, 4, 3))
     thrust[:, :, 2] = -THRUST_M_PER_N * motion.thrust
     arrows = rr.Arrows3D.columns(
@@ -139,9 +150,15 @@ def _word(text: str) -> str:
 
 def blueprint(groups: tuple[str, ...]) -> rrb.Blueprint:
     """The layout: the room and the events to the left, curves to the right."""
+    trail = rrb.VisibleTimeRange(
+        TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
     room = rrb.Spatial3DView(
         origin="world",
         name="room (grey: target, blue: wind, red: true disturbance, green: nu_ad)",
+        overrides={"world/trail": rrb.VisibleTimeRanges(trail)},
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.5),
         eye_controls=rrb.EyeControls3D(
             position=(-2.1, 1.1, -2.3), look_target=(0.0, 0.0, -0.8), eye_up=(0.0, 0.0, -1.0)

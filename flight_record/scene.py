@@ -117,23 +117,18 @@ GROUPS: Final = (
 )
 
 
-def build_scene(flight: Flight, after_ns: int | None = None, start_ns: int | None = None) -> Scene:
-    """The scene of a flight, or of the part of it after a time (of a flight that is still going on).
-
-    `start_ns` is the zero of the time line; the flight's first record unless given.
-    """
-    tables = {topic: _part(flight[topic], after_ns) for topic in flight.topics}
-    tick, truth = tables.get("onboard/tick"), tables.get("sim_vehicle/truth")
+def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
+    """The scene of a flight, or of a part of it; `start_ns` is the zero of the time line, by default its start."""
+    tables = {topic: flight[topic] for topic in flight.topics}
+    tick, truth, fate = (tables.get(topic) for topic in ("onboard/tick", "sim_vehicle/truth", "radio/fate"))
     curves = [curve for wanted in PLAIN_CURVES if (curve := _plain(tables, *wanted)) is not None]
+    flown = truth if truth is not None else tick
+    if flown is not None:
+        curves += [_curve("position [m]", name, thinned(flown), f"position_{axis}") for name, axis in _NED]
     if tick is not None:
         curves += _commanded(tick) + _bounds(tick)
-    if truth is not None:
-        curves += [_curve("position [m]", name, thinned(truth), f"position_{axis}") for name, axis in _NED]
-        if tick is not None and len(tick) > SMOOTHING_ROWS:
-            curves += _true_disturbance(tick, truth)
-    elif tick is not None:
-        curves += [_curve("position [m]", name, thinned(tick), f"position_{axis}") for name, axis in _NED]
-    fate = tables.get("radio/fate")
+    if tick is not None and truth is not None:
+        curves += _true_disturbance(tick, truth)
     if fate is not None:
         curves += _losses(fate)
     present = {curve.group for curve in curves}
@@ -141,7 +136,7 @@ def build_scene(flight: Flight, after_ns: int | None = None, start_ns: int | Non
         motion=_motion(tick, truth),
         target=None if tick is None else (thinned(tick).time_ns, thinned(tick).vector(*_names("target", "ned"))),
         curves=tuple(curves),
-        events=tuple(event for event in flight.events if after_ns is None or event.time_ns > after_ns),
+        events=flight.events,
         start_ns=flight.start_ns if start_ns is None else start_ns,
         groups=tuple(group for group in GROUPS if group in present),
     )
@@ -159,10 +154,7 @@ def thinned(table: Table) -> Table:
     return Table(table.topic, table.names, table.units, table.time_ns[::step], table.values[::step])
 
 
-def _part(table: Table, after_ns: int | None) -> Table:
-    if after_ns is None:
-        return table
-    rows = table.time_ns > after_ns
+def _rows(table: Table, rows: NDArray[np.bool_]) -> Table:
     return Table(table.topic, table.names, table.units, table.time_ns[rows], table.values[rows])
 
 
@@ -211,6 +203,9 @@ def _bounds(tick: Table) -> list[Curve]:
 
 def _true_disturbance(tick: Table, truth: Table) -> list[Curve]:
     """What nu_ad ought to be: the true acceleration minus what the actuators were thought to deliver."""
+    tick = _rows(tick, (tick.time_ns >= truth.time_ns[0]) & (tick.time_ns <= truth.time_ns[-1]))
+    if len(tick) == 0:
+        return []
     curves = []
     wanted = (
         ("adaptive, position [m/s²]", "acceleration", "position_delivered", "ned", ("north", "east", "down")),
@@ -219,11 +214,17 @@ def _true_disturbance(tick: Table, truth: Table) -> list[Curve]:
     for group, true_name, delivered_name, axes, labels in wanted:
         for axis, label in zip(axes, labels, strict=False):
             true = np.interp(_seconds(tick, tick), _seconds(truth, tick), truth[f"{true_name}_{axis}"])
-            delta = true - tick[f"{delivered_name}_{axis}"]
-            smooth = np.convolve(delta, np.ones(SMOOTHING_ROWS) / SMOOTHING_ROWS, mode="same")
-            table = thinned(Table("", ("delta",), {}, tick.time_ns, smooth[:, None]))
+            delta = _smoothed(true - tick[f"{delivered_name}_{axis}"])
+            table = thinned(Table("", ("delta",), {}, tick.time_ns, delta[:, None]))
             curves.append(Curve(group, f"true {label}", table.time_ns, table["delta"], True))
     return curves
+
+
+def _smoothed(values: Array) -> Array:
+    """Running mean over SMOOTHING_ROWS, over fewer at the ends."""
+    kernel = np.ones(min(SMOOTHING_ROWS, len(values)))
+    mean: Array = np.convolve(values, kernel, mode="same") / np.convolve(np.ones(len(values)), kernel, mode="same")
+    return mean
 
 
 def _losses(fate: Table) -> list[Curve]:
@@ -246,15 +247,15 @@ def _seconds(table: Table, zero: Table) -> Array:
 
 def _motion(tick: Table | None, truth: Table | None) -> Motion | None:
     """From the truth where it was logged, else from onboard's estimate."""
-    source = truth if truth is not None and len(truth) else tick
-    if source is None or len(source) == 0:
+    source = truth if truth is not None else tick
+    if source is None:
         return None
     thin = thinned(source)
     arrows: dict[str, Array] = {}
     for name, column in (("wind", "wind"), ("disturbance", "disturbance_force")):
         if f"{column}_n" in thin:
             arrows[name] = thin.vector(*_names(column, "ned"))
-    if tick is not None and len(tick):
+    if tick is not None:
         arrows["nu_ad"] = _at(thin, tick, _names("position_adaptive", "ned"))
     return Motion(
         thin.time_ns,

@@ -27,6 +27,7 @@ LOOPBACK: Final = "127.0.0.1"
 WEB_PORT: Final = 9090
 START_LIMIT_S: Final = 30.0
 END_LIMIT_S: Final = 5.0
+LIVE_MEMORY: Final = "512MB"
 ASSETS: Final = {
     "/": "text/html; charset=utf-8",
     "/re_viewer.js": "text/javascript",
@@ -35,7 +36,7 @@ ASSETS: Final = {
 RECORDING_PATH: Final = "/flight.rrd"
 POLICY: Final = (
     "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
-    "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob:; worker-src 'self' blob:"
+    "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob: http://127.0.0.1:*; worker-src 'self' blob:"
 )
 
 
@@ -103,6 +104,30 @@ def show_window(recording: Path) -> int:
         return child.wait()
 
 
+@contextmanager
+def live_viewer(web: bool) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A viewer that waits for data: the child, a window or (web) a server alone, and the address to send to.
+
+    Raises ViewerError where there is no screen, or when the viewer does not start.
+    """
+    if not web:
+        require_screen()
+    port = free_port()
+    options = ["--port", str(port), "--server-memory-limit", LIVE_MEMORY]
+    with running_viewer(*options, *(["--serve-grpc"] if web else [])) as child:
+        deadline = time.monotonic() + START_LIMIT_S
+        while not _listens(port):
+            if child.poll() is not None or time.monotonic() > deadline:
+                raise ViewerError("the viewer did not start")
+            time.sleep(0.05)
+        yield child, f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((LOOPBACK, port)) == 0
+
+
 def require_screen() -> None:
     """Raises ViewerError where a window cannot open."""
     if os.name == "posix" and os.uname().sysname == "Linux" and not has_screen():
@@ -138,21 +163,28 @@ def free_port() -> int:
 
 
 class WebViewer:
-    """The viewer's page and one recording, served to browsers on this machine. A context manager.
+    """The viewer's page, served to browsers on this machine. A context manager.
+
+    Parameters
+    ----------
+    source: a recording, which is served too, or the address of a running viewer server, which is live.
+    port: 0 takes a free one.
 
     Raises ViewerError from the constructor when the port is taken.
     """
 
-    def __init__(self, recording: Path, port: int = WEB_PORT, assets: Mapping[str, bytes] | None = None) -> None:
-        content = dict(web_assets() if assets is None else assets)
-        content[RECORDING_PATH] = recording.read_bytes()
+    def __init__(self, source: Path | str, port: int = WEB_PORT) -> None:
+        content = web_assets()
+        if isinstance(source, Path):
+            content[RECORDING_PATH] = source.read_bytes()
         try:
             self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(content))
         except OSError as error:
             raise ViewerError(f"port {port} of {LOOPBACK}: {error.strerror}; choose another with --port") from None
         self._server.daemon_threads = True
         address = f"http://{LOOPBACK}:{self._server.server_port}"
-        self.url = f"{address}/?url={quote(address + RECORDING_PATH, safe='')}"
+        shown = source if isinstance(source, str) else address + RECORDING_PATH
+        self.url = f"{address}/?url={quote(shown, safe='')}"
         """What to open in a browser."""
 
     def serve(self) -> None:

@@ -78,6 +78,11 @@ class Browser:
                 found: dict[str, Any] = message.get("result", {})
                 return found
 
+    async def close(self) -> None:
+        self._connection.close()
+        while await self._connection.read_message() is not None:
+            pass
+
     async def picture(self) -> np.ndarray:
         """[height, width, 3] of 0..1; black while the browser is between two pages."""
         shot = await self.call("Page.captureScreenshot", format="png")
@@ -108,6 +113,7 @@ def test_the_flight_is_drawn_and_nobody_else_is_told(page_address: str, full_fli
         deadline = time.monotonic() + DRAWN_LIMIT_S
         while not drawn(picture := await browser.picture()) and time.monotonic() < deadline:
             await asyncio.sleep(1.0)
+        await browser.close()
         return picture, browser
 
     with WebViewer(tmp_path / "flight.rrd", port=0) as viewer:
