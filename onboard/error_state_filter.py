@@ -311,6 +311,6 @@ class ErrorStateFilter:
         self.P[:, start : start + 3] = 0.0
         self._P_diagonal[start : start + 3] = sigma * sigma
 
-    def inflate(self, start: int, sigma: float) -> None:
-        """Adds an uncertainty of `sigma` to three errors from `start` on."""
-        self._P_diagonal[start : start + 3] += sigma * sigma
+    def inflate(self, start: int, sigma: float, size: int = 3) -> None:
+        """Adds an uncertainty of `sigma` to `size` errors from `start` on."""
+        self._P_diagonal[start : start + size] += sigma * sigma

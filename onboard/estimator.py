@@ -2,7 +2,8 @@
 
 The filter itself is in error_state_filter.py; this file decides what it is told.
 
-  start       at rest, roll and pitch from the accelerometer, gyro bias from the gyroscope, yaw and position 0
+  start       at rest, roll and pitch from the accelerometer, gyro bias from the gyroscope, yaw and position 0; with
+              no pose ever, that stays the origin
   on ground   velocity is zero, the gyroscope reads its bias, height is zero unless a pose says otherwise
   pose        position and attitude as of its capture time. What the gate refuses is dropped, until several refused
               poses in a row agree with each other: then the state jumps to them. The very first poses always jump.
@@ -13,7 +14,6 @@ The filter itself is in error_state_filter.py; this file decides what it is told
 
 Jumps. A correction of the position by more than `jump_threshold_m` is announced: `position_reset_count` grows and
 `position_jump`, `yaw_jump` say by how much, so that a controller can shift its own references instead of being kicked.
-With no pose at all the filter's origin is where it started, and flow and range carry it.
 """
 
 import math
@@ -22,13 +22,7 @@ from collections import Counter
 import numpy as np
 
 from onboard.attitude import quaternion_of, rotation_between, turned_about_vertical
-from onboard.error_state_filter import (
-    ATTITUDE,
-    GYRO_BIAS,
-    POSITION,
-    VELOCITY,
-    ErrorStateFilter,
-)
+from onboard.error_state_filter import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, ErrorStateFilter
 from onboard.estimator_config import EstimatorConfig
 from onboard.imu_conditioning import StillStart, VibrationMeter
 from onboard.records import NEVER_NS, Array, FlowReading, ImuReading, RangeReading, Reading, Vector, VehicleState
@@ -44,6 +38,8 @@ _AIR_PA_PER_M = 11.6
 _ROTA = 8
 """Slow aids take turns: each is fused every eighth IMU sample, 25 Hz."""
 _PRESSURE_TURN = 7
+_REFUSED_MIN = 8
+"""Fewer refusals in a row are outliers, however far apart."""
 
 
 class Estimator:
@@ -64,9 +60,8 @@ class Estimator:
         self._pressure_count = 0
         self._pressure_zero_pa = 0.0
         self._last_height_ns = NEVER_NS
-        self._last_flow_ns = NEVER_NS
         self._last_capture_ns = NEVER_NS
-        self._refused_since: dict[str, int] = {}
+        self._refused: dict[str, tuple[int, int]] = {}
         self._refused_poses = 0
         self._refused_position: Vector = (0.0, 0.0, 0.0)
         self._had_pose = False
@@ -82,6 +77,12 @@ class Estimator:
     def covariance(self) -> Array:
         """[15, 15], of (position, velocity, world attitude error, gyro bias, accelerometer bias); a view."""
         return self._filter.P
+
+    @property
+    def healthy(self) -> bool:
+        """Whether all numbers are finite. False means that nothing of the state may be used any more."""
+        f = self._filter
+        return math.isfinite(sum(f.position) + sum(f.velocity) + sum(f.quaternion) + sum(f.gyro_bias))
 
     def set_on_ground(self, on_ground: bool) -> None:
         """Whether the vehicle stands on the floor. While it does, its velocity and height are known."""
@@ -241,10 +242,9 @@ class Estimator:
                 "flow", h, measured[axis] - expected, sigma * sigma, config.flow_gate, reading.time_ns
             )
         if used:
-            self._last_flow_ns = reading.time_ns
             self.state.last_velocity_aid_ns = max(reading.time_ns, self.state.last_velocity_aid_ns)
         elif self._refused_long("flow", reading.time_ns) and not self._pose_fresh(reading.time_ns):
-            self._widen("flow", VELOCITY, 1.0, reading.time_ns)
+            self._widen("flow", VELOCITY, 3, 1.0, reading.time_ns)
 
     def _take_range(self, reading: RangeReading) -> None:
         """Height from the ultrasonic sensor over a level floor at d = 0.
@@ -263,7 +263,7 @@ class Estimator:
         ):
             self._last_height_ns = reading.time_ns
         elif self._refused_long("range", reading.time_ns) and not self._pose_fresh(reading.time_ns):
-            self._widen("range", POSITION, 1.0, reading.time_ns)
+            self._widen("range", POSITION + 2, 1, 1.0, reading.time_ns)
 
     def take_in_pose(self, pose: Pose, capture_ns: int, now_ns: int) -> None:
         """A pose from motion capture that was true at `capture_ns` (onboard clock) and arrived at `now_ns`."""
@@ -272,9 +272,8 @@ class Estimator:
         if capture_ns <= self._last_capture_ns:
             self.counts["pose_out_of_order"] += 1
             return
-        past = None
-        if now_ns - capture_ns <= self._delay_max_ns and capture_ns - now_ns <= _FUTURE_NS:
-            past = self._filter.at(capture_ns)
+        timely = now_ns - capture_ns <= self._delay_max_ns and capture_ns - now_ns <= _FUTURE_NS
+        past = self._filter.at(capture_ns) if timely else None
         if past is None:
             self.counts["pose_wrong_time"] += 1
             return
@@ -292,18 +291,21 @@ class Estimator:
     # -- pose ---------------------------------------------------------------------------------------------------------
 
     def _fuse_pose(self, pose: Pose, position: Vector, capture_ns: int, delay_s: float, now_ns: int) -> bool:
+        """Position, then attitude. A wrong capture time is a wrong position in proportion to speed, hence its sigma."""
         config, f = self._config, self._filter
         before = f.position
-        score = f.correct_position(position, delay_s, config.pose_position_sigma_m**2, config.pose_gate)
+        time_variance = config.pose_time_sigma_s**2
+        variance = config.pose_position_sigma_m**2 + time_variance * sum(v * v for v in f.velocity)
+        score = f.correct_position(position, delay_s, variance, config.pose_gate)
         self.scores["pose_position"] = score
         if score > config.pose_gate:
             return False
         self._announce(before, 0.0, "pose", now_ns)
         past = f.at(capture_ns)
         if past is not None:
-            w, i, j, k = pose.quaternion.tolist()
-            turn = rotation_between((w, i, j, k), past.rotation)
-            score = f.correct_attitude(turn, config.pose_attitude_sigma_rad**2, config.pose_gate)
+            turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
+            variance = config.pose_attitude_sigma_rad**2 + time_variance * sum(w * w for w in past.rate_world)
+            score = f.correct_attitude(turn, variance, config.pose_gate)
             self.scores["pose_attitude"] = score
             if score > config.pose_gate:
                 self.counts["pose_attitude_refused"] += 1
@@ -320,8 +322,7 @@ class Estimator:
     def _refuse_pose(self, pose: Pose, capture_ns: int, now_ns: int) -> None:
         """Counts a refused pose; when enough of them agree with each other, the state jumps there."""
         x, y, z = pose.position_ned_m.tolist()
-        lx, ly, lz = self._refused_position
-        agrees = math.sqrt((x - lx) ** 2 + (y - ly) ** 2 + (z - lz) ** 2) < self._config.pose_agree_m
+        agrees = math.dist((x, y, z), self._refused_position) < self._config.pose_agree_m
         self._refused_position = (x, y, z)
         self._refused_poses = self._refused_poses + 1 if agrees and self._refused_poses else 1
         self.counts["pose_refused"] += 1
@@ -335,8 +336,7 @@ class Estimator:
         past = f.at(capture_ns)
         if past is None:
             return
-        w, i, j, k = pose.quaternion.tolist()
-        turn = rotation_between((w, i, j, k), past.rotation)
+        turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
         x, y, z = pose.position_ned_m.tolist()
         before, yaw = f.position, self.state.euler[2]
         f.shift((x - past.position[0], y - past.position[1], z - past.position[2]), (0.0, 0.0, 0.0), turn)
@@ -346,7 +346,7 @@ class Estimator:
         f.restart_error(ATTITUDE, 2.0 * config.pose_attitude_sigma_rad)
         if self._had_pose:
             f.restart_error(VELOCITY, 1.0)
-        if math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2) > 0.2:
+        if math.hypot(*turn) > 0.2:
             f.forget_history()
         self.counts["pose_jump"] += 1
         self._accept_pose(now_ns)
@@ -362,19 +362,21 @@ class Estimator:
         self.scores[aid] = score
         if score > gate:
             self.counts[aid + "_refused"] += 1
-            self._refused_since.setdefault(aid, now_ns)
+            since_ns, count = self._refused.get(aid, (now_ns, 0))
+            self._refused[aid] = (since_ns, count + 1)
             return False
         self.counts[aid + "_used"] += 1
-        self._refused_since.pop(aid, None)
+        self._refused.pop(aid, None)
         self._announce(before, 0.0, aid, now_ns)
         return True
 
     def _refused_long(self, aid: str, now_ns: int) -> bool:
-        return now_ns - self._refused_since.get(aid, now_ns) > self._recovery_ns
+        since_ns, count = self._refused.get(aid, (now_ns, 0))
+        return now_ns - since_ns > self._recovery_ns and count >= _REFUSED_MIN
 
-    def _widen(self, aid: str, start: int, sigma: float, now_ns: int) -> None:
-        self._filter.inflate(start, sigma)
-        self._refused_since.pop(aid, None)
+    def _widen(self, aid: str, start: int, size: int, sigma: float, now_ns: int) -> None:
+        self._filter.inflate(start, sigma, size)
+        self._refused.pop(aid, None)
         self.counts[aid + "_recovered"] += 1
         self._say(now_ns, f"{aid} refused for long: uncertainty widened, it will be believed")
 
@@ -384,13 +386,12 @@ class Estimator:
     def _announce(self, before: Vector, yaw: float, cause: str, now_ns: int, always: bool = False) -> None:
         """Counts a correction as a jump if it moved the position by more than the threshold."""
         after = self._filter.position
-        dx, dy, dz = after[0] - before[0], after[1] - before[1], after[2] - before[2]
-        length_m = math.sqrt(dx * dx + dy * dy + dz * dz)
+        length_m = math.dist(after, before)
         if not always and length_m < self._config.jump_threshold_m:
             return
         state = self.state
         state.position_reset_count += 1
-        state.position_jump[:] = (dx, dy, dz)
+        state.position_jump[:] = (after[0] - before[0], after[1] - before[1], after[2] - before[2])
         state.yaw_jump = math.remainder(yaw, 2.0 * math.pi)
         state.position[:] = after
         self._say(now_ns, f"position estimate jumped {length_m:.2f} m ({cause})")

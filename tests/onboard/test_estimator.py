@@ -85,8 +85,8 @@ class Noise:
     range_m: float = 0.03
     range_outliers: float = 0.03
     pressure_pa: float = 3.0
-    pose_m: float = 0.008
-    pose_rad: float = 0.015
+    pose_m: float = 0.006
+    pose_rad: float = 0.012
     pose_delay_s: float = 0.05
     pose_rate: int = 50
 
@@ -218,8 +218,9 @@ def range_of(truth, rotation, k, noise, rng):
 
 MATCHED = EstimatorConfig(
     gyro_sigma=0.02,
-    pose_position_sigma_m=0.008,
-    pose_attitude_sigma_rad=0.015,
+    pose_position_sigma_m=0.006,
+    pose_attitude_sigma_rad=0.012,
+    pose_time_sigma_s=0.0,
     flow_rate_sigma_rad_s=0.06,
     flow_scale_sigma=0.02,
     range_sigma_m=0.03,

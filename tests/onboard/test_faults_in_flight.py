@@ -1,0 +1,215 @@
+"""Sensor faults on the wire of a flying simulated vehicle, without offboard: what becomes of the flight, and its words.
+
+These flights also settle that simulation and onboard mean the same by their signs: on optical flow and ultrasound
+alone the vehicle stays where it believes it is, and with a sign turned round it does not.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from experiments.scenario import Choices, resolve
+from onboard.core import OnboardCore
+from onboard.records import FlowReading
+from onboard.supervisor import FlightMode
+from sim_vehicle.lockstep import Lockstep
+from sim_vehicle.radio import Radio
+from sim_vehicle.vehicle import SimVehicle
+
+FAULT_S = 6.0
+"""When a fault begins; the vehicle is in steady flight by then."""
+
+
+class FaultyVehicle:
+    """A simulated vehicle with a fault in its wire: `fault(t, datagrams)` gives what arrives instead."""
+
+    def __init__(self, vehicle, fault):
+        self._vehicle, self._fault = vehicle, fault
+
+    def take_in(self, datagram, now_ns):
+        self._vehicle.take_in(datagram, now_ns)
+
+    def step(self, now_ns):
+        output = self._vehicle.step(now_ns)
+        return dataclasses.replace(output, to_onboard=self._fault(now_ns * 1e-9, list(output.to_onboard)))
+
+    @property
+    def crash_reason(self):
+        return self._vehicle.crash_reason
+
+
+class FlightTest:
+    """Flies and keeps position errors, modes and words."""
+
+    def __init__(self, scenario="hover", fault=None, assignments=(), change=None):
+        config = resolve(scenario, Choices(controller="pid", seed=3, assignments=assignments))
+        vehicle = SimVehicle(config.vehicle, config.seed)
+        self.core = OnboardCore(config.onboard, 1, None)
+        if change is not None:
+            change(self.core)
+        faulty = FaultyVehicle(vehicle, fault or (lambda t, datagrams: datagrams))
+        radio = Radio(config.radio, np.random.default_rng([3, 301]))
+        self.lockstep = Lockstep(faulty, radio, self.core, None, config.onboard.period_ns, 0)
+        self.errors, self.modes, self.texts, self.truths, self.motors = [], [], [], [], []
+
+    def fly(self, seconds):
+        for _ in range(round(seconds * 200)):
+            result = self.lockstep.step()
+            self.errors.append(result.truth[:3] - self.core._estimator.state.position)
+            self.truths.append(result.truth[:3].copy())
+            self.modes.append(FlightMode(int(result.onboard.tick[0])))
+            self.texts += [text for _, text in result.onboard.events]
+            self.motors.append(mavlink.MAVLink(None).decode(bytearray(result.onboard.to_vehicle[0])).controls[:4])
+            if self.lockstep.crash_reason:
+                break
+        self.errors = np.array(self.errors)
+        return self
+
+    def said(self, part):
+        return any(part in text for text in self.texts)
+
+
+def rewrite(frame, **fields):
+    """The same HIL_SENSOR frame with other values, and everything else as it is."""
+    codec = mavlink.MAVLink(None)
+    message = codec.decode(bytearray(frame))
+    if message.get_type() != "HIL_SENSOR":
+        return frame
+    for name, value in fields.items():
+        setattr(message, name, value)
+    codec.srcSystem, codec.srcComponent, codec.seq = message.get_srcSystem(), message.get_srcComponent(), 0
+    return bytes(message.pack(codec))
+
+
+def is_imu(frame):
+    return frame[7] == mavlink.MAVLINK_MSG_ID_HIL_SENSOR
+
+
+def test_flow_and_ultrasound_carry_a_flight():
+    flight = FlightTest("figure8_calm").fly(16.0)
+    assert FlightMode.FLYING in flight.modes
+    assert not flight.lockstep.crash_reason
+    assert np.abs(flight.errors[1400:]).max() < 0.2
+
+
+@pytest.mark.parametrize("sign", [(-1.0, 1.0), (1.0, -1.0)])
+def test_with_a_sign_of_the_flow_turned_round_it_is_lost(sign):
+    """The ablation that proves the test above: either sign of the flow's convention matters."""
+
+    def change(core):
+        take_in = core._estimator.take_in
+
+        def turned(reading):
+            if isinstance(reading, FlowReading):
+                x = reading.rotation_x + sign[0] * (reading.flow_x - reading.rotation_x)
+                y = reading.rotation_y + sign[1] * (reading.flow_y - reading.rotation_y)
+                reading = reading._replace(flow_x=x, flow_y=y)
+            take_in(reading)
+
+        core._estimator.take_in = turned
+
+    flight = FlightTest("figure8_calm", change=change).fly(16.0)
+    assert flight.lockstep.crash_reason or np.abs(flight.errors[1400:]).max() > 0.5
+
+
+@pytest.mark.parametrize("sensor", ["xacc", "zgyro"])
+def test_nan_for_a_moment_is_flown_through_and_said(sensor):
+    def fault(t, frames):
+        return [rewrite(f, **{sensor: float("nan")}) if FAULT_S < t < FAULT_S + 0.03 else f for f in frames]
+
+    flight = FlightTest(fault=fault).fly(9.0)
+    assert flight.modes[-1] is FlightMode.FLYING
+    assert flight.said("gave nan: sample ignored")
+    assert np.abs(flight.errors[1300:]).max() < 0.3
+
+
+@pytest.mark.parametrize("kind", ["nan", "frozen", "silent"])
+def test_an_imu_that_stays_bad_stops_the_motors_within_a_tenth_of_a_second(kind):
+    kept = []
+
+    def fault(t, frames):
+        if t < FAULT_S:
+            kept[:] = [f for f in frames if is_imu(f)]
+            return frames
+        if kind == "silent":
+            return [f for f in frames if not is_imu(f)]
+        if kind == "nan":
+            return [rewrite(f, ygyro=float("nan")) for f in frames]
+        stuck = mavlink.MAVLink(None).decode(bytearray(kept[0]))
+        same = {name: getattr(stuck, name) for name in ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")}
+        return [rewrite(f, **same) for f in frames]
+
+    flight = FlightTest(fault=fault).fly(7.0)
+    first = flight.modes.index(FlightMode.EMERGENCY) / 200
+    assert FAULT_S + 0.05 <= first < FAULT_S + 0.12
+    assert set(map(tuple, flight.motors[flight.modes.index(FlightMode.EMERGENCY) + 1 :])) == {(0.0,) * 4}
+    assert flight.said("EMERGENCY: IMU silent")
+    assert kind != "frozen" or flight.said("IMU frozen")
+
+
+def test_without_the_limit_on_the_age_of_the_imu_a_silent_one_flies_into_the_floor_with_turning_motors():
+    def fault(t, frames):
+        return [f for f in frames if t < FAULT_S or not is_imu(f)]
+
+    flight = FlightTest(fault=fault, assignments=("onboard.supervisor.imu_silent_s=1000",)).fly(9.0)
+    assert FlightMode.EMERGENCY not in flight.modes
+    assert max(flight.motors[-1]) > 0.1
+    assert flight.lockstep.crash_reason or np.abs(flight.errors[-1]).max() > 0.5
+
+
+def test_a_vehicle_clock_that_starts_anew_is_flown_through_and_said():
+    def fault(t, frames):
+        return [rewrite(f, time_usec=round((t - FAULT_S) * 1e6) + 5000) if t > FAULT_S else f for f in frames]
+
+    flight = FlightTest(fault=fault).fly(9.0)
+    assert flight.said("vehicle restarted")
+    assert flight.modes[-1] is FlightMode.FLYING
+    assert np.abs(flight.errors[1300:]).max() < 0.3
+
+
+def test_time_going_backwards_for_some_samples_is_flown_through():
+    def fault(t, frames):
+        late = 0.02 if FAULT_S < t < FAULT_S + 0.02 else 0.0
+        return [rewrite(f, time_usec=round((t - late) * 1e6)) if late else f for f in frames]
+
+    flight = FlightTest(fault=fault).fly(8.0)
+    assert (
+        flight.core._vehicle_link.rejected["time_backwards"] + flight.core._vehicle_link.rejected["time_repeated"] >= 3
+    )
+    assert flight.modes[-1] is FlightMode.FLYING
+
+
+def test_a_second_vehicle_on_the_port_changes_nothing_but_words():
+    other = mavlink.MAVLink(None, 77, 1)
+
+    def fault(t, frames):
+        if t < 1.0:
+            return frames
+        values = (5.0, -5.0, 3.0, 2.0, -2.0, 1.0, 0.0, 0.0, 0.0, 900.0, 0.0, 0.0, 20.0)
+        return [*frames, bytes(mavlink.MAVLink_hil_sensor_message(round(t * 1e6), *values, 0x1FFF).pack(other))]
+
+    spoilt, alone = FlightTest(fault=fault).fly(8.0), FlightTest().fly(8.0)
+    np.testing.assert_array_equal(np.array(spoilt.truths), np.array(alone.truths))
+    assert spoilt.said("second vehicle (system id 77)")
+
+
+def test_a_lying_ultrasonic_sensor_does_not_bring_the_vehicle_down():
+    """Every third echo is wrong by up to two metres."""
+    rng = np.random.default_rng(5)
+
+    def fault(t, frames):
+        out = []
+        for frame in frames:
+            if frame[7] == mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR and rng.random() < 0.3:
+                codec = mavlink.MAVLink(None, 1, 1)
+                message = codec.decode(bytearray(frame))
+                message.current_distance = int(rng.integers(44, 300))
+                frame = bytes(message.pack(codec))
+            out.append(frame)
+        return out
+
+    flight = FlightTest(fault=fault).fly(12.0)
+    assert flight.modes[-1] is FlightMode.FLYING
+    assert np.abs(flight.errors[1200:, 2]).max() < 0.15
