@@ -26,7 +26,9 @@ from flight_record.writer import FlightLogWriter
 from onboard.config import OnboardConfig
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.realtime import DurationStatistics, PaceKeeper
+from onboard.tape import TOPIC, Entry, TapeWriter
 from onboard.tick_record import TICK
+from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from protocol.keys import load_key
 from protocol.session import session_number
 from shell.files import write_json
@@ -36,7 +38,6 @@ from shell.sockets import AddressInUseError, DatagramSocket
 from shell.status import StatusLines
 
 VEHICLE_DATAGRAMS_PER_TICK: Final = 16
-OFFBOARD_DATAGRAMS_PER_TICK: Final = 16
 GROUND_DATAGRAMS_PER_TICK: Final = 4
 VEHICLE_SILENT_NS: Final = 500_000_000
 """A vehicle that has said nothing for so long is not waited for when the process is asked to end."""
@@ -89,6 +90,7 @@ class OnboardProcess:
         self._ticks = DurationStatistics()
         self._lateness = DurationStatistics()
         self._loop_record = np.zeros(len(LOOP.fields))
+        self._tape = TapeWriter()
         self._last_vehicle_ns = 0
         self._landing_until_ns = 0
         self._latest_report = ""
@@ -100,6 +102,7 @@ class OnboardProcess:
         while not self._ended(now):
             now = self._pace.wait()
             output: OnboardOutput | None
+            escapes = self.escapes
             try:
                 self._take_in(now)
                 output = self._core.step(now, missed_ticks=self._pace.missed)
@@ -107,6 +110,7 @@ class OnboardProcess:
                 output = self._answer_escape(now)
             if output is not None:
                 self._give_out(output, now)
+            self._log.write_bytes(TOPIC, now, self._tape.end_tick(now, self._pace.missed, self.escapes > escapes))
             self._note_loop(now)
         self._leave_safe(now)
         return int(self.escapes >= self._realtime.escapes_max)
@@ -116,19 +120,25 @@ class OnboardProcess:
         if datagrams:
             self._last_vehicle_ns = now
         for datagram in datagrams:
+            self._tape.put(Entry.FROM_VEHICLE, datagram)
             self._core.take_in_vehicle(datagram, now)
-        for datagram in self._sockets.offboard.receive(OFFBOARD_DATAGRAMS_PER_TICK):
+        for datagram in self._sockets.offboard.receive(DATAGRAMS_PER_STEP_MAX):
+            self._tape.put(Entry.FROM_OFFBOARD, datagram)
             self._core.take_in_offboard(datagram, now)
         for datagram in self._sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK):
+            self._tape.put(Entry.FROM_GROUND, datagram)
             self._core.take_in_ground(datagram, now)
 
     def _give_out(self, output: OnboardOutput, now: int) -> None:
         for datagram in output.to_vehicle:
             self._sockets.vehicle.send(datagram)
+            self._tape.put(Entry.TO_VEHICLE, datagram)
         for datagram in output.to_offboard:
             self._sockets.offboard.send(datagram)
+            self._tape.put(Entry.TO_OFFBOARD, datagram)
         for datagram in output.to_ground:
             self._sockets.ground.send(datagram)
+            self._tape.put(Entry.TO_GROUND, datagram)
         self._log.write(TICK, now, output.tick)
         for time_ns, text in output.events:
             self._log.event(time_ns, text)
@@ -167,6 +177,7 @@ class OnboardProcess:
             return False
         if self._landing_until_ns == 0:
             self._landing_until_ns = now + round(self._realtime.landing_limit_s * 1e9)
+            self._tape.land_request(now)
             self._core.request_land(now)
         silent = now - self._last_vehicle_ns > VEHICLE_SILENT_NS
         return silent or now > self._landing_until_ns or not self._core.airborne
@@ -219,14 +230,16 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_section(OnboardConfig, arguments.config, "onboard")
         network = load_network(arguments.config, _addresses(arguments))
         key = load_key(network.key_file)
-        core = OnboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
+        session = session_number(time.time_ns(), secrets.randbits(20))
+        core = OnboardCore(config, session, key)
         sockets = Sockets(network)
     except (ConfigError, AddressInUseError) as error:
         print(error, file=sys.stderr)
         return 2
     arguments.out.mkdir(parents=True, exist_ok=True)
     attachments = {"config.yaml": arguments.config.read_bytes()}
-    log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", attachments=attachments)
+    about = {"session": str(session), "keyed": str(key is not None)}
+    log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
         status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
         quiet_interpreter()

@@ -47,6 +47,12 @@ class TickResult:
     """offboard.core.OffboardOutput, or None where there is no trainer."""
     training: list[Any] = field(default_factory=list)
     """Results of training rounds that became known in this tick."""
+    from_vehicle: list[bytes] = field(default_factory=list)
+    """Datagrams of the vehicle that onboard took in, in their order, all before those of offboard."""
+    from_offboard: list[bytes] = field(default_factory=list)
+    """Datagrams of offboard that onboard took in."""
+    radio: Any = None
+    """sim_vehicle.radio.Radio, for what became of each datagram."""
 
 
 class Lockstep:
@@ -72,7 +78,7 @@ class Lockstep:
         self._training: deque[tuple[int, Any]] = deque()
         self._hash = hashlib.sha256()
         self._tick = 0
-        self.result = TickResult()
+        self.result = TickResult(radio=radio)
 
     @property
     def trace_sha256(self) -> str:
@@ -108,10 +114,12 @@ class Lockstep:
 
     def _step_onboard(self, sensors: list[bytes], now: int) -> None:
         onboard = self._onboard
+        from_offboard = self._radio.due("down", now)
+        self.result.from_vehicle, self.result.from_offboard = sensors, from_offboard
         for datagram in sensors:
             self._hash.update(datagram)
             onboard.take_in_vehicle(datagram, now)
-        for datagram in self._radio.due("down", now):
+        for datagram in from_offboard:
             onboard.take_in_offboard(datagram, now)
         output = onboard.step(now)
         self._commands.append(output.to_vehicle)

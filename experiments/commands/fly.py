@@ -86,7 +86,7 @@ def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> 
     from experiments.lockstep_flight import fly_lockstep
     from experiments.lockstep_log import LockstepLog
 
-    with LockstepLog(folder, config) as log:
+    with LockstepLog(folder, config, with_offboard) as log:
         outcome = fly_lockstep(config, (log,), with_offboard)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)

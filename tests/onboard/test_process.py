@@ -9,6 +9,7 @@ import pytest
 from configs.realtime import RealtimeConfig
 from onboard.core import OnboardOutput
 from onboard.process import FINAL_SAFE_COMMANDS, OnboardProcess
+from onboard.tape import Entry, TapeTick, read_tick
 
 PERIOD_NS = 1_000_000
 REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)
@@ -73,9 +74,11 @@ class Bench:
         self.sockets = SimpleNamespace(**{name: FakeSocket(talks) for name, talks in talking.items()})
         self.logged: list[tuple[str, np.ndarray]] = []
         self.events: list[str] = []
+        self.taped: list[TapeTick] = []
         log = SimpleNamespace(
             write=lambda kind, time_ns, vector: self.logged.append((kind.topic, vector.copy())),
             event=lambda time_ns, text: self.events.append(text),
+            write_bytes=lambda topic, time_ns, data: self.taped.append(read_tick(data)),
         )
         self.said: list[str] = []
         status = SimpleNamespace(say=self.said.append, due=lambda now: False)
@@ -99,6 +102,12 @@ def test_takes_in_steps_gives_out_and_logs_until_asked_to_end() -> None:
     assert bench.sockets.ground.sent == [b"telemetry"] * 10
     assert set(bench.core.taken) == {("vehicle", b"hello"), ("offboard", b"hello"), ("ground", b"hello")}
     assert [topic for topic, _ in bench.logged] == ["onboard/tick", "onboard/loop"] * 10
+    assert [tick.number for tick in bench.taped] == list(range(10))
+    entries = (Entry.FROM_VEHICLE, Entry.FROM_OFFBOARD, Entry.FROM_GROUND)
+    for tick in bench.taped:
+        assert [tick.of(entry) for entry in entries] == [[b"hello"]] * 3
+        assert tick.of(Entry.TO_VEHICLE) == [b"motors"]
+        assert not tick.failed
     summary = bench.process.summary()
     assert (summary["ticks"], summary["mode"], summary["escapes"]) == (10, "LANDED", 0)
     assert summary["tick_us"]["p50"] <= summary["tick_us"]["p99"] <= summary["tick_us"]["max"] + 1
@@ -117,6 +126,7 @@ def test_a_failing_step_is_answered_with_motors_off_and_flown_on(capsys: pytest.
     assert bench.process.fly() == 0
     assert bench.sockets.vehicle.sent[:5] == [b"motors", b"motors", b"off", b"motors", b"motors"]
     assert bench.process.summary()["escapes"] == 1
+    assert [tick.failed for tick in bench.taped] == [False, False, True, False, False]
     assert "broken once" in bench.events[2]
     assert "broken once" in capsys.readouterr().err
 

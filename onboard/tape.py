@@ -1,0 +1,102 @@
+"""The tape: everything that went into and came out of the core in each tick, so that a flight can be run again exactly.
+
+One record a tick, written after the step: a head (time, number of the tick, missed ticks, whether the step failed),
+then entries in the order in which they happened: the kind (one byte), the length (two bytes) and the bytes. Whoever
+drives a core (the real-time process, lockstep) fills a `TapeWriter`; `experiments.replay_check` feeds what is on the
+tape to a fresh core. A tape holds what was on the wires, and no key.
+"""
+
+import struct
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+TOPIC: Final = "onboard/tape"
+HEAD: Final = struct.Struct("<qIIB")
+ENTRY: Final = struct.Struct("<BH")
+TIME: Final = struct.Struct("<q")
+ENTRY_MAX_BYTES: Final = 0xFFFF
+
+
+class Entry(IntEnum):
+    """What an entry is; values are on disk."""
+
+    FROM_VEHICLE = 1
+    FROM_OFFBOARD = 2
+    FROM_GROUND = 3
+    LAND_REQUEST = 4
+    """Asked to end: its bytes are the time, 8 bytes, ns."""
+    TO_VEHICLE = 5
+    TO_OFFBOARD = 6
+    TO_GROUND = 7
+
+
+INPUTS: Final = frozenset({Entry.FROM_VEHICLE, Entry.FROM_OFFBOARD, Entry.FROM_GROUND, Entry.LAND_REQUEST})
+
+
+class TapeTick(NamedTuple):
+    """One record read back."""
+
+    now_ns: int
+    number: int
+    """Counts the records of a log from 0; a jump means that the log lost some."""
+    missed_ticks: int
+    failed: bool
+    """The step raised, and the safe output was given out instead."""
+    entries: tuple[tuple[Entry, bytes], ...]
+
+    def of(self, kind: Entry) -> list[bytes]:
+        """The entries of one kind."""
+        return [data for entry, data in self.entries if entry is kind]
+
+
+class TapeWriter:
+    """Gathers one tick's entries."""
+
+    __slots__ = ("_number", "_parts")
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._number = 0
+
+    def put(self, kind: Entry, data: bytes) -> None:
+        """Adds an entry to the tick under way."""
+        self._parts.append(ENTRY.pack(kind, len(data)))
+        self._parts.append(data)
+
+    def land_request(self, now_ns: int) -> None:
+        """Adds the request to land."""
+        self.put(Entry.LAND_REQUEST, TIME.pack(now_ns))
+
+    def end_tick(self, now_ns: int, missed_ticks: int, failed: bool = False) -> bytes:
+        """The record of the tick; the next entry belongs to the next one."""
+        parts, self._parts = self._parts, []
+        record = HEAD.pack(now_ns, self._number, missed_ticks, failed) + b"".join(parts)
+        self._number += 1
+        return record
+
+
+def read_tick(record: bytes) -> TapeTick:
+    """A record read back.
+
+    Raises
+    ------
+    ValueError
+        If it is not one.
+    """
+    try:
+        now_ns, number, missed, failed = HEAD.unpack_from(record)
+        return TapeTick(now_ns, number, missed, bool(failed), tuple(_entries(record)))
+    except struct.error as error:
+        raise ValueError(f"not a record of a tape: {error}") from None
+
+
+def _entries(record: bytes) -> Iterator[tuple[Entry, bytes]]:
+    at = HEAD.size
+    while at < len(record):
+        kind, length = ENTRY.unpack_from(record, at)
+        start = at + ENTRY.size
+        at = start + length
+        if at > len(record):
+            raise ValueError("a record of a tape that ends too early")
+        yield Entry(kind), record[start:at]
