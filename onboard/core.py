@@ -228,7 +228,11 @@ class OnboardCore:
                 self._guidance.shift((north, east, down))
             self._posed_in_time = self._posed
         run = mode in (FlightMode.TAKE_OFF, FlightMode.FLYING)
-        return self._guidance.step(run, mode is FlightMode.LANDING, self._dt)
+        target = self._guidance.step(run, mode is FlightMode.LANDING, self._dt)
+        if mode is FlightMode.HOLD_LEVEL:  # it drifts: a landing that follows is to begin where the vehicle is then
+            north, east, down = (state.position - target.now.position).tolist()
+            self._guidance.shift((north, east, down))
+        return target
 
     def _sense(self, target: Target, now_ns: int) -> ControlInputs:
         """Everything the controller may use."""

@@ -57,10 +57,10 @@ class Guidance:
     def step(self, run: bool, landing: bool, dt: float) -> Target:
         """Target of this tick; `run` lets path time flow, `landing` sinks from wherever the target is."""
         self._clock.step(run and not landing, dt)
-        if landing:
-            speed = self._config.trajectory.landing_speed_m_s
-            self._sink_speed = min(self._sink_speed + dt * speed, speed)
-            self._sunk_m += dt * self._sink_speed
+        speed = self._config.trajectory.landing_speed_m_s  # reached, and left again, within a second
+        change = dt * speed if landing else -dt * speed
+        self._sink_speed = min(max(self._sink_speed + change, 0.0), speed)
+        self._sunk_m += dt * self._sink_speed
         now = self._at(0.0)
         ahead = self._at(self._config.look_ahead_s)
         lead = self._at(self._config.feed_forward_lead_s)
