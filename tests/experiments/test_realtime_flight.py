@@ -140,9 +140,10 @@ def test_ctrl_c_lands_and_a_second_one_ends_at_once(stand_ins, tmp_path: Path, p
 
 
 def test_a_taken_port_is_named_and_nothing_is_started(stand_ins, tmp_path: Path) -> None:
-    taken = DatagramSocket("other", NETWORK.offboard_link, None)
-    with pytest.raises(AddressInUseError, match=rf"network\.offboard_link: {NETWORK.offboard_link} is in use"):
-        fly(tmp_path)
+    network = NETWORK.model_copy(update={"offboard_link": "127.0.0.5:15999"})  # not to be in the other tests' way
+    taken = DatagramSocket("other", network.offboard_link, None)
+    with pytest.raises(AddressInUseError, match=r"network\.offboard_link: 127\.0\.0\.5:15999 is in use"):
+        run(network, tmp_path / "config.yaml", 5.0, tmp_path)
     taken.close()
     assert not list(tmp_path.glob("*_summary.json"))
 
