@@ -4,7 +4,7 @@ A datagram's way: queue of the rate-limited sender (full: dropped), air (blackou
 corruption, delay with exponential jitter and a rare long tail, duplication. Datagrams keep their order, as a late
 one holds back those behind it, unless reordering picks one out to arrive later than its turn. Each direction draws
 from a generator of its own, a fixed count of numbers for each datagram, so that the same seed gives datagram i the
-same luck whatever else is configured. What became of each datagram is kept and can be flown again (`replaying`).
+same luck whatever else is configured. What became of each datagram is kept and can be flown again (`Recording`).
 """
 
 import heapq
@@ -163,13 +163,56 @@ class _Luck:
         return self._rows.popleft()
 
 
+class Recording:
+    """One direction's fates of an earlier flight, dealt out to the datagrams of another.
+
+    Both are walked in the order of time: a datagram meets the next fate, unless that lies more than SLACK_NS away.
+    Fates whose time has passed are skipped; where there is none for a datagram, the one before it counts again. So a
+    flight that sends at the same times meets exactly the recorded fates, one by one, and a flight that sends more or
+    less, as with another controller, still meets each burst and each silence when the recorded one did.
+    """
+
+    SLACK_NS: Final = 20_000_000
+
+    def __init__(self, fates: Sequence[Fate]) -> None:
+        self._fates = fates
+        self._next = 0
+        self.used = 0
+        """Datagrams that met a recorded fate of their own."""
+        self.repeated = 0
+        """Datagrams that shared the fate of the one before."""
+
+    @property
+    def skipped(self) -> int:
+        """Fates that no datagram has met, of those that came before the latest one met."""
+        return self._next - self.used
+
+    def fate(self, size_bytes: int, now_ns: int) -> Fate | None:
+        """The fate of a datagram sent now; None past the end of the record."""
+        fates, count = self._fates, len(self._fates)
+        if not count or now_ns > fates[-1].sent_ns + self.SLACK_NS:
+            return None
+        while self._next < count and fates[self._next].sent_ns < now_ns - self.SLACK_NS:
+            self._next += 1
+        if self._next < count and fates[self._next].sent_ns <= now_ns + self.SLACK_NS:
+            found = fates[self._next]
+            self._next += 1
+            self.used += 1
+        else:
+            found = fates[max(self._next - 1, 0)]
+            self.repeated += 1
+        bits = max(8 * size_bytes, 1)
+        bit = found.flipped_bit % bits if found.flipped_bit >= 0 else -1
+        return found._replace(sent_ns=now_ns, size_bytes=size_bytes, flipped_bit=bit)
+
+
 class _Path:
     """One direction."""
 
     def __init__(self, config: DirectionConfig, rng: np.random.Generator, recorded: Sequence[Fate]) -> None:
         self._config = config
         self._luck = _Luck(rng)
-        self._recorded = recorded
+        self.recording = Recording(recorded)
         self._in_bad_state = False
         self._free_ns = 0  # when the rate-limited sender has sent all it holds
         self._in_order_ns = 0  # arrival of the latest datagram that kept its turn
@@ -179,15 +222,12 @@ class _Path:
         self.fates: list[Fate] = []
 
     def send(self, datagram: bytes, now_ns: int, since_start_s: float) -> None:
-        index = self.counts.sent
         luck = self._luck.row()
-        recorded = self._recorded[index] if index < len(self._recorded) else None
         if len(self._heap) >= IN_FLIGHT_MAX:
             fate = _undelivered(datagram, now_ns, "queue")
-        elif recorded is not None:
-            fate = recorded._replace(sent_ns=now_ns, size_bytes=len(datagram))
         else:
-            fate = self._decide(datagram, now_ns, since_start_s, luck)
+            recorded = self.recording.fate(len(datagram), now_ns)
+            fate = self._decide(datagram, now_ns, since_start_s, luck) if recorded is None else recorded
         self._count(fate)
         if fate.outcome == "delivered":
             arriving = _flip(datagram, fate.flipped_bit)
@@ -270,7 +310,7 @@ class Radio:
     ----------
     rng: source of the two directions' own generators.
     start_ns: start of the flight, which blackouts count from; by default the time of the first datagram.
-    recorded: fates of an earlier flight by direction: datagram i meets fate i. Past their end `config` decides.
+    recorded: fates of an earlier flight by direction, dealt out by `Recording`. Past their end `config` decides.
     """
 
     def __init__(
@@ -292,6 +332,10 @@ class Radio:
     def fates(self) -> dict[Direction, list[Fate]]:
         """What became of each datagram, in the order sent."""
         return {direction: path.fates for direction, path in self._paths.items()}
+
+    def recording(self, direction: Direction) -> Recording:
+        """How far the recorded fates were dealt out."""
+        return self._paths[direction].recording
 
     def start(self, now_ns: int) -> None:
         """Says that the flight starts now."""

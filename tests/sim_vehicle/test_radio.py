@@ -187,6 +187,32 @@ def test_recorded_fates_fly_again() -> None:
     assert again.due("up", 100 * S) == [b"one more"], "past the record the configuration decides"
 
 
+def test_a_flight_that_sends_more_or_less_meets_the_same_silences() -> None:
+    window = {"blackouts": [{"start_s": 1.0, "end_s": 2.0}], "delay_s": 0.01}
+    first = radio_of(**window)
+    carry(first, 400, 10 * MS)
+    for period_ns, count in ((3 * MS, 1300), (10 * MS + 7, 400), (50 * MS, 80)):
+        again = Radio(RadioConfig(), np.random.default_rng(1), recorded=first.fates)
+        carry(again, count, period_ns)
+        for fate in again.fates["down"]:
+            clear_of_the_edges = min(abs(fate.sent_ns - edge) for edge in (S, 2 * S)) > 21 * MS
+            if clear_of_the_edges:
+                assert (fate.outcome == "blackout") == (S < fate.sent_ns < 2 * S), fate
+        recording = again.recording("down")
+        assert recording.used + recording.repeated == sum(fate.sent_ns <= 4 * S for fate in again.fates["down"])
+        assert recording.used + recording.skipped <= 400
+    assert recording.skipped > 300
+    assert again.fates["down"][0].delay_ns == 10 * MS
+
+
+def test_a_recorded_bit_flips_in_a_shorter_datagram_too() -> None:
+    first = radio_of(corruption=1.0)
+    first.send("down", bytes(1000), 0)
+    again = Radio(RadioConfig(), np.random.default_rng(1), recorded=first.fates)
+    again.send("down", bytes(10), 0)
+    assert again.due("down", 0) != [bytes(10)]
+
+
 def test_a_fate_survives_the_flight_log() -> None:
     radio = Radio(load(RadioConfig, CONFIG_DIRECTORY / "radio" / "bad.yaml"), np.random.default_rng(7))
     for direction in DIRECTIONS:
