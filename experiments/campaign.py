@@ -203,12 +203,13 @@ def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None) -> Ite
         for number in range(campaign.seeds.count if seeds is None else seeds):
             for case in cases:
                 keep = source or case.keep_experience
-                yield from _flights(campaign, name, case, campaign.seeds.first + number, number, keep)
+                yield from flights_of_seed(campaign, name, case, campaign.seeds.first + number, number, keep)
 
 
-def _flights(
+def flights_of_seed(
     campaign: CampaignConfig, name: str, case: Case, seed: int, number: int, keep_experience: bool
 ) -> Iterator[FlightJob]:
+    """A case's flights at every point and with every controller, for the number-th seed."""
     drawn = {
         draw.path: draw.value(np.random.default_rng([seed, DRAW_STREAM, index]))
         for index, draw in enumerate(case.draws)

@@ -238,7 +238,12 @@ class _Loop:
         self._finish(job, result.row | {"command": job.command(folder)})
 
     def _fail(self, job: FlightJob, reason: str) -> None:
-        about: dict[str, Any] = {"key": job.key, "campaign": job.campaign, "case": job.case, "controller": job.controller}
+        about: dict[str, Any] = {
+            "key": job.key,
+            "campaign": job.campaign,
+            "case": job.case,
+            "controller": job.controller,
+        }
         about |= {"seed": job.seed, "point": json.dumps(dict(job.point)), "command": job.command(self._run.folder)}
         self._finish(job, empty_row() | about | {"error": reason})
 

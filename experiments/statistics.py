@@ -143,9 +143,7 @@ SEPARATION_RIDGE: Final = 0.05
 """Of the survival fits: small against the information of ten flights, enough for a perfect threshold."""
 
 
-def half_survival_point(
-    x: ArrayLike, survived: ArrayLike, rng: np.random.Generator, resamples: int = 1000
-) -> Estimate:
+def half_survival_point(x: ArrayLike, survived: ArrayLike, rng: np.random.Generator, resamples: int = 1000) -> Estimate:
     """Where half survive, by logistic fit, with its bootstrap interval over flights; NaN if one outcome is missing.
 
     A resample in which only one outcome occurs counts as a point beyond the range on that side.
