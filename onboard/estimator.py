@@ -56,8 +56,7 @@ class Estimator:
         self._start = StillStart(config.start_samples, config.start_rate_max_rad_s)
         self._vibration = VibrationMeter()
         self._turn = 0
-        self._pressure_sum = 0.0
-        self._pressure_count = 0
+        self._pressure_sum, self._pressure_count = 0.0, 0
         self._pressure_zero_pa = 0.0
         self._last_height_ns = NEVER_NS
         self._last_capture_ns = NEVER_NS
