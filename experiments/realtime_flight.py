@@ -27,6 +27,7 @@ MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onbo
 """In the order of starting; onboard's first motor command starts the flight."""
 READY_LIMIT_S: Final = 20.0
 END_LIMIT_S: Final = 5.0
+FALL_LIMIT_S: Final = 3.0
 OVERTIME_S: Final = 30.0
 """A flight that is this much over its time is ended."""
 LINE_MAX_BYTES: Final = 65_536
@@ -192,7 +193,15 @@ class Supervisor:
                 self._note("ended at once" if self._stop.count >= 2 else "the flight took too long and was ended")
                 return
         if sim.running and self._stop.count == 0:
-            self._note(f"onboard ended in flight (status {onboard.process.returncode}): {onboard.said()}")
+            said = onboard.said() or "no word"
+            self._note(f"onboard ended in flight (status {onboard.process.returncode}): {said}")
+            self._await_the_fall(sim)
+
+    def _await_the_fall(self, sim: Child) -> None:
+        """Nobody commands the motors any more: whether the vehicle is lost is for the simulation to say."""
+        limit = time.monotonic() + FALL_LIMIT_S
+        while sim.running and time.monotonic() < limit and self._stop.count == 0:
+            self._relay()
 
     def _restart(self, offboard: Child) -> str:
         """The command that starts another offboard process, with what this one had learnt."""

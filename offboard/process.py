@@ -28,7 +28,8 @@ from offboard.experience import ExperienceError
 from offboard.records import OffboardOutput
 from protocol.keys import load_key
 from protocol.session import session_number
-from shell.files import write_atomically, write_json
+from shell.errors import StartError
+from shell.files import make_folder, write_atomically, write_json
 from shell.kernel import THREAD_SWITCH_S, resident_mb
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
@@ -137,8 +138,9 @@ class OffboardProcess:
         result = self._worker.take()
         if isinstance(result, str):
             self.failed_jobs += 1
-            raise RuntimeError(f"training failed:\n{result}")
-        if result is not None:
+            self._core.training_failed(now)
+            self._report(now, result, f"training failed ({self.failed_jobs} times)")
+        elif result is not None:
             self._core.take_in_training(result, now)
 
     def _give_out(self, output: OffboardOutput, now: int) -> None:
@@ -161,12 +163,15 @@ class OffboardProcess:
 
     def _note_escape(self, now: int) -> None:
         self.escapes += 1
-        report = traceback.format_exc()
+        self._report(now, traceback.format_exc(), f"a step failed ({self.escapes} of {ESCAPES_MAX})")
+
+    def _report(self, now: int, report: str, what: str) -> None:
+        """Tell of a failure: in full when it is not the same as the last one."""
         if report != self._latest_report:
             self._latest_report = report
             self._log.event(now, report)
             print(report, file=sys.stderr, flush=True)
-        self._status.say(f"a step failed ({self.escapes} of {ESCAPES_MAX}): {report.strip().splitlines()[-1]}")
+        self._status.say(f"{what}: {report.strip().splitlines()[-1]}")
 
     def summary(self) -> dict[str, Any]:
         """What the flight record keeps of this process."""
@@ -212,10 +217,10 @@ def run(arguments: argparse.Namespace) -> int:
         key = load_key(network.key_file)
         core = OffboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
         _load_experience(core, arguments)
-    except ConfigError as error:
+        make_folder(arguments.out)
+    except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
-    arguments.out.mkdir(parents=True, exist_ok=True)
     attachments = {"config.yaml": arguments.config.read_bytes()}
     log = FlightLogWriter(arguments.out / "offboard.mcap", "offboard", attachments=attachments)
     try:

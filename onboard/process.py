@@ -31,7 +31,8 @@ from onboard.tick_record import TICK
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from protocol.keys import load_key
 from protocol.session import session_number
-from shell.files import write_json
+from shell.errors import StartError
+from shell.files import make_folder, write_json
 from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
@@ -232,11 +233,11 @@ def run(arguments: argparse.Namespace) -> int:
         key = load_key(network.key_file)
         session = session_number(time.time_ns(), secrets.randbits(20))
         core = OnboardCore(config, session, key)
+        make_folder(arguments.out)
         sockets = Sockets(network)
-    except (ConfigError, AddressInUseError) as error:
+    except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
-    arguments.out.mkdir(parents=True, exist_ok=True)
     attachments = {"config.yaml": arguments.config.read_bytes()}
     about = {"session": str(session), "keyed": str(key is not None)}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)

@@ -19,7 +19,8 @@ from configs.loader import ConfigError, load_section, read_tree
 from configs.network import NetworkConfig, load_network
 from flight_record.schema import RecordType
 from flight_record.writer import FlightLogWriter
-from shell.files import write_json
+from shell.errors import StartError
+from shell.files import make_folder, write_json
 from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
@@ -244,13 +245,13 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_section(SimVehicleConfig, arguments.config, "vehicle")
         radio_config = load_section(RadioConfig, arguments.config, "radio")
         network = load_network(arguments.config, _addresses(arguments))
-    except ConfigError as error:
+        make_folder(arguments.out)
+    except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
     _compile(config, seed)
     vehicle = SimVehicle(config, seed)
     radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
-    arguments.out.mkdir(parents=True, exist_ok=True)
     attachments = {"config.yaml": arguments.config.read_bytes()}
     log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", attachments=attachments)
     try:
