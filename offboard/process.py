@@ -222,7 +222,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(error, file=sys.stderr)
         return 2
     attachments = {"config.yaml": arguments.config.read_bytes()}
-    log = FlightLogWriter(arguments.out / "offboard.mcap", "offboard", attachments=attachments)
+    log = FlightLogWriter(arguments.out / "offboard.mcap", "offboard", {"seed": str(config.seed)}, attachments)
     try:
         process = OffboardProcess(core, network, log, arguments.out, status, stop)
         sys.setswitchinterval(THREAD_SWITCH_S)

@@ -239,7 +239,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(error, file=sys.stderr)
         return 2
     attachments = {"config.yaml": arguments.config.read_bytes()}
-    about = {"session": str(session), "keyed": str(key is not None)}
+    about = {"seed": str(config.seed), "session": str(session), "keyed": str(key is not None)}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
         status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))

@@ -253,7 +253,7 @@ def run(arguments: argparse.Namespace) -> int:
     vehicle = SimVehicle(config, seed)
     radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
     attachments = {"config.yaml": arguments.config.read_bytes()}
-    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", attachments=attachments)
+    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", {"seed": str(seed)}, attachments)
     try:
         process = SimProcess(vehicle, radio, network, duration_s, log, status, stop)
         ask_for_realtime(PRIORITY)
