@@ -112,7 +112,7 @@ def card_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     attitude = summary["attitude_rmse_rad"]
     rows.append(("attitude RMSE", "-" if attitude is None else f"{math.degrees(attitude):.2f} deg"))
     features = summary["features"]
-    if features:
+    if "version" in features:
         age = features.get("age_s_median")
         aged = "" if age is None else f", median age {age:.1f} s"
         rows.append(

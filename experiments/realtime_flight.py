@@ -242,6 +242,11 @@ class Supervisor:
         self._selector.close()
 
 
+def require_free_ports(network: NetworkConfig) -> None:
+    """Check that all addresses of the flight can be bound now. Raises AddressInUseError naming the first that cannot."""
+    require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
+
+
 def run(
     network: NetworkConfig, config_path: Path, duration_s: float, out: Path, on_status: OnStatus = lambda entry: None
 ) -> RealtimeResult:
@@ -261,7 +266,7 @@ def run(
     FlightStartError
         If a process did not start; all have been ended then.
     """
-    require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
+    require_free_ports(network)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         supervisor = Supervisor(config_path, out, duration_s, on_status)

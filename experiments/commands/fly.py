@@ -10,6 +10,7 @@ from rich.console import Console
 
 from configs.loader import ConfigError
 from experiments.flight_card import build_summary, print_card, write_summary
+from experiments.realtime_flight import require_free_ports
 from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.trace import FlightTrace
 
@@ -41,6 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
+    if not arguments.lockstep:
+        require_free_ports(config.network)
     folder = make_folder(arguments.out, config.scenario)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     console = Console()
