@@ -243,7 +243,7 @@ class Supervisor:
 
 
 def require_free_ports(network: NetworkConfig) -> None:
-    """Check that all addresses of the flight can be bound now. Raises AddressInUseError naming the first that cannot."""
+    """Check that all addresses of the flight can be bound now. Raises AddressInUseError naming the first."""
     require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
 
 
