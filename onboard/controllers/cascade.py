@@ -238,8 +238,8 @@ class CascadedController:
             self._restart_models(inputs)
             self._running = inputs.adapt
             return
-        if state.position_reset_count != self._resets_seen:
-            self._follow_jump(inputs)
+        if state.position_reset_count != self._resets_seen and not self._follow_jump(inputs):
+            return
         position, attitude = self._channels
         hedge = self._output.position.demand - position.delivered if self._settings.hedging else np.zeros(3)
         self._position_model.step(self._command, hedge, inputs.dt)
@@ -253,14 +253,16 @@ class CascadedController:
             self._attitude_model.reset(state.quaternion, state.rates)
             attitude.model_error[:] = 0.0
 
-    def _follow_jump(self, inputs: ControlInputs) -> None:
-        """A jump of the estimate is no motion: the references jump along, or start over where they cannot."""
+    def _follow_jump(self, inputs: ControlInputs) -> bool:
+        """A jump of the estimate is no motion: the references jump along (True), or start over where they cannot."""
         state = inputs.state
-        if state.position_reset_count == self._resets_seen + 1 and state.yaw_jump == 0.0:
-            self._position_model.shift(state.position_jump)
-            self._resets_seen = state.position_reset_count
-        else:  # the frame has turned, or the size of a jump in between is not known
-            self._restart_models(inputs)
+        if state.position_reset_count != self._resets_seen + 1 or state.yaw_jump != 0.0:
+            self._restart_models(inputs)  # the frame has turned, or the size of a jump in between is not known
+            return False
+        self._position_model.shift(state.position_jump)
+        self._command += self._k1 * state.position_jump
+        self._resets_seen = state.position_reset_count
+        return True
 
     def _restart_models(self, inputs: ControlInputs) -> None:
         state = inputs.state
