@@ -43,7 +43,7 @@ def build_comparison(flights: Sequence[Flight]) -> str:
             section("Flights", table([[n, str(f.path)] for n, f in zip(names, flights, strict=True)])),
             section("Figure", image(draw(flights, names), "comparison")),
             section("Flight cards", table(card_table(flights), ("", *names)), _without_card(flights, names)),
-            section("Again", code("\n".join(repeat_command(flight.summary) for flight in flights if flight.summary))),
+            section("Again", code("\n".join(repeat_command(flight) for flight in flights if flight.summary))),
         ],
     )
 

@@ -2,11 +2,13 @@
 
 import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from configs.loader import ConfigError, parse_yaml
 from flight_record.inspect import check
 from flight_record.log_file import FlightError
 from flight_record.page import code, folded, image, page, paragraph, section, table
@@ -47,7 +49,7 @@ def build_report(flight: Flight) -> str:
             section("Training", _training(flight.get("offboard/training"))),
             section("Events", _events(flight)),
             section("Logs", _logs(flight)),
-            section("Again", code(repeat_command(summary)) if summary else ""),
+            section("Again", code(repeat_command(flight)) if summary else ""),
             section("Configuration", *_configs(flight)),
         ],
     )
@@ -68,9 +70,9 @@ def card_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]]:
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
             rows += card_rows(value, f"{name}.")
-        elif isinstance(value, list | tuple):
+        elif isinstance(value, list | tuple) and value:
             rows.append([name, ", ".join(text_of(entry) for entry in value)])
-        else:
+        elif value not in ("", []):
             rows.append([name, text_of(value)])
     return rows
 
@@ -86,15 +88,30 @@ def text_of(value: Any) -> str:
     return str(value)
 
 
-def repeat_command(summary: Mapping[str, Any]) -> str:
+def repeat_command(flight: Flight) -> str:
     """The command that flies this flight again."""
+    summary = flight.summary
     if summary.get("command"):
         return str(summary["command"])
     words = ["scripts/fly", str(summary.get("scenario", ""))]
     words += ["--controller", str(summary.get("controller", "")), "--seed", str(summary.get("seed", ""))]
+    duration_s = _configured_duration_s(flight)
+    if duration_s:
+        words += ["--duration", f"{duration_s:g}"]
     if summary.get("mode") == "lockstep":
         words.append("--lockstep")
     return shlex.join(words)
+
+
+def _configured_duration_s(flight: Flight) -> float:
+    """The duration that was asked for; 0 when no configuration says it."""
+    for attachments in flight.attachments.values():
+        for data in attachments.values():
+            with suppress(ConfigError, ValueError):
+                tree = parse_yaml(data.decode(), "")
+                if isinstance(tree, dict) and isinstance(tree.get("duration_s"), int | float):
+                    return float(tree["duration_s"])
+    return 0.0
 
 
 def _fate(summary: Mapping[str, Any]) -> str:

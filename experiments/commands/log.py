@@ -1,6 +1,7 @@
 """`dmrac log info|check|merge|export`: looks into flight logs and takes data out of them."""
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -47,6 +48,9 @@ def run(args: argparse.Namespace) -> int:
         return actions[args.action](open_flight(args.flight), args)
     except FlightError as error:
         print(f"dmrac log: {error}", file=sys.stderr)
+    except BrokenPipeError:  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         print(f"dmrac log: {error.filename}: cannot be written: {error.strerror}", file=sys.stderr)
     return 2

@@ -52,7 +52,7 @@ CARD = {
 
 def write_full_flight(folder: Path, *, error_m: float = 0.1, **card: Any) -> Path:
     """20 s of a circle in the records that the processes really write; onboard takes off after 2 s."""
-    config = b"scenario: figure8_wind\n"
+    config = b"scenario: figure8_wind\nduration_s: 20\n"
     times = [(i, i * 20_000_000, 0.02 * i) for i in range(1000)]
     with FlightLogWriter(
         folder / "onboard.mcap", "onboard", {"clock": "lockstep"}, {"config.yaml": config}, threaded=False

@@ -55,7 +55,7 @@ def test_the_page_holds_everything_and_fetches_nothing(full_flight: Path) -> Non
         '<td>link.up.lost</td><td class="number">5</td>',
         "mode FLYING &lt;fast&gt;",
         "40 of 60 rounds",
-        "scripts/fly figure8_wind --controller dmrac --seed 7 --lockstep",
+        "scripts/fly figure8_wind --controller dmrac --seed 7 --duration 20 --lockstep",
         "onboard: config.yaml, sim_vehicle: config.yaml",
         "whole, without gaps",
     ):
@@ -89,8 +89,9 @@ def test_values_of_the_card_as_text(value: object, text: str) -> None:
     assert text_of(value) == text
 
 
-def test_the_flight_card_may_name_its_own_command() -> None:
-    assert repeat_command({"command": "scripts/fly x --set a=1"}) == "scripts/fly x --set a=1"
+def test_the_flight_card_may_name_its_own_command(make_flight: Callable[..., Path]) -> None:
+    folder = make_flight("own", command="scripts/fly x --set a=1")
+    assert repeat_command(open_flight(folder)) == "scripts/fly x --set a=1"
 
 
 def test_flights_are_laid_over_each_other(full_flight: Path, make_flight: Callable[..., Path], tmp_path: Path) -> None:
