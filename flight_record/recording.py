@@ -135,8 +135,8 @@ def _send(recording: rr.RecordingStream, entity: str, times_ns: Any, start_ns: i
 
 
 def curve_entity(curve: Curve) -> str:
-    """Where a curve stands in the recording."""
-    return f"{group_entity(curve.group)}/{_word(curve.name)}"
+    """Where a curve stands in the recording; references come first there, so that they are drawn below the others."""
+    return f"{group_entity(curve.group)}/{'_reference_' if curve.reference else ''}{_word(curve.name)}"
 
 
 def group_entity(group: str) -> str:

@@ -15,6 +15,7 @@ RATE_MAX_HZ: Final = 50.0
 """Regular topics are thinned to this: a screen shows no more, and a long flight opens in seconds."""
 SMOOTHING_ROWS: Final = 20
 """The true disturbance is the difference of two noisy signals: it is averaged over this many ticks (0.1 s)."""
+FLOOR_EFFECT_M: Final = 0.15
 LOSS_WINDOW_NS: Final = 1_000_000_000
 DEGREES: Final = 180.0 / np.pi
 
@@ -202,11 +203,15 @@ def _bounds(tick: Table) -> list[Curve]:
 
 
 def _true_disturbance(tick: Table, truth: Table) -> list[Curve]:
-    """What nu_ad ought to be: the true acceleration minus what the actuators were thought to deliver."""
+    """What nu_ad ought to be: the true acceleration minus what the actuators were thought to deliver.
+
+    NaN on the floor and just above it, where the floor explains most of it.
+    """
     tick = _rows(tick, (tick.time_ns >= truth.time_ns[0]) & (tick.time_ns <= truth.time_ns[-1]))
     if len(tick) == 0:
         return []
     curves = []
+    height_m = -np.interp(_seconds(tick, tick), _seconds(truth, tick), truth["position_d"])
     wanted = (
         ("adaptive, position [m/s²]", "acceleration", "position_delivered", "ned", ("north", "east", "down")),
         ("adaptive, attitude [rad/s²]", "angular_acceleration", "attitude_delivered", "xyz", ("x", "y")),
@@ -214,7 +219,7 @@ def _true_disturbance(tick: Table, truth: Table) -> list[Curve]:
     for group, true_name, delivered_name, axes, labels in wanted:
         for axis, label in zip(axes, labels, strict=False):
             true = np.interp(_seconds(tick, tick), _seconds(truth, tick), truth[f"{true_name}_{axis}"])
-            delta = _smoothed(true - tick[f"{delivered_name}_{axis}"])
+            delta = np.where(height_m < FLOOR_EFFECT_M, np.nan, _smoothed(true - tick[f"{delivered_name}_{axis}"]))
             table = thinned(Table("", ("delta",), {}, tick.time_ns, delta[:, None]))
             curves.append(Curve(group, f"true {label}", table.time_ns, table["delta"], True))
     return curves

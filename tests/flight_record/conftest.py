@@ -66,7 +66,13 @@ def write_full_flight(folder: Path, *, error_m: float = 0.1, **card: Any) -> Pat
         for _, time_ns, t in times:
             values = dict.fromkeys(sim_records.TRUTH.names, 0.0)
             values |= {"position_n": np.cos(t) + error_m, "position_e": np.sin(t), "position_d": -1.0}
-            values |= {"quaternion_w": 1.0, "wind_n": 4.0, "disturbance_force_n": 0.05, "motor_thrust_1": 0.17}
+            values |= {
+                "quaternion_w": 1.0,
+                "airborne": 1.0,
+                "wind_n": 4.0,
+                "disturbance_force_n": 0.05,
+                "motor_thrust_1": 0.17,
+            }
             log.write(sim_records.TRUTH, time_ns, np.array(list(values.values())))
     with FlightLogWriter(folder / "offboard.mcap", "offboard", {"clock": "lockstep"}, threaded=False) as log:
         for i in range(60):
