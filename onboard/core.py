@@ -20,6 +20,7 @@ from onboard.feature_reception import FeatureReception
 from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.ground_link import GroundLink
 from onboard.guidance import Guidance
+from onboard.mavlink_frames import SigningClock
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
 from onboard.signal_vector import SignalVector
@@ -28,6 +29,7 @@ from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink
 from protocol.endpoint import Endpoint
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncRequest
+from protocol.session import session_start_ns
 
 Array = NDArray[np.float64]
 Thrusts = tuple[float, float, float, float]
@@ -65,10 +67,11 @@ class OnboardCore:
     def __init__(self, config: OnboardConfig, session: int, key: bytes | None) -> None:
         self._config = config
         self._dt = config.period_ns * 1e-9
-        self._vehicle_link = VehicleLink(config.vehicle_link)
+        utc_ns = session_start_ns(session)
+        self._vehicle_link = VehicleLink(config.vehicle_link, signing_clock=SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
-        self._ground_link = GroundLink(config.ground_link)
+        self._ground_link = GroundLink(config.ground_link, signing_clock=SigningClock(utc_at_first_use_ns=utc_ns))
         self._guidance = Guidance(config.guidance)
         self.controller = config.controller.build(config.airframe, config.seed)
         self._mixer = Mixer(config.airframe)
@@ -200,6 +203,7 @@ class OnboardCore:
                 thrust_to_weight=sum(self._command) / (self._config.airframe.mass_kg * GRAVITY),
                 initialised=state.initialised,
                 preflight=self._preflight(now_ns),
+                fault=not self._estimator.healthy,
             )
         )
         for when_ns, text in self._supervisor.take_events():
@@ -213,8 +217,10 @@ class OnboardCore:
         return mode
 
     def _preflight(self, now_ns: int) -> str:
-        """Gives the first pose some time to come, so that a flight does not begin with a jump of its position."""
+        """What stands against arming; also gives the first pose time to come, lest a flight begin with a jump."""
         assert self._started_ns is not None
+        if self._vehicle_link.conflict:
+            return "two vehicles speak with one system id"
         waiting = not self._posed and (now_ns - self._started_ns) * 1e-9 < self._config.pose_wait_s
         return "waiting for the first pose" if waiting else ""
 

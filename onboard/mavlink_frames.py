@@ -48,13 +48,17 @@ class Frame(NamedTuple):
 class SigningClock:
     """The signature time: 10 us ticks since 2015, from the caller's clock, strictly increasing."""
 
-    def __init__(self, utc_at_zero_ns: int = _EPOCH_2015_NS) -> None:
-        """`utc_at_zero_ns`: UTC in ns since 1970 when the caller's clock showed 0."""
+    def __init__(self, utc_at_zero_ns: int = _EPOCH_2015_NS, utc_at_first_use_ns: int | None = None) -> None:
+        """UTC in ns since 1970, either when the caller's clock showed 0 or when it is first given to this object."""
         self._zero_ns = utc_at_zero_ns - _EPOCH_2015_NS
+        self._first_use_ns = utc_at_first_use_ns
         self._last = 0
 
     def now(self, now_ns: int) -> int:
-        """The tick that `now_ns` falls in."""
+        """The tick that `now_ns` falls in; 0 before 2015."""
+        if self._first_use_ns is not None:
+            self._zero_ns = self._first_use_ns - _EPOCH_2015_NS - now_ns
+            self._first_use_ns = None
         return max(0, (self._zero_ns + now_ns) // _SIGNATURE_TICK_NS)
 
     def next(self, now_ns: int) -> int:
@@ -66,6 +70,14 @@ class SigningClock:
 def signature(key: bytes, frame: bytes) -> bytes:
     """First 48 bits of SHA-256 over key and `frame`, which ends with link id and time stamp (MAVLink 2 signing)."""
     return hashlib.sha256(key + frame).digest()[:6]
+
+
+SIGNING_KEY_PATTERN: Final = r"^[0-9a-f]{64}$"
+
+
+def key_from_hex(text: str | None) -> bytes | None:
+    """The key that a configuration gives as 64 hexadecimal digits, or none."""
+    return None if text is None else bytes.fromhex(text)
 
 
 def check_key(key: bytes | None) -> bytes | None:

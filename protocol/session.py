@@ -25,6 +25,11 @@ def session_number(wall_clock_ns: int, entropy: int) -> int:
     return ((wall_clock_ns // 1_000_000) & (2**44 - 1)) << 20 | (entropy & (2**20 - 1))
 
 
+def session_start_ns(session: int) -> int:
+    """The wall clock at the start of a session, to the millisecond."""
+    return (session >> 20) * 1_000_000
+
+
 class ReplayWindow:
     """The sequence numbers seen in one session: the newest, a bitmap of the WINDOW before it, and counts."""
 

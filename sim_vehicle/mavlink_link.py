@@ -183,6 +183,8 @@ class VehicleCodec:
         if stamp <= self._signed_until.get(stream, -1):
             return "replay"
         self._signed_until[stream] = stamp
+        for codec in (self._sensors, self._capture):  # a vehicle without a clock of its own takes over its master's
+            codec.signing.timestamp = max(codec.signing.timestamp, stamp)
         return ""
 
     def _read(self, frame: bytes) -> tuple[tuple[float, float, float, float], bool] | None:

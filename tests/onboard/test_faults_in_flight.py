@@ -14,6 +14,7 @@ from experiments.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.records import FlowReading
 from onboard.supervisor import FlightMode
+from protocol.session import session_number
 from sim_vehicle.lockstep import Lockstep
 from sim_vehicle.radio import Radio
 from sim_vehicle.vehicle import SimVehicle
@@ -43,10 +44,10 @@ class FaultyVehicle:
 class FlightTest:
     """Flies and keeps position errors, modes and words."""
 
-    def __init__(self, scenario="hover", fault=None, assignments=(), change=None):
+    def __init__(self, scenario="hover", fault=None, assignments=(), change=None, session=1):
         config = resolve(scenario, Choices(controller="pid", seed=3, assignments=assignments))
         vehicle = SimVehicle(config.vehicle, config.seed)
-        self.core = OnboardCore(config.onboard, 1, None)
+        self.core = OnboardCore(config.onboard, session, None)
         if change is not None:
             change(self.core)
         faulty = FaultyVehicle(vehicle, fault or (lambda t, datagrams: datagrams))
@@ -193,6 +194,24 @@ def test_a_second_vehicle_on_the_port_changes_nothing_but_words():
     spoilt, alone = FlightTest(fault=fault).fly(8.0), FlightTest().fly(8.0)
     np.testing.assert_array_equal(np.array(spoilt.truths), np.array(alone.truths))
     assert spoilt.said("second vehicle (system id 77)")
+
+
+@pytest.mark.parametrize("utc_ns", [0, 1_763_800_000 * 10**9])
+def test_a_signed_link_flies_whatever_clock_the_vehicle_has(utc_ns):
+    """The simulated vehicle has no wall clock; it takes over the time in our signatures, as MAVLink wants it."""
+    keys = [f"{where}.signing_key={'ab' * 32}" for where in ("onboard.vehicle_link", "vehicle.link")]
+    flight = FlightTest(assignments=tuple(keys), session=session_number(utc_ns, 1)).fly(8.0)
+    assert flight.modes[-1] is FlightMode.FLYING
+    rejected = flight.core._vehicle_link.rejected
+    assert set(rejected) <= {"signature_too_old"}
+    assert rejected.total() < 10
+
+
+def test_a_vehicle_with_another_key_is_not_flown():
+    keys = (f"onboard.vehicle_link.signing_key={'ab' * 32}", f"vehicle.link.signing_key={'cd' * 32}")
+    flight = FlightTest(assignments=keys).fly(6.0)
+    assert set(flight.modes) == {FlightMode.BOOT}
+    assert flight.core._vehicle_link.rejected["signature"] > 1000
 
 
 def test_a_lying_ultrasonic_sensor_does_not_bring_the_vehicle_down():
