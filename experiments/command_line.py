@@ -27,6 +27,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "offboard": Subcommand("offboard.process", "the training process alone"),
     "sim": Subcommand("sim_vehicle.process", "the simulated vehicle and its radio alone"),
     "replay": Subcommand("experiments.commands.replay", "re-fly a recorded flight with exactly the fates its link had"),
+    "dropouts": Subcommand("experiments.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
     "config": Subcommand("experiments.commands.config", "write the resolved configuration of a scenario"),
     "bench": Subcommand("experiments.bench", "time the onboard step, the loop's pace and lockstep"),
     "keygen": Subcommand("experiments.commands.keygen", "make a key that protects the onboard/offboard link"),

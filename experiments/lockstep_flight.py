@@ -1,6 +1,6 @@
 """One flight in lockstep: builds the cores, runs them on one virtual clock, keeps the trace."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from onboard.core import OnboardCore
 from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET, TICK
 from sim_vehicle.lockstep import Lockstep, TickResult
-from sim_vehicle.radio import DIRECTIONS, Direction, Radio
+from sim_vehicle.radio import DIRECTIONS, Direction, Fate, Radio, Recording
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
@@ -28,6 +28,7 @@ _TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 _MODE = OFFSET["mode"]
 _FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)
 
+Fates = Mapping[Direction, Sequence[Fate]]
 Observer = Callable[[TickResult], None]
 """Called after every tick; what it is given is rewritten by the next tick."""
 
@@ -47,14 +48,23 @@ class LockstepOutcome:
     events: list[tuple[int, str, str]] = field(default_factory=list)
     """(time_ns, process, text)."""
     offboard_records: list[tuple[RecordType, int, Array]] = field(default_factory=list)
+    fates: Fates = field(default_factory=dict)
+    """What became of each datagram of the link, by direction."""
+    recordings: dict[Direction, Recording] = field(default_factory=dict)
+    """How far the recorded fates, if any, were dealt out."""
     learnt: bytes = b""
     """What another flight can start from (experiments.carried_experience)."""
 
 
-def build(config: FlightConfig, with_offboard: bool = True) -> tuple[Lockstep, OnboardCore, Any, Radio]:
-    """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio."""
+def build(
+    config: FlightConfig, with_offboard: bool = True, recorded: Fates | None = None
+) -> tuple[Lockstep, OnboardCore, Any, Radio]:
+    """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio.
+
+    recorded: fates that the link's datagrams meet instead of the configured radio's.
+    """
     vehicle = SimVehicle(config.vehicle, config.seed)
-    radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]))
+    radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
     onboard = OnboardCore(config.onboard, ONBOARD_SESSION, None)
     offboard = build_offboard(config, OFFBOARD_SESSION) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
@@ -76,19 +86,21 @@ def fly_lockstep(
     observers: tuple[Observer, ...] = (),
     with_offboard: bool = True,
     experience: bytes | None = None,
+    recorded: Fates | None = None,
 ) -> LockstepOutcome:
     """Flies a scenario in virtual time, until its duration is over or the vehicle is lost.
 
     Parameters
     ----------
     experience: what an earlier flight learnt (experiments.carried_experience); None: what the config names, if any.
+    recorded: fates of an earlier flight, by direction, for this one's datagrams (sim_vehicle.radio.Recording).
 
     Raises
     ------
     ConfigError
         If the experience cannot be read, or does not fit this flight.
     """
-    lockstep, onboard, offboard, radio = build(config, with_offboard)
+    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded)
     experience = read_experience(config.experience) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard)
@@ -124,6 +136,8 @@ def fly_lockstep(
         lockstep.trace_sha256,
         events,
         records,
+        radio.fates,
+        {direction: radio.recording(direction) for direction in DIRECTIONS},
         dump_learnt(onboard, offboard),
     )
 

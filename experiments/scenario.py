@@ -110,6 +110,17 @@ def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) ->
     for assignment in choices.assignments:
         tree = set_path(tree, assignment)
     source = str(path) + ("".join(f" --set {item}" for item in choices.assignments))
+    return complete(tree, source)
+
+
+def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
+    """The record of a flight's plain tree; an offboard side that nobody would learn from only relays the pose.
+
+    Raises
+    ------
+    ConfigError
+        Naming `source`, path, value and what is allowed.
+    """
     flight = fill(FlightConfig, tree, source)
     controller = flight.onboard.controller.build(
         flight.onboard.airframe, flight.seed, str(named_file("controllers", flight.controller))

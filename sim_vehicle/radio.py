@@ -172,7 +172,7 @@ class Recording:
     less, as with another controller, still meets each burst and each silence when the recorded one did.
     """
 
-    SLACK_NS: Final = 20_000_000
+    SLACK_NS: Final = 100_000_000
 
     def __init__(self, fates: Sequence[Fate]) -> None:
         self._fates = fates

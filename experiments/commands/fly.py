@@ -4,7 +4,7 @@ import argparse
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -13,6 +13,9 @@ from experiments.flight_card import build_summary, print_card, write_summary
 from experiments.realtime_flight import require_free_ports
 from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.trace import FlightTrace
+
+if TYPE_CHECKING:
+    from experiments.lockstep_flight import LockstepOutcome
 
 EXAMPLES = """examples:
   dmrac fly                                   the default scenario, figure8_wind, in real time
@@ -93,6 +96,11 @@ def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> 
         outcome = fly_lockstep(config, (log,), with_offboard)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
+    return lockstep_summary(config, outcome), outcome.trace
+
+
+def lockstep_summary(config: FlightConfig, outcome: "LockstepOutcome") -> dict[str, Any]:
+    """summary.json of a flight in virtual time."""
     rejected = Counter(outcome.onboard["rejected"])
     rejected.update((outcome.offboard or {}).get("rejected", {}))
     onboard = outcome.onboard
@@ -100,7 +108,7 @@ def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> 
         config, "lockstep", outcome.trace, outcome.crash_reason, onboard, outcome.radio, dict(rejected)
     )
     summary["trace_sha256"] = outcome.trace_sha256
-    return summary, outcome.trace
+    return summary
 
 
 def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tuple[dict[str, Any], FlightTrace | None]:

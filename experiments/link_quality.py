@@ -1,0 +1,56 @@
+"""How good a link was, from what became of its datagrams."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_vehicle.radio import Fate
+
+
+@dataclass(frozen=True)
+class LinkQuality:
+    """One direction of a link over a flight."""
+
+    sent: int
+    lost: int
+    longest_gap_s: float
+    """Longest time in which nothing arrived, the times before the first and after the last arrival included."""
+    longest_burst: int
+    """Most datagrams lost one after the other."""
+    delay_median_s: float
+    """Of those that arrived; NaN for none."""
+    bytes_per_s: float
+
+    @property
+    def lost_share(self) -> float:
+        """Lost of sent; 0 where nothing was sent."""
+        return self.lost / self.sent if self.sent else 0.0
+
+
+def link_quality(fates: Sequence[Fate], duration_s: float) -> LinkQuality:
+    """Quality of one direction.
+
+    Parameters
+    ----------
+    fates: in the order sent; times since the start of the flight.
+    duration_s: of the flight.
+    """
+    lost = np.array([fate.outcome != "delivered" for fate in fates], dtype=bool)
+    delays = np.array([fate.delay_ns for fate in fates if fate.outcome == "delivered"], dtype=np.float64) * 1e-9
+    arrivals = sorted((fate.sent_ns + fate.delay_ns) * 1e-9 for fate in fates if fate.outcome == "delivered")
+    marks = np.array([0.0, *(time for time in arrivals if time < duration_s), max(duration_s, 0.0)])
+    return LinkQuality(
+        sent=len(fates),
+        lost=int(lost.sum()),
+        longest_gap_s=float(np.diff(marks).max()),
+        longest_burst=_longest_run(lost),
+        delay_median_s=float(np.median(delays)) if delays.size else float("nan"),
+        bytes_per_s=sum(fate.size_bytes for fate in fates) / max(duration_s, 1e-9),
+    )
+
+
+def _longest_run(flags: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
+    edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return int((ends - starts).max()) if starts.size else 0
