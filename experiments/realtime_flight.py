@@ -25,7 +25,10 @@ from shell.sockets import require_free
 
 MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
 """In the order of starting; onboard's first motor command starts the flight."""
-READY_LIMIT_S: Final = 20.0
+READY_LIMIT_S: Final = 120.0
+"""The very first start compiles the simulated vehicle, and a slow machine imports torch slowly."""
+PATIENCE_S: Final = 6.0
+"""After so long a person is told what is being waited for."""
 END_LIMIT_S: Final = 5.0
 FALL_LIMIT_S: Final = 3.0
 OVERTIME_S: Final = 30.0
@@ -161,9 +164,13 @@ class Supervisor:
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
 
     def _wait_until_ready(self, *names: str) -> bool:
-        limit = time.monotonic() + READY_LIMIT_S
-        while not all(self.children[name].ready for name in names):
+        start = time.monotonic()
+        told = False
+        while late := [name for name in names if not self.children[name].ready]:
             self._relay()
+            if not told and time.monotonic() > start + PATIENCE_S:
+                told = True
+                self._tell(f"waiting for {' and '.join(late)}; a first start compiles and takes longer")
             if self._stop.count:
                 self.result.interrupted = True
                 return False
@@ -173,8 +180,8 @@ class Supervisor:
                     raise FlightStartError(
                         f"{name} ended at its start (status {child.process.returncode}): {child.said()}"
                     )
-            if time.monotonic() > limit:
-                raise FlightStartError(f"{' or '.join(names)} not ready within {READY_LIMIT_S:.0f} s")
+            if time.monotonic() > start + READY_LIMIT_S:
+                raise FlightStartError(f"{' and '.join(late)} not ready within {READY_LIMIT_S:.0f} s")
         return True
 
     def _watch(self) -> None:
@@ -227,6 +234,9 @@ class Supervisor:
 
     def _note(self, text: str) -> None:
         self.result.notes.append(text)
+        self._tell(text)
+
+    def _tell(self, text: str) -> None:
         self._on_status({"process": "fly", "kind": "event", "text": text})
 
     def _end_all(self) -> None:

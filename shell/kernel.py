@@ -8,6 +8,7 @@ import ctypes
 import gc
 import os
 import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -43,11 +44,11 @@ def quiet_interpreter() -> None:
 def ask_for_realtime(priority: int) -> list[Grant]:
     """Ask for everything that makes waking punctual; whatever is refused is reported and done without.
 
-    Threads started earlier keep their ordinary priority; start the log writer first.
-
     Parameters
     ----------
-    priority: SCHED_FIFO priority of the calling thread, 1 to 99; 0 leaves the ordinary scheduler.
+    priority: SCHED_FIFO priority of the calling thread, 1 to 99; 0 leaves the ordinary scheduler. Threads that run
+        already, such as the log's, get one less: one that was put aside by an ordinary process while it held the
+        interpreter would hold up the loop.
     """
     grants = [_timer_slack(), _cpu_latency(), _locked_memory()]
     if priority > 0:
@@ -86,8 +87,11 @@ def _locked_memory() -> Grant:
 
 
 def _fifo(priority: int) -> Grant:
+    loop = threading.get_native_id()
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        for thread in (int(name) for name in os.listdir("/proc/self/task")):
+            own = priority if thread == loop else max(1, priority - 1)
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(own))
     except OSError as error:
         return Grant("real-time priority", False, f"{error.strerror}; `ulimit -r` of {priority} or more allows it")
     return Grant("real-time priority", True, f"FIFO {priority}")
