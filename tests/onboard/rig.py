@@ -45,7 +45,7 @@ class Rig:
         self.motors, self.belief = ActuatorModel(AIRFRAME, DT / SUBSTEPS), ActuatorModel(AIRFRAME, DT)
         hover = AIRFRAME.mass_kg * GRAVITY / 4.0
         self.motors.thrusts[:] = self.belief.thrusts[:] = hover
-        self.commands = [(hover,) * 4, (hover,) * 4]
+        self.commands = [(hover,) * 4]
         self.mixer, self.signals, self.state = Mixer(AIRFRAME), SignalVector(), VehicleState()
         self.target: Any = np.array([0.0, 0.0, -1.0])
         self.yaw = 0.0

@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,7 @@ from onboard.tick_record import OFFSET
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
 
-sys.path.insert(0, str(Path(__file__).parent))
-from rig import AIRFRAME, DT, Rig, controller_tree, shipped_controller
+from tests.onboard.rig import AIRFRAME, DT, Rig, controller_tree, shipped_controller
 
 BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")
 FORCE, TORQUE = (0.5, -0.3, 0.8), (5.0, -4.0, 0.5)

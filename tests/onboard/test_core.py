@@ -1,0 +1,427 @@
+"""Stories of the onboard core in virtual time: alone; with a peer that misbehaves, restarts, comes late, teaches."""
+
+import copy
+import copyreg
+import dataclasses
+import functools
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from experiments.scenario import Choices, resolve
+from onboard.core import OnboardCore
+from onboard.feature_reception import FeatureReception
+from onboard.feature_swap import SwapConfig
+from onboard.features import random_channel
+from onboard.supervisor import FlightMode
+from onboard.tick_record import OFFSET
+from protocol.codec import encode_feature_set
+from protocol.config import TransferConfig
+from protocol.endpoint import Endpoint
+from protocol.feature_set import FeatureSet
+from protocol.messages import REFUSALS, FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
+from protocol.transfer import FeatureSender, split
+from sim_vehicle.records import TRUTH
+from sim_vehicle.vehicle import SimVehicle
+
+PERIOD_NS = 5_000_000
+CLOCK_NS = 7_000_000_000
+"""How much the peer's clock is ahead of ours."""
+ON_THE_FLOOR = (FlightMode.LANDED, FlightMode.BOOT, FlightMode.READY)
+
+
+class Peer:
+    """The offboard side, played by the test: answers time sync, relays poses, sends features."""
+
+    def __init__(self, session=2):
+        self.endpoint = Endpoint("offboard", session, None)
+        self.sender = FeatureSender(TransferConfig())
+        self.relays = True
+        self.statuses, self.batches = [], []
+
+    def take_in(self, datagram, now_ns):
+        message = self.endpoint.decode(datagram, now_ns + CLOCK_NS)
+        if isinstance(message, TimeSyncRequest):
+            return [TimeSyncReply(message.origin_ns, now_ns + CLOCK_NS, now_ns + CLOCK_NS)]
+        if isinstance(message, Status):
+            self.statuses.append(message)
+            self.sender.on_status(message, now_ns)
+        elif isinstance(message, SampleBatch):
+            self.batches.append(message)
+        return []
+
+    def say(self, truth, tick, now_ns):
+        messages = list(self.sender.poll(now_ns))
+        if self.relays and tick % 2 == 0:
+            place = np.array(truth[:3], dtype=np.float32)
+            attitude = np.array(truth[6:10], dtype=np.float32)
+            messages.append(Pose(now_ns + CLOCK_NS, place, attitude / np.linalg.norm(attitude)))
+        return messages
+
+
+class Loop:
+    """Simulated vehicle and onboard core, one tick of delay, and a peer when there is one."""
+
+    def __init__(self, controller="pid", scenario="hover", peer=None, assignments=()):
+        self.config = resolve(scenario, Choices(controller, 3, None, assignments))
+        self.vehicle = SimVehicle(self.config.vehicle, self.config.seed)
+        self.core = OnboardCore(self.config.onboard, 1, None)
+        self.peer = peer
+        self.now_ns, self.tick = 0, 0
+        self.waiting, self.motors = [], []
+        self.rows, self.truths, self.events = [], [], []
+
+    def fly(self, seconds):
+        for _ in range(round(seconds * 1e9 / PERIOD_NS)):
+            self.step()
+        return self
+
+    def step(self):
+        now = self.now_ns
+        flown = self.vehicle.step(now)
+        for datagram in flown.to_onboard:
+            self.core.take_in_vehicle(datagram, now)
+        for message in self.waiting:
+            self.core.take_in_offboard(self.peer.endpoint.encode(message, now + CLOCK_NS), now)
+        out = self.core.step(now)
+        for datagram in self.motors:
+            self.vehicle.take_in(datagram, now)
+        self.motors, self.waiting = out.to_vehicle, []
+        if self.peer is not None:
+            for datagram in out.to_offboard:
+                self.waiting += self.peer.take_in(datagram, now)
+            self.waiting += self.peer.say(flown.truth, self.tick, now)
+        self.rows.append(out.tick.copy())
+        self.truths.append(np.array(flown.truth))
+        self.events += [text for _, text in out.events]
+        self.now_ns += PERIOD_NS
+        self.tick += 1
+
+    def column(self, name):
+        return np.array([row[OFFSET[name]] for row in self.rows])
+
+    def vector(self, name):
+        return np.stack([self.column(f"{name}_{axis}") for axis in "ned"], axis=1)
+
+    @property
+    def mode(self):
+        return FlightMode(int(self.rows[-1][OFFSET["mode"]]))
+
+    def said(self, words):
+        return [event for event in self.events if words in event]
+
+
+copyreg.pickle(struct.Struct, lambda made: (struct.Struct, (made.format,)))  # so that a core can be copied
+
+
+@functools.cache
+def _flown(controller):
+    loop = Loop(controller, peer=Peer()).fly(5.0)
+    assert loop.mode is FlightMode.FLYING
+    return loop
+
+
+def in_flight(controller):
+    """A loop with a peer, five seconds into its flight; each caller gets its own."""
+    flown = _flown(controller)
+    endpoints = (flown.core._endpoint, flown.peer.endpoint)
+    keys = {id(key): key for endpoint in endpoints for key in (endpoint._send, endpoint._hear)}
+    return copy.deepcopy(flown, keys)  # key states cannot be copied, and never change
+
+
+def armed(datagram):
+    """Whether a motor frame arms, and its four controls, as pymavlink reads it."""
+    message = mavlink.MAVLink(None).parse_buffer(datagram)[0]
+    return bool(message.mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED), message.controls[:4]
+
+
+# --- alone -----------------------------------------------------------------------------------------------------------
+
+
+def test_without_offboard_it_flies_on_flow_and_range():
+    loop = Loop("mrac", assignments=("onboard.pose_wait_s=0.5",)).fly(6.0)
+    assert loop.vehicle.crash_reason == ""
+    assert loop.mode is FlightMode.FLYING
+    assert loop.column("offboard_age")[-1] == -1.0
+    assert loop.column("feature_version")[-1] == 0
+    assert -1.3 < loop.truths[-1][2] < -0.7
+
+
+def test_a_whole_flight_ends_on_the_floor_with_motors_off():
+    loop = Loop(peer=Peer(), assignments=("onboard.guidance.land_after_s=3.0",)).fly(9.5)
+    assert loop.mode in ON_THE_FLOOR
+    assert loop.vehicle.crash_reason == ""
+    assert not armed(loop.motors[-1])[0]
+    modes = [FlightMode(int(mode)) for mode in dict.fromkeys(loop.column("mode").tolist())]
+    assert [mode for mode in modes if mode in (FlightMode.TAKE_OFF, FlightMode.FLYING, FlightMode.LANDING)] == [
+        FlightMode.TAKE_OFF,
+        FlightMode.FLYING,
+        FlightMode.LANDING,
+    ]
+
+
+def test_a_request_to_land_is_obeyed():
+    loop = in_flight("pid")
+    loop.core.request_land(loop.now_ns)
+    loop.fly(0.5)
+    assert loop.mode is FlightMode.LANDING
+    loop.fly(4.5)
+    assert loop.mode in ON_THE_FLOOR
+    assert loop.core.airborne is False
+
+
+# --- our own mistakes ------------------------------------------------------------------------------------------------
+
+
+def test_what_goes_wrong_in_a_step_is_raised_and_the_safe_output_still_works():
+    loop = in_flight("pid")
+    flying, controls = armed(loop.motors[-1])
+    assert flying
+    assert min(controls) > 0.2
+
+    def broken(inputs):
+        raise RuntimeError("a controller's own mistake")
+
+    loop.core.controller.step = broken
+    with pytest.raises(RuntimeError, match="own mistake"):
+        loop.core.step(loop.now_ns)
+    output = loop.core.safe_output(loop.now_ns)
+    assert output.to_offboard == []
+    assert [armed(datagram) for datagram in output.to_vehicle] == [(False, [0.0] * 4)]
+
+
+def test_a_failed_step_does_not_spoil_the_next():
+    loop = in_flight("pid")
+    step, loop.core.controller.step = loop.core.controller.step, None
+    with pytest.raises(TypeError):
+        loop.core.step(loop.now_ns)
+    loop.core.controller.step = step
+    loop.fly(1.0)
+    assert loop.mode is FlightMode.FLYING
+    assert loop.vehicle.crash_reason == ""
+
+
+# --- a peer's rubbish ------------------------------------------------------------------------------------------------
+
+rubbish = st.one_of(
+    st.binary(max_size=300),
+    st.binary(min_size=20, max_size=60).map(lambda tail: b"\x01\x03\x01\x00" + tail),
+    st.binary(min_size=20, max_size=60).map(lambda tail: b"\xfd" + tail),
+)
+
+
+def test_no_datagram_raises_or_stops_the_flight():
+    loop = in_flight("pid")
+    genuine = loop.core.step(loop.now_ns).to_vehicle
+
+    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
+    @given(rubbish)
+    def feed(datagram):
+        loop.core.take_in_offboard(datagram, loop.now_ns)
+        loop.core.take_in_vehicle(datagram, loop.now_ns)
+        loop.core.take_in_ground(datagram, loop.now_ns)
+
+    feed()
+    loop.core.take_in_offboard(genuine[0], loop.now_ns)
+    loop.fly(1.0)
+    assert loop.mode is FlightMode.FLYING
+    summary = loop.core.summary()
+    assert sum(summary["rejected"].values()) >= 150
+    assert sum(summary["vehicle_rejected"].values()) >= 100
+    assert loop.peer.statuses[-1].rejected >= 150
+
+
+def test_bits_turned_in_genuine_datagrams_are_noticed():
+    loop = Loop(peer=Peer()).fly(1.0)
+    rng = np.random.default_rng(5)
+    message = Pose(loop.now_ns + CLOCK_NS, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
+    for _ in range(50):
+        datagram = bytearray(loop.peer.endpoint.encode(message, loop.now_ns))
+        datagram[rng.integers(len(datagram))] ^= 1 << int(rng.integers(8))
+        loop.core.take_in_offboard(bytes(datagram), loop.now_ns)
+    assert sum(loop.core.summary()["rejected"].values()) == 50
+
+
+# --- features --------------------------------------------------------------------------------------------------------
+
+
+def features(version=1, gain=1.0, last_layer=0.0):
+    rng = np.random.default_rng(version)
+    start = random_channel(("position_n", "velocity_n"), np.zeros(2), np.ones(2), (8, 5), rng)
+    weights = tuple(gain * W for W in start.weights)
+    source = dataclasses.replace(start, weights=weights, last_layer=np.full((6, 3), last_layer))
+    return FeatureSet(version, 0, 100, source, source)
+
+
+def test_good_features_come_into_use_and_are_reported():
+    loop = in_flight("dmrac")
+    loop.peer.sender.offer(features(), loop.now_ns)
+    loop.fly(2.0)
+    assert loop.said("features 1 in use")
+    assert loop.peer.statuses[-1].feature_version == 1
+    assert loop.column("feature_version")[-1] == 1
+    assert 0.0 < loop.column("feature_age")[-1] < 2.0
+    assert loop.core.summary()["features"] == {"version": 1, "swaps": 1, "refused": 0}
+    assert loop.peer.batches[-1].feature_version == 1
+    assert loop.peer.sender.outstanding_version == 0
+    assert loop.vehicle.crash_reason == ""
+
+
+@pytest.mark.parametrize(
+    ("controller", "sent", "reason"),
+    [
+        ("dmrac", features(gain=100.0), "lipschitz"),
+        ("dmrac", features(last_layer=100.0), "weight_norm"),
+        ("pid", features(), "not_accepting"),
+    ],
+)
+def test_features_are_refused_with_the_reason(controller, sent, reason):
+    loop = in_flight(controller)
+    loop.peer.sender.offer(sent, loop.now_ns)
+    loop.fly(0.5)
+    status = loop.peer.statuses[-1]
+    assert (status.refused_version, REFUSALS[status.refusal]) == (1, reason)
+    assert status.feature_version == 0
+    assert loop.said(f"features 1 refused: {reason}")
+    assert loop.peer.sender.outstanding_version == 0
+
+
+def test_features_that_jump_too_far_are_refused_in_flight():
+    loop = in_flight("dmrac")
+    position = loop.core.controller._augmentations[0]
+    position._config = position._config.model_copy(update={"swap": SwapConfig(jump_max=1e-6)})
+    loop.peer.sender.offer(features(last_layer=1.0), loop.now_ns)
+    loop.fly(0.5)
+    assert REFUSALS[loop.peer.statuses[-1].refusal] == "swap_jump"
+
+
+def test_undecodable_features_are_refused_on_arrival():
+    loop = Loop("dmrac", peer=Peer()).fly(1.0)
+    loop.waiting += split(b"no feature set" * 30, 4, 1000)
+    loop.fly(0.5)
+    assert loop.peer.statuses[-1].refused_version == 4
+    assert loop.peer.statuses[-1].refusal > 0
+
+
+def test_a_controller_that_does_not_learn_refuses():
+    class Plain:
+        def step(self, inputs):
+            raise AssertionError
+
+    reception = FeatureReception(Plain())
+    for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
+        reception.receive(chunk)
+    assert reception.step(0, ready=False) == ""
+    assert reception.step(0, ready=True) == "features 1 refused: not_accepting"
+    assert reception.refused == (1, REFUSALS.index("not_accepting"))
+    assert reception.step(0, ready=True) == ""
+
+
+def test_gathering_and_swapping_never_fall_into_one_tick():
+    loop = Loop("dmrac", peer=Peer()).fly(1.0)
+    chunks = split(encode_feature_set(features(), "float32"), 1, 300)
+    for chunk in chunks[:-1]:
+        loop.core.take_in_offboard(loop.peer.endpoint.encode(chunk, loop.now_ns), loop.now_ns)
+    loop.step()
+    assert loop.core.summary()["features"]["version"] == 0
+    assert isinstance(chunks[-1], FeatureChunk)
+    loop.core.take_in_offboard(loop.peer.endpoint.encode(chunks[-1], loop.now_ns), loop.now_ns)
+    assert loop.core.summary()["features"]["version"] == 0
+    loop.step()
+    assert loop.core.summary()["features"]["version"] == 1
+
+
+def test_a_restarted_peer_may_number_its_features_anew():
+    loop = Loop("dmrac", peer=Peer(session=2)).fly(1.0)
+    loop.peer.sender.offer(features(version=9), loop.now_ns)
+    loop.fly(1.0)
+    assert loop.column("feature_version")[-1] == 9
+    loop.peer = Peer(session=3)
+    loop.fly(0.5)
+    assert loop.said("offboard restarted")
+    loop.waiting += split(encode_feature_set(features(version=1), "float32"), 1, 1000)
+    loop.fly(0.5)
+    assert loop.column("feature_version")[-1] == 1
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_first_pose_that_comes_in_flight_moves_the_path_and_not_the_vehicle():
+    away = "vehicle.initial.position_ned_m=[0.8, -0.6, -0.022]"
+    loop = Loop("mrac", peer=Peer(), assignments=(away, "onboard.pose_wait_s=1.0"))
+    loop.peer.relays = False
+    loop.fly(6.0)
+    assert loop.mode is FlightMode.FLYING
+    before = loop.truths[-1][:3].copy()
+    loop.peer.relays = True
+    loop.fly(2.0)
+    assert loop.said("jumped")
+    np.testing.assert_allclose(loop.vector("position")[-1], loop.truths[-1][:3], atol=0.1)
+    moved = np.array([truth[:3] for truth in loop.truths[-400:]]) - before
+    assert np.abs(moved).max() < 0.25
+    np.testing.assert_allclose(loop.vector("target")[-1][:2], (0.8, -0.6), atol=0.3)
+    # The jump was told to the controller, too: its error did not see it.
+    assert np.abs(loop.vector("position_error")[-400:]).max() < 0.1
+
+
+def test_arming_waits_for_the_first_pose_but_not_for_ever():
+    early = Loop(peer=Peer()).fly(3.0)
+    assert early.mode not in (FlightMode.BOOT, FlightMode.READY)
+    late = Loop().fly(3.5)
+    assert late.mode is FlightMode.BOOT
+    late.fly(1.5)
+    assert late.mode in (FlightMode.TAKE_OFF, FlightMode.FLYING)
+
+
+def test_a_lost_pose_stream_does_not_end_the_flight_in_simulation():
+    loop = in_flight("mrac")
+    loop.peer.relays = False
+    loop.fly(2.5)
+    assert loop.mode is FlightMode.FLYING
+    assert loop.peer.statuses[-1].pose_age_ms > 2000
+    assert loop.vehicle.crash_reason == ""
+
+
+# --- reports ---------------------------------------------------------------------------------------------------------
+
+
+def test_status_and_samples_flow_at_their_rates():
+    loop = in_flight("mrac")
+    assert 47 <= len(loop.peer.statuses) <= 51
+    last = loop.peer.statuses[-1]
+    assert last.mode == FlightMode.FLYING
+    assert last.ticks > 950
+    assert last.lost == 0
+    assert 0 <= last.pose_age_ms <= 20
+    adapting = loop.column("adapting").sum() * PERIOD_NS * 1e-9
+    samples = sum(batch.signals.shape[0] for batch in loop.peer.batches)
+    assert samples == pytest.approx(50.0 * adapting, abs=10)
+
+
+def test_nothing_is_learnt_on_the_ground():
+    loop = in_flight("mrac")
+    adapting, height = loop.column("adapting"), -loop.column("position_d")
+    assert not adapting[height < 0.19].any()
+    assert adapting[-100:].all()
+    on_ground = adapting == 0
+    assert loop.column("position_weight_norm")[on_ground].max() == 0.0
+
+
+def test_the_actuator_model_keeps_step_with_the_vehicle():
+    """Same command, same tick: the two thrusts agree but for the battery's share."""
+    loop = in_flight("mrac")
+    believed = np.stack([loop.column(f"motor_thrust_{i}") for i in "1234"], axis=1)[600:]
+    first = TRUTH.names.index("motor_thrust_1")
+    true = np.array([truth[first : first + 4] for truth in loop.truths])[600:]
+    believed, true = believed - believed.mean(axis=0), true - true.mean(axis=0)
+    lags = {
+        shift: np.corrcoef(np.roll(believed, shift, axis=0)[5:-5].ravel(), true[5:-5].ravel())[0, 1]
+        for shift in (-1, 0, 1)
+    }
+    assert max(lags, key=lags.get) == 0
+    assert lags[0] > 0.95

@@ -1,0 +1,184 @@
+"""Lockstep: the same scenario and seed do the same, in this interpreter and in another; and time is kept honestly."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+from experiments.lockstep_flight import build
+from experiments.scenario import Choices, resolve
+from sim_vehicle.lockstep import Lockstep
+
+ROOT = Path(__file__).parents[2]
+PERIOD_NS = 5_000_000
+SECONDS = 6.5
+"""Long enough for take-off, a wind-blown path, training rounds and a swap."""
+EARLY_S = 3.0
+FLIGHT = """
+import sys
+from tests.sim_vehicle.test_lockstep import fly
+print(fly(int(sys.argv[1]))[0])
+"""
+QUICK_LEARNING = (
+    "offboard.trainer.minimum_samples=16",
+    "offboard.trainer.batches=20",
+    "offboard.gate.minimum_validation=2",
+    "offboard.gate.trigger_unexplained=0.0",
+    "offboard.gate.margin=0.0",
+    "offboard.gate.significance=0.0",
+    "onboard.guidance.trajectory.settle_s=0.0",
+)
+
+
+def fly(seed, seconds=SECONDS):
+    """Trace hash, that of the first seconds, onboard's summary, and the number of training results."""
+    config = resolve("figure8_wind", Choices("dmrac", seed, None, QUICK_LEARNING))
+    lockstep, onboard, _, _ = build(config)
+    trained, early = 0, ""
+    for tick in range(round(seconds * 200)):
+        if tick == round(EARLY_S * 200):
+            early = lockstep.trace_sha256
+        trained += len(lockstep.step().training)
+    return lockstep.trace_sha256, early, onboard.summary(), trained
+
+
+def test_the_same_flight_leaves_the_same_trace_also_in_a_fresh_interpreter():
+    other = subprocess.Popen(
+        [sys.executable, "-c", FLIGHT, "11"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONHASHSEED": "77", "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        trace, early, summary, trained = fly(11)
+        again, *_ = fly(11, EARLY_S)  # in an interpreter that has flown and trained
+        fresh, _ = other.communicate(timeout=120)
+    finally:
+        other.kill()
+    assert trained >= 1, "the flight is meant to contain training"
+    assert summary["features"]["swaps"] >= 1, "and a swap"
+    assert again == early
+    assert fresh.split()[-1] == trace
+
+
+def test_another_seed_leaves_another_trace():
+    assert fly(11, 1.0)[0] != fly(12, 1.0)[0]
+
+
+# --- time, with stand-ins for the cores ---------------------------------------------------------------------------
+
+
+class FakeVehicle:
+    crash_reason = ""
+
+    def __init__(self):
+        self.heard = []
+
+    def step(self, now_ns):
+        return SimpleNamespace(to_onboard=[b"s%d" % now_ns], to_motion_capture=[b"m%d" % now_ns], truth=now_ns)
+
+    def take_in(self, datagram, now_ns):
+        self.heard.append((datagram, now_ns // PERIOD_NS))
+
+
+class FakeOnboard:
+    def __init__(self):
+        self.sensed, self.heard, self.tick = [], [], 0
+
+    def take_in_vehicle(self, datagram, now_ns):
+        self.sensed.append((datagram, now_ns))
+
+    def take_in_offboard(self, datagram, now_ns):
+        self.heard.append((datagram, now_ns // PERIOD_NS))
+
+    def step(self, now_ns):
+        self.tick += 1
+        return SimpleNamespace(to_vehicle=[b"c%d" % (self.tick - 1)], to_offboard=[b"u%d" % (self.tick - 1)])
+
+
+class FakeOffboard:
+    def __init__(self, job_at=None):
+        self.heard, self.poses, self.trained, self.tick, self.job_at = [], [], [], 0, job_at
+
+    def take_in_motion_capture(self, datagram, now_ns):
+        self.poses.append(datagram)
+
+    def take_in(self, datagram, now_ns):
+        self.heard.append((datagram, now_ns // PERIOD_NS))
+
+    def take_in_training(self, result, now_ns):
+        self.trained.append((result, now_ns // PERIOD_NS))
+
+    def step(self, now_ns):
+        job = SimpleNamespace(run=lambda: "learnt") if self.tick == self.job_at else None
+        self.tick += 1
+        return SimpleNamespace(to_onboard=[b"d%d" % (self.tick - 1)], job=job)
+
+
+class FakeRadio:
+    """Everything arrives three ticks later."""
+
+    def __init__(self):
+        self.air = {"up": [], "down": []}
+
+    def send(self, direction, datagram, now_ns):
+        self.air[direction].append((now_ns + 3 * PERIOD_NS, datagram))
+
+    def due(self, direction, now_ns):
+        due = [datagram for when, datagram in self.air[direction] if when <= now_ns]
+        self.air[direction] = [entry for entry in self.air[direction] if entry[0] > now_ns]
+        return due
+
+
+def lockstep_of_fakes(ticks, job_at=None, training_ticks=0):
+    vehicle, onboard, offboard = FakeVehicle(), FakeOnboard(), FakeOffboard(job_at)
+    lockstep = Lockstep(vehicle, FakeRadio(), onboard, offboard, PERIOD_NS, training_ticks * PERIOD_NS)
+    for _ in range(ticks):
+        lockstep.step()
+    return lockstep, vehicle, onboard, offboard
+
+
+def test_a_command_acts_one_tick_after_it_was_computed():
+    _, vehicle, _, _ = lockstep_of_fakes(4)
+    assert vehicle.heard == [(b"c0", 1), (b"c1", 2), (b"c2", 3)]
+
+
+def test_sensors_reach_onboard_in_their_own_tick():
+    _, _, onboard, offboard = lockstep_of_fakes(3)
+    assert onboard.sensed == [(b"s%d" % (k * PERIOD_NS), k * PERIOD_NS) for k in range(3)]
+    assert len(offboard.poses) == 3
+
+
+def test_both_ways_pass_through_the_radio():
+    _, _, onboard, offboard = lockstep_of_fakes(6)
+    assert offboard.heard == [(b"u0", 3), (b"u1", 4), (b"u2", 5)]
+    assert onboard.heard == [(b"d0", 3), (b"d1", 4), (b"d2", 5)]
+
+
+def test_training_takes_its_modelled_time():
+    _, _, _, offboard = lockstep_of_fakes(12, job_at=2, training_ticks=5)
+    assert offboard.trained == [("learnt", 7)]
+
+
+def test_offboard_may_die_and_come_back():
+    lockstep, vehicle, onboard, _ = lockstep_of_fakes(3, job_at=1, training_ticks=5)
+    lockstep.remove_offboard()
+    for _ in range(8):
+        assert lockstep.step().offboard is None
+    assert [datagram for datagram, _ in onboard.heard] == [b"d0", b"d1", b"d2"]  # what was in the air
+    assert len(vehicle.heard) == 10
+    new = FakeOffboard()
+    lockstep.attach_offboard(new)
+    lockstep.step()
+    assert new.trained == []
+    assert new.heard == [(b"u8", 11)]
+
+
+def test_the_trace_is_of_every_datagram_in_order():
+    one, *_ = lockstep_of_fakes(5)
+    two, *_ = lockstep_of_fakes(5)
+    assert one.trace_sha256 == two.trace_sha256
+    two.step()
+    assert one.trace_sha256 != two.trace_sha256
