@@ -19,6 +19,8 @@ from pydantic import Field, model_validator
 from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, load
 
 DRAW_STREAM = 401
+PRESENTATION = ("title", "description", "seeds", "quick_seeds", "compare_to", "metrics", "targets", "figures", "traces")
+"""Keys of a campaign that change no flight."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w.+-]*$")]
 Assignments = dict[str, Any]
 """Value by path on the resolved tree."""
@@ -99,6 +101,24 @@ class Seeds(Record):
     count: Annotated[int, Field(ge=1, le=100_000)]
 
 
+class Flown(Record):
+    """Names a group of flights: a case, a controller, and where in the sweeps."""
+
+    case: str
+    controller: str
+    point: dict[str, Any] = Field(default_factory=dict)
+
+
+class Target(Record):
+    """A ratio that is to be reached: median of ours / theirs, paired by seed."""
+
+    label: str
+    ours: Flown
+    theirs: Flown
+    metric: str
+    at_most: float
+
+
 class CampaignConfig(Record):
     """A campaign file."""
 
@@ -114,6 +134,9 @@ class CampaignConfig(Record):
     """Of so many seeds, at every point, the columns are kept for figures."""
     compare_to: str = ""
     """Controller that ratios are formed against; empty: the last one named."""
+    metrics: tuple[str, ...] = ("first_lap_rmse_m", "settled_rmse_m", "attitude_rmse_rad")
+    """Columns of flights.parquet that the table shows."""
+    targets: tuple[Target, ...] = ()
     figures: tuple[dict[str, Any], ...] = ()
     """What `dmrac figures` draws: experiments.figure_plan."""
 

@@ -16,6 +16,8 @@ CONFIDENCE: Final = 0.95
 Z_95: Final = 1.959963984540054
 """Normal quantile at 0.975."""
 RESAMPLES: Final = 4000
+INTERVAL_COUNT: Final = 6
+"""Of fewer values no interval of the median is stated: even from the least to the greatest of five covers only 94 %."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ def _bootstrap(
     if count == 0:
         return Estimate(math.nan, math.nan, math.nan, 0)
     value = float(statistic(values[None, :])[0])
-    if count == 1:
-        return Estimate(value, math.nan, math.nan, 1)
+    if count < INTERVAL_COUNT:
+        return Estimate(value, math.nan, math.nan, count)
     drawn = statistic(values[rng.integers(0, count, (resamples, count))])
     low, high = np.quantile(drawn, ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0))
     return Estimate(value, float(low), float(high), count)
