@@ -352,8 +352,6 @@ class Estimator:
         publish_attitude(self.state, self._filter)
         self._announce(before, float(self.state.euler[2] - yaw), "pose", now_ns, always=True)
 
-    # -- shared -------------------------------------------------------------------------------------------------------
-
     def _correct(self, aid: str, h: Array | int, innovation: float, variance: float, gate: float, now_ns: int) -> bool:
         """A gated scalar correction with its book-keeping. True when it was used."""
         before = self._filter.position
