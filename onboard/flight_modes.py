@@ -57,7 +57,7 @@ class Event(Enum):
     BATTERY_SILENT = "battery silent"
     GROUND_SILENT = "ground station silent"
     OUT_OF_BOUNDS = "outside the fence"
-    TIME_UP = "took too long"
+    TIME_UP = "time up"
     TOUCHED_DOWN = "touched down"
     AT_HEIGHT = "take-off height reached"
     ARM = "armed by command"
