@@ -57,6 +57,7 @@ class OffboardCore:
         self._peer_session: int | None = None
         self._status: Status | None = None
         self._refused = 0
+        self._unsendable = 0
         self._answers: list[tuple[int, int]] = []
         self._poses: list[Pose] = []
         self._out = OffboardOutput()
@@ -147,6 +148,9 @@ class OffboardCore:
         out, self._out = self._out, OffboardOutput()
         messages: list[Message] = [*self._poses]
         messages += [TimeSyncReply(origin_ns, receive_ns, now_ns) for origin_ns, receive_ns in self._answers]
+        challenge = self._endpoint.challenge(now_ns)
+        if challenge is not None:
+            messages.append(challenge)
         self._poses, self._answers = [], []
         self._resend_if_behind(now_ns)
         chunks: list[FeatureChunk] = self._sender.poll(now_ns) if self._peer_session is not None else []
@@ -169,7 +173,7 @@ class OffboardCore:
     def _resend_if_behind(self, now_ns: int) -> None:
         """Offer the latest version if onboard has not heard of it: a restart of either side, or a warm start."""
         latest, status = self._learner.latest, self._status
-        if latest is None or status is None or self._sender.outstanding_version:
+        if latest is None or latest.version == self._unsendable or status is None or self._sender.outstanding_version:
             self._behind_since_ns = None
             return
         heard_of = max(status.feature_version, status.transfer_version, status.refused_version)
@@ -181,8 +185,13 @@ class OffboardCore:
             self._offer(self._learner.renumbered(latest), now_ns)
 
     def _offer(self, features: FeatureSet, now_ns: int) -> None:
-        self._sender.offer(features, now_ns)
         self._must_offer = False
+        try:
+            self._sender.offer(features, now_ns)
+        except ValueError as error:  # a network too large for the link, by size or by its numbers: what flies goes on
+            self._unsendable = features.version
+            self._event(now_ns, f"version {features.version} cannot be sent: {error}")
+            return
         self._behind_since_ns = None
         self._out.version_file = (features.version, dump_version(features))
         self._event(now_ns, f"version {features.version} sent, {features.samples} samples")

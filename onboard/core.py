@@ -28,7 +28,7 @@ from onboard.supervisor import Supervisor, SupervisorInputs
 from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink
 from protocol.endpoint import Endpoint
-from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncRequest
+from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.session import session_start_ns
 
 Array = NDArray[np.float64]
@@ -94,6 +94,7 @@ class OnboardCore:
         self._last_offboard_ns = NEVER_NS
         self._next_status_ns = 0
         self._next_sync_ns = 0
+        self._challenge: tuple[int, int] | None = None
         self._ticks = 0
         self._missed_ticks = 0
         self._resets_seen = 0
@@ -131,6 +132,8 @@ class OnboardCore:
                     self._estimator.take_in_pose(message, message.time_ns - offset_ns, now_ns)
             case FeatureChunk():
                 self._reception.receive(message)
+            case TimeSyncRequest():
+                self._challenge = (message.origin_ns, now_ns)
             case _:
                 pass  # a time sync reply: the endpoint has taken note
 
@@ -306,7 +309,11 @@ class OnboardCore:
             self._send(batch, now_ns)
 
     def _report(self, now_ns: int) -> None:
-        """Status, time sync and telemetry, each at its own period."""
+        """Status, time sync and telemetry, each at its own period; the answer to a challenge at once."""
+        if self._challenge is not None:
+            origin_ns, receive_ns = self._challenge
+            self._challenge = None
+            self._send(TimeSyncReply(origin_ns, receive_ns, now_ns), now_ns)
         if now_ns >= self._next_sync_ns:
             self._next_sync_ns = now_ns + round(self._config.time_sync_period_s * 1e9)
             self._send(TimeSyncRequest(now_ns), now_ns)
@@ -344,7 +351,7 @@ class OnboardCore:
             rejected=statistics.rejected.total(),
         )
 
-    def _send(self, message: SampleBatch | Status | TimeSyncRequest, now_ns: int) -> None:
+    def _send(self, message: SampleBatch | Status | TimeSyncRequest | TimeSyncReply, now_ns: int) -> None:
         self._output.to_offboard.append(self._endpoint.encode(message, now_ns))
 
     # --- the record ----------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.feature_codec import decode_feature_set, encode_feature_set
+from protocol.feature_codec import decode_feature_set, encode_feature_set, encode_for_wire
 from protocol.messages import (
     CHUNK_DATA_MAX_BYTES,
     SAMPLES_PER_BATCH_MAX,
@@ -32,7 +32,7 @@ from protocol.messages import (
 )
 from protocol.signals import CHANNELS, SIGNAL_COUNT
 
-__all__ = ["decode_body", "decode_feature_set", "encode_body", "encode_feature_set"]
+__all__ = ["decode_body", "decode_feature_set", "encode_body", "encode_feature_set", "encode_for_wire"]
 
 PROTOCOL_VERSION: Final = 1
 HEADER: Final = struct.Struct("<BBHQQQ")
@@ -109,9 +109,12 @@ _ROWS: Final[tuple[tuple[int, type[Any], Callable[[Any], tuple[Any, ...]], Calla
     ),
 )
 TYPE_NUMBERS: Final[dict[type[Any], int]] = {cls: number for number, cls, _, _ in _ROWS}
-UP_TYPES: Final = frozenset(number for number, *_ in _ROWS if number < 64)
-"""Types that only onboard sends; the types from 64 on come only from offboard."""
-DOWN_TYPES: Final = frozenset(number for number, *_ in _ROWS if number >= 64)
+_BOTH_WAYS: Final = frozenset({TYPE_NUMBERS[TimeSyncRequest], TYPE_NUMBERS[TimeSyncReply]})
+"""Either side may ask for the other's clock: onboard does all the time, offboard to challenge (protocol.session)."""
+UP_TYPES: Final = frozenset(number for number, *_ in _ROWS if number < 64) | _BOTH_WAYS
+"""Types that onboard sends."""
+DOWN_TYPES: Final = frozenset(number for number, *_ in _ROWS if number >= 64) | _BOTH_WAYS
+"""Types that offboard sends."""
 _PACK: Final = {cls: pack for _, cls, pack, _ in _ROWS}
 _UNPACK: Final = {number: unpack for number, _, _, unpack in _ROWS}
 _KINDS: Final[dict[str, type]] = {"i": int, "b": bytes}

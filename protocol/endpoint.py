@@ -20,6 +20,8 @@ DATAGRAM_MIN_BYTES: Final = HEADER.size + 2 + MAC_BYTES
 BODY_MAX_BYTES: Final = DATAGRAM_MAX_BYTES - HEADER.size - MAC_BYTES
 DATAGRAMS_PER_STEP_MAX: Final = 64
 """Most datagrams a shell hands over in one 5 ms step; the rest wait in the socket's buffer or are dropped there."""
+CHALLENGE_PERIOD_NS: Final = 500_000_000
+"""Least time between two challenges, so that a recording cannot make us talk."""
 RATE_MAX_HZ: Final = 2000
 RATE_BURST: Final = 256
 
@@ -57,6 +59,8 @@ class Endpoint:
         self._fastest_ns: int | None = None
         self._allowance_ns = RATE_BURST * 10**9 // RATE_MAX_HZ
         self._allowance_at_ns: int | None = None
+        self._knocked = False
+        self._challenged_ns: int | None = None
         self.statistics = LinkStatistics()
 
     @property
@@ -134,6 +138,7 @@ class Endpoint:
         elif self._peer.is_newer(session) or self._answers_us(session, number, body, now_ns):
             self._start_session(session, sequence)
         else:
+            self._knocked = self._peer.may_return(session) and self._is_silent(now_ns)
             raise ProtocolError("session")
         self._count(sequence, sent_ns, len(datagram), now_ns)
         self._spend_allowance(now_ns)
@@ -151,12 +156,26 @@ class Endpoint:
 
     def _answers_us(self, session: int, number: int, body: bytes, now_ns: int) -> bool:
         """Rule 3 of protocol.session: an older, never heard session that answers our open time sync request."""
-        silent_ns = self.statistics.age_ns(now_ns)
-        if number != TYPE_NUMBERS[TimeSyncReply] or silent_ns is None or silent_ns < SILENCE_BEFORE_OLDER_NS:
+        if number != TYPE_NUMBERS[TimeSyncReply] or not self._is_silent(now_ns):
             return False
         reply = decode_body(number, body)
         fresh = type(reply) is TimeSyncReply and self._clock.is_open(reply.origin_ns, now_ns)
         return fresh and self._peer.may_return(session)
+
+    def _is_silent(self, now_ns: int) -> bool:
+        """Whether the peer's current session has been silent for so long that an older one may be the peer now."""
+        silent_ns = self.statistics.age_ns(now_ns)
+        return silent_ns is not None and silent_ns >= SILENCE_BEFORE_OLDER_NS
+
+    def challenge(self, now_ns: int) -> TimeSyncRequest | None:
+        """What to ask when an older session of the peer has knocked: only one that lives now can answer. Else None."""
+        knocked, self._knocked = self._knocked, False
+        if not knocked:
+            return None
+        if self._challenged_ns is not None and 0 <= now_ns - self._challenged_ns < CHALLENGE_PERIOD_NS:
+            return None
+        self._challenged_ns = now_ns
+        return TimeSyncRequest(now_ns)
 
     def _start_session(self, session: int, sequence: int) -> None:
         self._peer.start(session, sequence)

@@ -18,6 +18,7 @@ from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
 FEATURE_SET_MAX_BYTES: Final = CHUNK_COUNT_MAX * CHUNK_DATA_MAX_BYTES
 FORMAT: Final = 1
+FLOAT16_MAX: Final = float(np.finfo(np.float16).max)
 _NAME_MAX_BYTES: Final = 32
 _DTYPES: Final[dict[int, str]] = {2: "<f2", 4: "<f4"}
 
@@ -42,12 +43,30 @@ def encode_feature_set(features: FeatureSet, dtype: FloatName) -> bytes:
     return data
 
 
+def encode_for_wire(features: FeatureSet, dtype: FloatName) -> bytes:
+    """As `encode_feature_set`, but in float32 where a parameter is too large for float16.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is too large for any message, or the whole for a transfer.
+    """
+    fits = dtype == "float32" or _largest_parameter(features) <= FLOAT16_MAX
+    return encode_feature_set(features, dtype if fits else "float32")
+
+
+def _largest_parameter(features: FeatureSet) -> float:
+    channels = [channel for channel in (features.position, features.attitude) if channel is not None]
+    arrays = [array for channel in channels for array in (*channel.weights, *channel.biases, channel.last_layer)]
+    return max(float(np.abs(array).max()) for array in arrays)
+
+
 def _pack_channel(channel: ChannelFeatures | None, float_size: int) -> tuple[Any, ...] | None:
     if channel is None:
         return None
     layers = [part.ravel() for W, b in zip(channel.weights, channel.biases, strict=True) for part in (W, b)]
     parameters = np.concatenate([*layers, channel.last_layer.ravel()])
-    if float(np.abs(parameters).max()) > (float(np.finfo(np.float16).max) if float_size == 2 else ABSOLUTE_VALUE_MAX):
+    if float(np.abs(parameters).max()) > (FLOAT16_MAX if float_size == 2 else ABSOLUTE_VALUE_MAX):
         raise ValueError(f"a parameter of {float(np.abs(parameters).max()):g} is too large to send")
     widths = [W.shape[0] for W in channel.weights]
     offset, scale = (array.astype("<f4").tobytes() for array in (channel.offset, channel.scale))

@@ -164,7 +164,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncRequest:
-    """Up: asks for the peer's clock. Answered at once by TimeSyncReply."""
+    """Up, and down as a challenge: asks for the peer's clock. Answered at once by TimeSyncReply."""
 
     origin_ns: int
     """Clock of the asking side when it sent this; the reply repeats it, which proves that the reply is fresh."""
@@ -175,7 +175,7 @@ class TimeSyncRequest:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncReply:
-    """Down: offset = ((receive - origin) + (transmit - arrival)) / 2."""
+    """Down, and up in answer to a challenge: offset = ((receive - origin) + (transmit - arrival)) / 2."""
 
     origin_ns: int
     """As in the request."""

@@ -7,7 +7,8 @@ has a larger one. Rules, for a datagram whose MAC is right:
 2. A session that retired never comes back, and neither does any other old one, so a recording cannot be replayed.
 3. Exception, so that a peer whose wall clock was set back is not locked out: an unknown older session comes in with
    the answer to a time sync request of our own that is still open, once the current session has been silent for
-   `SILENCE_BEFORE_OLDER_NS`. No recording holds that answer.
+   `SILENCE_BEFORE_OLDER_NS`. No recording holds that answer. Onboard asks all the time anyway; offboard asks when
+   such a session knocks (`Endpoint.challenge`).
 4. Within a session each sequence number counts once; numbers more than `WINDOW` below the newest are too old.
 """
 

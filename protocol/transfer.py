@@ -13,7 +13,7 @@ the peer's status names, or the peer would take them for old ones.
 import hashlib
 from typing import Final
 
-from protocol.codec import decode_feature_set, encode_feature_set
+from protocol.codec import decode_feature_set, encode_for_wire
 from protocol.config import TransferConfig
 from protocol.errors import ProtocolError
 from protocol.feature_set import FeatureSet
@@ -82,7 +82,7 @@ class FeatureSender:
         """
         if features.version < self.next_version:
             raise ValueError(f"version {features.version} offered, the next one is {self.next_version}")
-        data = encode_feature_set(features, self._config.dtype)
+        data = encode_for_wire(features, self._config.dtype)
         self._chunks = split(data, features.version, self._config.chunk_bytes)
         self._newest_version = features.version
         self._missing = list(range(len(self._chunks)))

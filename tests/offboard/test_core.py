@@ -194,7 +194,7 @@ def test_warm_start_in_frozen_mode_flies_what_was_loaded_and_trains_nothing() ->
     log = fly(core, onboard, figure8_through_jet(7.0).batches())
     frozen = offboard_config(experience={"mode": "frozen"})
     core, pilot = OffboardCore(frozen, 8, None), Onboard(session=3)
-    core.warm_start(log.versions[max(log.versions)])
+    core.warm_start(log.versions[onboard.flying])
     quiet = fly(core, pilot, figure8_through_jet(3.0).batches())
     assert len(pilot.received) == 1
     assert not quiet.of(TRAINING).size
