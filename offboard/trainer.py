@@ -26,7 +26,7 @@ from offboard.network import (
     phi,
     scales_from_data,
 )
-from protocol.codec import decode_feature_set, encode_feature_set
+from protocol.codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 
@@ -117,7 +117,7 @@ class _Round:
         state = TrainerState(self._network_now(), self._optimiser.moments, self._optimiser.steps, job.state.rounds + 1)
         parent = 0 if job.flying is None else job.flying.version
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
-        candidate = decode_feature_set(encode_feature_set(trained, job.wire_dtype))
+        candidate = decode_feature_set(encode_for_wire(trained, job.wire_dtype))
         return TrainingResult(state, candidate, self._evidence(trained, candidate), losses, self._samples)
 
     def _inputs(self, table: SampleTable) -> tuple[torch.Tensor, torch.Tensor]:
