@@ -268,6 +268,11 @@ def _source(campaign: CampaignConfig, case: Case, job: FlightJob) -> str:
     return replace(job, case=other.name, controller=controller, point=point).key
 
 
+def flown_keys(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a campaign's tree that changes flights."""
+    return {key: value for key, value in tree.items() if key not in PRESENTATION}
+
+
 def fingerprint(tree: Mapping[str, Any]) -> str:
     """SHA-256 of a campaign without its seeds, and of every configuration file it may draw on.
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from configs.loader import ConfigError, fill, read_tree
-from experiments.campaign import CampaignConfig
+from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, load, read_tree
+from experiments.campaign import PRESENTATION, CampaignConfig, flown_keys
 from experiments.campaign_runner import CAMPAIGN_FILE
 from experiments.campaign_store import read_table
 from experiments.flight_row import Row
@@ -146,13 +146,24 @@ def load_data(folder: Path) -> CampaignData:
     if not about.exists():
         raise ConfigError(f"{folder}: not a campaign's folder: there is no {CAMPAIGN_FILE}")
     tree = read_tree(about)
-    config = fill(CampaignConfig, tree["campaign"], str(about), "campaign.")
+    config = _presented(fill(CampaignConfig, tree["campaign"], str(about), "campaign."), str(tree["name"]))
     rows = read_table(folder).to_pylist()
     if not rows:
         raise ConfigError(f"{folder}: holds no flights yet")
     flown = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
     return CampaignData(folder, str(tree["name"]), config, flown, failed)
+
+
+def _presented(config: CampaignConfig, name: str) -> CampaignConfig:
+    """The campaign as flown, with titles, metrics, targets and figures as its file lists them now."""
+    path = CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
+    if not path.is_file():
+        return config
+    now = load(CampaignConfig, path)
+    if flown_keys(now.model_dump(mode="json")) != flown_keys(config.model_dump(mode="json")):
+        return config
+    return config.model_copy(update={key: getattr(now, key) for key in PRESENTATION if key != "seeds"})
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,8 @@ from experiments.campaign_data import CampaignData, Group, generator
 from experiments.statistics import INTERVAL_COUNT, Estimate, half_survival_point
 
 OURS = "dmrac"
+ROWS_TO_JOIN = 3
+"""Cases with so few rows share one table."""
 UNITS = {"_m": "m", "_rad": "rad", "_s": "s", "_m_s2": "m/s²", "_rad_s2": "rad/s²"}
 METRIC_NAMES = {
     "position_rmse_m": "position RMSE, whole path [m]",
@@ -77,37 +79,46 @@ def show(estimate: Estimate, digits: int = 3, percent: bool = False) -> str:
 
 def tables(data: CampaignData) -> list[Table]:
     """All tables of a campaign."""
-    made = [_results(data, case) for case in data.cases()]
+    cases = data.cases()
+    few = max(len(data.select(case)) for case in cases) <= ROWS_TO_JOIN
+    made = [_results(data, cases)] if few else [_results(data, [case]) for case in cases]
     made += [_half_points(data)] if _numeric_sweep(data) else []
     made += [_targets(data)] if data.config.targets else []
     made += [_failures(data)] if data.failed else []
     return made
 
 
-def _results(data: CampaignData, case: str) -> Table:
+def _results(data: CampaignData, cases: Sequence[str]) -> Table:
+    """One table for a case, or for several whose cases are what is compared."""
     metrics = data.config.metrics
-    swept = [name for name, _ in data.select(case)[0].point]
-    header = (*swept, "controller", "flights", "survived", *(metric_name(metric) for metric in metrics), "ratio")
+    groups = [group for case in cases for group in data.select(case)]
+    swept = list(dict.fromkeys(name for group in groups for name, _ in group.point))
+    joined = len(cases) > 1
+    header = (*(["case"] if joined else []), *swept, "controller", "flights", "survived")
     rows = []
-    for group in data.select(case):
+    for group in groups:
         base = _base(data, group)
-        ratio = group.ratio(base, metrics[-1] if len(metrics) == 1 else metrics[1]) if base is not None else None
         rows.append(
             (
-                *(str(value) for _, value in group.point),
+                *([data.label(group.case)] if joined else []),
+                *(str(dict(group.point).get(name, "–")) for name in swept),
                 f"**{group.controller}**" if group.controller == OURS else group.controller,
                 str(len(group.rows)),
                 show(group.survival, percent=True),
                 *(show(group.estimate(metric)) for metric in metrics),
-                show(ratio, 2) if ratio is not None else "1",
+                show(group.ratio(base, _main(metrics)), 2) if base is not None else "1",
             )
         )
-    shown = metric_name(metrics[-1] if len(metrics) == 1 else metrics[1])
     against = data.config.compare_to or data.config.controllers[-1]
-    caption = (
-        f"{data.label(case)}: medians of the survivors [95 % interval]; ratio of {shown} to {against}, paired by seed"
-    )
-    return Table(caption, header, tuple(rows))
+    header = (*header, *(metric_name(metric) for metric in metrics), f"ratio to {against}")
+    which = f"ratio: {metric_name(_main(metrics))}, paired by seed"
+    title = data.config.title if joined else data.label(cases[0])
+    return Table(f"{title}: medians of the survivors [95 % interval]; {which}", header, tuple(rows))
+
+
+def _main(metrics: Sequence[str]) -> str:
+    """The metric that ratios are formed of."""
+    return metrics[0] if len(metrics) == 1 else metrics[1]
 
 
 def _base(data: CampaignData, group: Group) -> Group | None:
@@ -215,7 +226,7 @@ def first_paragraph(data: CampaignData) -> str:
     sure, unsure = losses(data, certain=True), losses(data, certain=False)
     text = f"**DMRAC loses here:** {'; '.join(sure)}." if sure else "DMRAC loses nowhere beyond the 95 % intervals."
     if len(seeds) < INTERVAL_COUNT:
-        text = f"Only {len(seeds)} seeds were flown, too few for intervals."
+        text = f"Only {len(seeds)} seed{'s were' if len(seeds) > 1 else ' was'} flown, too few for intervals."
     if unsure:
         text += f" Behind by the median or the count, within the intervals: {'; '.join(unsure)}."
     return f"{text} {about}"
