@@ -97,7 +97,7 @@ def write_csv(path: Path, fates: Fates, description: str) -> None:
             for fate, direction in rows:
                 delays = (_written(fate.delay_ns), _written(fate.copy_delay_ns))
                 bit = fate.flipped_bit if fate.flipped_bit >= 0 else ""
-                writer.writerow((direction, _written(fate.sent_ns), fate.outcome, *delays, bit))
+                writer.writerow((direction, _written(max(fate.sent_ns, 0)), fate.outcome, *delays, bit))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
