@@ -352,7 +352,10 @@ class OnboardCore:
         )
 
     def _send(self, message: SampleBatch | Status | TimeSyncRequest | TimeSyncReply, now_ns: int) -> None:
-        self._output.to_offboard.append(self._endpoint.encode(message, now_ns))
+        datagram = self._endpoint.encode(message, now_ns)
+        if not isinstance(message, SampleBatch):  # batches are counted as they are made
+            self._samples.charge(len(datagram), now_ns)
+        self._output.to_offboard.append(datagram)
 
     # --- the record ----------------------------------------------------------------------------------------------
 

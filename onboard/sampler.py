@@ -19,8 +19,10 @@ from protocol.messages import SAMPLES_PER_BATCH_MAX, SampleBatch
 from protocol.signals import CHANNELS, SIGNAL_COUNT
 
 SAMPLE_BYTES: Final = 4 * (SIGNAL_COUNT + 2 * len(CHANNELS) * 3)
-BATCH_OVERHEAD_BYTES: Final = 116
-"""Header, MAC, msgpack framing and numbers of a batch (at most 88), and the 28 of UDP and IPv4."""
+NETWORK_BYTES: Final = 28
+"""UDP's and IPv4's own."""
+BATCH_OVERHEAD_BYTES: Final = 88 + NETWORK_BYTES
+"""Header, MAC, msgpack framing and numbers of a batch at most, and the network's."""
 _BURST_BYTES: Final = 2.0 * (BATCH_OVERHEAD_BYTES + SAMPLES_PER_BATCH_MAX * SAMPLE_BYTES)
 
 Array = NDArray[np.float64]
@@ -31,7 +33,7 @@ class SamplerConfig(Record):
 
     rate_hz: float = Field(default=50.0, gt=0.0, le=200.0, description="Hz, samples a second")
     batch_samples: int = Field(default=5, ge=1, le=SAMPLES_PER_BATCH_MAX, description="samples a datagram")
-    budget_bytes_s: float = Field(default=16_000.0, ge=1500.0, description="B/s up for samples, UDP and IP included")
+    budget_bytes_s: float = Field(default=16_000.0, ge=1500.0, description="B/s up in all, UDP and IP included")
     kept_samples: int = Field(default=16, ge=SAMPLES_PER_BATCH_MAX, le=1024, description="samples held while waiting")
 
 
@@ -107,6 +109,11 @@ class SampleQueue:
             self._allowance_bytes -= cost
             batches.append(self._batch([self._waiting.popleft() for _ in range(run)]))
         return batches
+
+    def charge(self, datagram_bytes: int, now_ns: int) -> None:
+        """Counts a datagram that is no batch (status, time sync) against the budget; those go in any case."""
+        self._refill(now_ns)
+        self._allowance_bytes -= datagram_bytes + NETWORK_BYTES
 
     def _refill(self, now_ns: int) -> None:
         since_ns = 0 if self._refilled_ns is None else max(0, now_ns - self._refilled_ns)
