@@ -27,6 +27,7 @@ W_max sqrt(1 + eps). Inputs that are not finite change nothing.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -46,7 +47,10 @@ SQUARE_MAX = 1e30
 class AdaptationConfig(Record):
     """Gains of one channel's last-layer law."""
 
-    tracking_gain: Annotated[float, Field(ge=0, le=1e4, description="gamma: nu_ad changes by -gamma e'PB per second")]
+    tracking_gain: Annotated[
+        float,
+        Field(ge=0, le=1e4, description="gamma, 1/s^3: nu_ad gains so much per second and unit of e_1, first axis"),
+    ]
     composite_gain: Annotated[
         float, Field(ge=0, le=1e3, description="lambda, 1/s: nu_ad approaches Delta_hat; 0 = off")
     ]
@@ -80,6 +84,19 @@ def lyapunov_p(A_rm: Array, Q: Array) -> Array:
     return P
 
 
+def tracking_weights(P: Array, natural_frequency_rad_s: Sequence[float]) -> Array:
+    """PB [6, 3] as the law uses it, each axis scaled so that gamma means the same whatever Q: an integral gain.
+
+    The axes of a channel are decoupled, so scaling an axis' column scales its part of P and of Q alike and leaves the
+    Lyapunov equation true. The weight of e_1 becomes 1 in the first axis and (omega_n / omega_n1)^3 in the others: that
+    gives each its gain in proportion to its bandwidth.
+    """
+    PB = P[:, 3:].copy()
+    for axis, omega_n in enumerate(natural_frequency_rad_s):
+        PB[:, axis] *= (omega_n / natural_frequency_rad_s[0]) ** 3 / P[axis, 3 + axis]
+    return PB
+
+
 def projected_rate(W: Array, rate: Array, gamma: Array, weight_norm_max: float) -> Array:
     """The smooth projection operator, Gamma-weighted (Lavretsky and Wise, "Robust and Adaptive Control", 11.4).
 
@@ -106,7 +123,7 @@ class LastLayer:
     """W of one channel and its law. nu_ad = W' Phi, in the units of the channel's u."""
 
     def __init__(self, config: AdaptationConfig, feature_count: int, PB: Array) -> None:
-        """PB: [n, 3], from the Lyapunov equation of the channel's reference model."""
+        """PB: [n, 3], from the Lyapunov equation of the channel's reference model (tracking_weights)."""
         self.config = config
         self._PB = PB
         self._rate_weight = float(np.abs(PB[PB.shape[0] // 2 :]).max())

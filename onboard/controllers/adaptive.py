@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from configs.loader import Record
-from onboard.adaptation import AdaptationConfig, LastLayer, lyapunov_p
+from onboard.adaptation import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control_records import ChannelTelemetry
 from onboard.controllers.augmentation import ChannelState
 from onboard.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
@@ -65,7 +65,9 @@ class AdaptiveAugmentation:
         # norm(B) = 1 for a double integrator.
         self._bound_factor = 2.0 * float(np.linalg.eigvalsh(P)[-1]) / min(config.error_weight)
         self.features: Features = self._start_features(rng)
-        self.last_layer = LastLayer(config.law, self.features.feature_count, P[:, 3:].copy())
+        self.last_layer = LastLayer(
+            config.law, self.features.feature_count, tracking_weights(P, gains.natural_frequency_rad_s)
+        )
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
         self._ticks = 0

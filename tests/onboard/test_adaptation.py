@@ -7,7 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from configs.loader import CONFIG_DIRECTORY, read_tree
-from onboard.adaptation import PROJECTION_MARGIN, AdaptationConfig, LastLayer, lyapunov_p, projected_rate
+from onboard.adaptation import (
+    PROJECTION_MARGIN,
+    AdaptationConfig,
+    LastLayer,
+    lyapunov_p,
+    projected_rate,
+    tracking_weights,
+)
 from onboard.reference_model import ChannelGains
 
 DT = 0.005
@@ -214,8 +221,34 @@ def test_shipped_gains_satisfy_the_normalisation_condition(gains, augmentation):
     channel = ChannelGains(natural_frequency_rad_s=tuple(gains["natural_frequency_rad_s"]), damping=gains["damping"])
     weights = augmentation.get("error_weight", (1.0, 0.1))
     P = lyapunov_p(channel.closed_loop_matrix(), np.diag(np.repeat(np.array(weights, dtype=float), 3)))
+    PB = tracking_weights(P, channel.natural_frequency_rad_s)
     k = {"bias": 1, "rbf": 21, "network": augmentation.get("hidden", [20])[-1] + 1}[augmentation["features"]]
-    assert law.composite_gain >= composite_gain_needed(law, P[:, 3:], k, min(weights))
+    for axis in range(3):
+        scale = PB[axis, axis] / P[axis, 3 + axis]
+        assert law.composite_gain >= composite_gain_needed(law, PB[:, [axis]], k, scale * min(weights))
+
+
+def test_the_tracking_weights_solve_the_lyapunov_equation_of_a_scaled_q():
+    gains = ChannelGains(natural_frequency_rad_s=(16.0, 12.0, 5.0), damping=0.8)
+    A_rm, Q = gains.closed_loop_matrix(), np.diag([1.0] * 3 + [0.01] * 3)
+    P = lyapunov_p(A_rm, Q)
+    PB = tracking_weights(P, gains.natural_frequency_rad_s)
+    np.testing.assert_allclose(np.diag(PB[:3]), [1.0, (12 / 16) ** 3, (5 / 16) ** 3])
+    scale = np.tile(np.diag(PB[:3]) / np.diag(P[:3, 3:]), 2)
+    P_scaled = P * scale
+    np.testing.assert_allclose(P_scaled, P_scaled.T)
+    np.testing.assert_allclose(A_rm.T @ P_scaled + P_scaled @ A_rm, -Q * scale, atol=1e-12)
+    np.testing.assert_allclose(P_scaled[:, 3:], PB)
+
+
+def test_the_gain_does_not_depend_on_the_size_of_q():
+    gains = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
+    weights = [
+        tracking_weights(lyapunov_p(gains.closed_loop_matrix(), size * np.eye(6)), gains.natural_frequency_rad_s)
+        for size in (1e-3, 1.0, 1e3)
+    ]
+    np.testing.assert_allclose(weights[0], weights[1])
+    np.testing.assert_allclose(weights[2], weights[1])
 
 
 # --- projection ------------------------------------------------------------------------------------------------------
