@@ -18,6 +18,7 @@ from offboard.learner import Learner, Outcome
 from offboard.pose_relay import PoseRelay
 from offboard.records import EPOCH, LINK, TRAINING, Array, OffboardOutput
 from offboard.trainer import TrainingJob, TrainingResult
+from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
 from protocol.feature_set import FeatureSet
 from protocol.messages import (
@@ -48,6 +49,7 @@ class OffboardCore:
 
     def __init__(self, config: OffboardConfig, session: int, key: bytes | None) -> None:
         self._config = config
+        self._clock = ForwardClock()
         self._endpoint = Endpoint("offboard", session, key, config.vehicle_id)
         self._sender = FeatureSender(config.transfer)
         self._relay = PoseRelay(config.pose_relay)
@@ -95,6 +97,7 @@ class OffboardCore:
 
     def take_in(self, datagram: bytes, now_ns: int) -> None:
         """A datagram from onboard."""
+        now_ns = self._clock.at(now_ns)
         message = self._endpoint.decode(datagram, now_ns)
         if self._endpoint.peer_session != self._peer_session:
             self._peer_session = self._endpoint.peer_session
@@ -125,12 +128,14 @@ class OffboardCore:
 
     def take_in_motion_capture(self, datagram: bytes, now_ns: int) -> None:
         """A datagram from the motion capture; relayed in the next step."""
+        now_ns = self._clock.at(now_ns)
         pose = self._relay.receive(datagram, now_ns)
         if pose is not None:
             self._poses.append(pose)
 
     def take_in_training(self, result: TrainingResult, now_ns: int) -> None:
         """The result of the outstanding job."""
+        now_ns = self._clock.at(now_ns)
         self._job_outstanding = False
         flying = self.flying_version
         outcome = self._learner.take_in_training(result, now_ns)
@@ -145,6 +150,7 @@ class OffboardCore:
 
     def step(self, now_ns: int) -> OffboardOutput:
         """Everything that is due now."""
+        now_ns = self._clock.at(now_ns)
         out, self._out = self._out, OffboardOutput()
         messages: list[Message] = [*self._poses]
         messages += [TimeSyncReply(origin_ns, receive_ns, now_ns) for origin_ns, receive_ns in self._answers]

@@ -27,6 +27,7 @@ from onboard.signal_vector import SignalVector
 from onboard.supervisor import Supervisor, SupervisorInputs
 from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink
+from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.session import session_start_ns
@@ -67,6 +68,7 @@ class OnboardCore:
     def __init__(self, config: OnboardConfig, session: int, key: bytes | None) -> None:
         self._config = config
         self._dt = config.period_ns * 1e-9
+        self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, signing_clock=SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
@@ -107,6 +109,7 @@ class OnboardCore:
 
     def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of the vehicle; never raises for what is in it."""
+        now_ns = self._clock.at(now_ns)
         for reading in self._vehicle_link.receive(datagram, now_ns):
             if isinstance(reading, BatteryReading):
                 self._battery = reading
@@ -115,6 +118,7 @@ class OnboardCore:
 
     def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of offboard; never raises for what is in it."""
+        now_ns = self._clock.at(now_ns)
         message = self._endpoint.decode(datagram, now_ns)
         if message is None:
             return
@@ -139,18 +143,20 @@ class OnboardCore:
 
     def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of the ground station; never raises for what is in it."""
+        now_ns = self._clock.at(now_ns)
         for command in self._ground_link.receive(datagram, now_ns):
             refusal = self._supervisor.command(command.command, now_ns)
             self._ground_link.acknowledge(command, refusal, now_ns)
 
     def request_land(self, now_ns: int) -> None:
         """Lands as soon as possible, as if the ground station had asked."""
-        self._supervisor.command(Command.LAND, now_ns)
+        self._supervisor.command(Command.LAND, self._clock.at(now_ns))
 
     # --- the step ------------------------------------------------------------------------------------------------
 
     def step(self, now_ns: int, missed_ticks: int = 0) -> OnboardOutput:
         """One tick: from everything taken in to motor command, samples, status and record."""
+        now_ns = self._clock.at(now_ns)
         self._missed_ticks = missed_ticks
         out = self._begin()
         mode = self._supervise(now_ns)
@@ -224,6 +230,8 @@ class OnboardCore:
         assert self._started_ns is not None
         if self._vehicle_link.conflict:
             return "two vehicles speak with one system id"
+        if self._vehicle_link.health.fault:
+            return self._vehicle_link.health.fault
         waiting = not self._posed and (now_ns - self._started_ns) * 1e-9 < self._config.pose_wait_s
         return "waiting for the first pose" if waiting else ""
 

@@ -1,4 +1,7 @@
-"""The peer's clock against ours, from time sync exchanges (the four time stamps of NTP, filtered by round trip)."""
+"""The peer's clock against ours, from time sync exchanges (the four time stamps of NTP, filtered by round trip).
+
+And our own clock made safe to reckon with: deadlines and ages go wrong for good when it is set back.
+"""
 
 from collections import deque
 from typing import Final
@@ -7,6 +10,29 @@ OPEN_REQUESTS_MAX: Final = 16
 SAMPLES_MAX: Final = 16
 REQUEST_LIFE_NS: Final = 2_000_000_000
 JUMP_SLACK_NS: Final = 5_000_000
+
+
+class ForwardClock:
+    """A clock that never goes back: where the one it is read from does, it stands still once and then runs on."""
+
+    __slots__ = ("_latest_ns", "_shift_ns", "jumps")
+
+    def __init__(self) -> None:
+        self._latest_ns: int | None = None
+        self._shift_ns = 0
+        self.jumps = 0
+        """How often the clock below went back."""
+
+    def at(self, now_ns: int) -> int:
+        """The time to reckon with when the clock below says `now_ns`."""
+        now_ns += self._shift_ns
+        latest_ns = self._latest_ns
+        if latest_ns is not None and now_ns < latest_ns:
+            self._shift_ns += latest_ns - now_ns
+            self.jumps += 1
+            return latest_ns
+        self._latest_ns = now_ns
+        return now_ns
 
 
 class ClockEstimate:
