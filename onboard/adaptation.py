@@ -16,7 +16,7 @@ Joshi, Virdi, Chowdhary 2020) V grows. Gains are normalised by m^2 so that the b
 whatever the number of active features. Normalising leaves the cross term, which vanishes where m^2 is constant (bias
 alone, c = m^2). Elsewhere the composite term dominates it: with c = m_min m_max and rho = m_max / m_min it takes
 
-    lambda >= gamma |PB|^2 (rho - 1)^2 / (2 rho lambda_min(Q)),
+    lambda >= gamma norm(B'P Q^-1 P B) (rho - 1)^2 / (2 rho),
 
 and the weight of the bias keeps rho near 1. docs/control.md derives this, and a test checks every shipped controller.
 
