@@ -11,6 +11,7 @@ from experiments.campaign_data import CampaignData, Group, generator
 from experiments.statistics import INTERVAL_COUNT, Estimate, half_survival_point
 
 OURS = "dmrac"
+LOSSES_LISTED = 8
 ROWS_TO_JOIN = 3
 """Cases with so few rows share one table."""
 UNITS = {"_m": "m", "_rad": "rad", "_s": "s", "_m_s2": "m/s²", "_rad_s2": "rad/s²"}
@@ -224,12 +225,17 @@ def first_paragraph(data: CampaignData) -> str:
     if OURS not in data.controllers or data.controllers == [OURS]:
         return about
     sure, unsure = losses(data, certain=True), losses(data, certain=False)
-    text = f"**DMRAC loses here:** {'; '.join(sure)}." if sure else "DMRAC loses nowhere beyond the 95 % intervals."
+    text = f"**DMRAC loses here:** {_listed(sure)}." if sure else "DMRAC loses nowhere beyond the 95 % intervals."
     if len(seeds) < INTERVAL_COUNT:
         text = f"Only {len(seeds)} seed{'s were' if len(seeds) > 1 else ' was'} flown, too few for intervals."
     if unsure:
-        text += f" Behind by the median or the count, within the intervals: {'; '.join(unsure)}."
+        text += f" Behind by the median or the count, within the intervals: {_listed(unsure)}."
     return f"{text} {about}"
+
+
+def _listed(sentences: Sequence[str]) -> str:
+    more = len(sentences) - LOSSES_LISTED
+    return "; ".join(sentences[:LOSSES_LISTED]) + (f"; and {more} more, see the tables" if more > 0 else "")
 
 
 def markdown_report(data: CampaignData, pictures: Sequence[tuple[Path, str]], command: str) -> str:

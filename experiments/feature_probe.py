@@ -18,14 +18,14 @@ from experiments.campaign_data import CampaignData, Trace
 from experiments.campaign_runner import experience_path
 from experiments.campaign_tables import Table
 from experiments.figure_style import Array, legend_below, new_figure
-from experiments.scenario import FlightConfig
 from experiments.statistics import median
+from offboard.config import NetworkConfig
 from onboard.features import Features, NetworkFeatures, RadialFeatures
 from protocol.codec import decode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS, SIGNAL_NAMES
 
-SAMPLES_MAX: Final = 1000
+SAMPLES_MAX: Final = 700
 BLOCK_S: Final = 2.5
 PROBE_SEED: Final = 7
 KINDS: Final = ("before", "after", "rbf")
@@ -83,14 +83,29 @@ def signals_of(trace: Trace) -> Array:
     return np.stack([columns[name] for name in SIGNAL_NAMES], axis=1)
 
 
-def feature_maps(config: FlightConfig, learnt: bytes, channel: int) -> dict[str, Features]:
-    """The maps to compare, for channel 0 (position) or 1 (attitude)."""
+@dataclass(frozen=True)
+class LearntFlight:
+    """What a flight's network was made from, and what it became."""
+
+    network: NetworkConfig
+    seed: int
+    """Of the offboard side."""
+    learnt: bytes
+
+
+def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
+    """The maps to compare, for channel 0 (position) or 1 (attitude).
+
+    Raises
+    ------
+    ConfigError
+        If the flight sent no features of that channel.
+    """
     from offboard.network import InputPlan, feature_set, initial_state
 
-    network = config.offboard.network
-    start = initial_state(network, np.random.default_rng([config.offboard.seed, 1]))
-    before = feature_set(start, InputPlan.of(network), 1, 0, 0)
-    with np.load(io.BytesIO(learnt), allow_pickle=False) as archive:
+    start = initial_state(flight.network, np.random.default_rng([flight.seed, 1]))
+    before = feature_set(start, InputPlan.of(flight.network), 1, 0, 0)
+    with np.load(io.BytesIO(flight.learnt), allow_pickle=False) as archive:
         if "features" not in archive.files:
             raise ConfigError("the flight sent no features, there is nothing to probe")
         after = decode_feature_set(archive["features"].tobytes())
@@ -147,12 +162,13 @@ def silhouette(values: Array, samples: Regimes) -> float:
 
 
 @lru_cache(maxsize=4)
-def _flights(data_folder: Path, keys: tuple[str, ...]) -> tuple[tuple[FlightConfig, bytes], ...]:
+def _flights(data_folder: Path, keys: tuple[str, ...]) -> tuple[LearntFlight, ...]:
     found = []
     for key in keys:
         stem = key.replace("/", "__")
-        config = fill(FlightConfig, read_tree(data_folder / "traces" / f"{stem}.yaml"), stem)
-        found.append((config, experience_path(data_folder, key).read_bytes()))
+        offboard = read_tree(data_folder / "traces" / f"{stem}.yaml")["offboard"]
+        network = fill(NetworkConfig, offboard["network"], stem, "offboard.network.")
+        found.append(LearntFlight(network, offboard["seed"], experience_path(data_folder, key).read_bytes()))
     return tuple(found)
 
 
@@ -164,9 +180,9 @@ def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, flo
     for channel, name in enumerate(CHANNELS):
         for kind in KINDS:
             scores: list[tuple[float, float]] = []
-            for trace, (config, learnt) in zip(traces, flights, strict=True):
+            for trace, flight in zip(traces, flights, strict=True):
                 samples = regimes_of(trace, spans)
-                values = phi(feature_maps(config, learnt, channel)[kind], samples.signals)
+                values = phi(feature_maps(flight, channel)[kind], samples.signals)
                 scores.append((silhouette(values, samples), probe_accuracy(values, samples)))
             cells = [_cell([score[which] for score in scores]) for which in (0, 1)]
             rows.append((name, KIND_LABELS[kind], str(len(scores)), *cells))
@@ -187,9 +203,9 @@ def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, 
     from sklearn.manifold import TSNE
 
     trace = next(trace for group in data.select(case, "dmrac") for trace in data.traces(group))
-    config, learnt = _flights(data.folder, (trace.row["key"],))[0]
+    flight = _flights(data.folder, (trace.row["key"],))[0]
     samples = regimes_of(trace, spans)
-    maps = feature_maps(config, learnt, channel)
+    maps = feature_maps(flight, channel)
     figure = new_figure(7.4, 10.5)
     panels = []
     for column, kind in enumerate(KINDS):
@@ -210,10 +226,10 @@ def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, 
 
 _LOOKS: Final = (
     ("#56b4e9", "o"),
-    ("#0072b2", "^"),
+    ("#009e73", "^"),
     ("#000000", "s"),
     ("#d55e00", "P"),
-    ("#009e73", "D"),
+    ("#e69f00", "D"),
     ("#cc79a7", "v"),
 )
 
@@ -222,7 +238,7 @@ def _scatter(panel: Any, points: Array, samples: Regimes) -> None:
     for number, name in enumerate(samples.names):
         colour, marker = _LOOKS[number % len(_LOOKS)]
         chosen = points[samples.regime == number]
-        panel.scatter(*chosen.T, s=7, c=colour, marker=marker, alpha=0.6, linewidths=0, label=name, depthshade=False)
+        panel.scatter(*chosen.T, s=9, c=colour, marker=marker, alpha=0.6, linewidths=0, label=name, depthshade=False)
     for axis in (panel.xaxis, panel.yaxis, panel.zaxis):
         axis.set_ticklabels([])
     panel.set_box_aspect(None, zoom=0.95)

@@ -76,7 +76,13 @@ def legend_below(figure: Any, panels: Sequence[Any], columns: int = 7, neutral: 
     if found:
         columns = min(columns, len(found))
         figure.legend(
-            found.values(), found.keys(), loc="outside lower center", ncols=columns, fontsize=8, frameon=False
+            found.values(),
+            found.keys(),
+            loc="outside lower center",
+            ncols=columns,
+            fontsize=8,
+            frameon=False,
+            markerscale=1.3,
         )
 
 

@@ -37,7 +37,10 @@ def _band(panel: Any, traces: list[Trace], columns: list[Array], colour: str, li
 def _mark(panel: Any, traces: list[Trace]) -> None:
     """Onset of the fault in each flight, and where vehicles were lost."""
     onsets = [float(onset) for trace in traces for onset in trace["onsets_s"]]
-    if onsets:
+    if len(traces) == 1:
+        for onset in onsets:
+            panel.axvline(onset, color="0.6", linewidth=1.6, zorder=0)
+    elif onsets:
         panel.axvspan(min(onsets), max(max(onsets), min(onsets) + 0.05), color="0.8", zorder=0, linewidth=0)
     for trace in traces:
         if not trace.row["survived"]:
