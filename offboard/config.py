@@ -108,7 +108,11 @@ class TrainerConfig(Record):
     period_s: float = Field(ge=0.0, description="s, least time between starts of rounds")
     minimum_samples: int = Field(ge=8, description="training samples before the first round")
     refit_last_layer: bool = Field(description="end each round with a ridge regression of the last layer")
-    ridge: float = Field(gt=0.0, description="of that regression, per sample, in standardised labels")
+    ridges: tuple[float, ...] = Field(
+        min_length=1,
+        description="of that regression, in standardised labels; each channel takes the one that does best"
+        " on held-out samples, the first while there are too few",
+    )
     position_label_floor_m_s2: float = Field(gt=0.0, description="m/s^2, least scale of position labels")
     attitude_label_floor_rad_s2: float = Field(gt=0.0, description="rad/s^2, least scale of attitude labels")
 

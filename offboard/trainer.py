@@ -7,7 +7,7 @@ the units of u. Nothing here knows a clock, a file or a thread: `TrainingJob.run
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import torch
@@ -31,6 +31,9 @@ from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 
 Array = NDArray[np.float64]
+
+HELD_OUT_MINIMUM: Final = 20
+"""Held-out samples without which no ridge is chosen by them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,14 +196,28 @@ class _Round:
         return losses
 
     def _refit(self) -> None:
-        """Last layer: argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge norm(theta)^2, w as mini-batches draw."""
-        features = layer_outputs(self._z, self._parameters)[-1].double()
-        Phi = torch.cat([features, torch.ones(*features.shape[:2], 1, dtype=torch.float64)], dim=2)
-        w = self._draw[None, :, None]
-        gram = (Phi * w).transpose(1, 2) @ Phi + self._job.config.ridge * torch.eye(Phi.shape[2], dtype=torch.float64)
-        theta = torch.linalg.solve(gram, (Phi * w).transpose(1, 2) @ self._y.double()).float()
+        """Last layer: argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge norm(theta)^2, w as mini-batches draw.
+
+        The constant feature's row is not shrunk. The ridge is chosen per channel by the held-out samples.
+        """
+        Phi, held_out = self._phi(self._z), self._phi(self._held_out[0][0])
+        y_held_out = (self._held_out[0][1] / self._label_scale).double()
+        weighted = (Phi * self._draw[None, :, None]).transpose(1, 2)
+        gram, moment = weighted @ Phi, weighted @ self._y.double()
+        shrunk = torch.ones(Phi.shape[2], dtype=torch.float64)
+        shrunk[-1] = 1e-6
+        fits = [torch.linalg.solve(gram + ridge * torch.diag(shrunk), moment) for ridge in self._job.config.ridges]
+        scatters = torch.stack([_scatter(y_held_out - held_out @ theta) for theta in fits])
+        enough = held_out.shape[1] >= HELD_OUT_MINIMUM
+        best = scatters.argmin(dim=0).tolist() if enough else [0] * len(self._plan.channels)
+        theta = torch.stack([fits[ridge][row] for row, ridge in enumerate(best)]).float()
         self._parameters.last_layer.copy_(theta[:, :-1])
         self._parameters.last_bias.copy_(theta[:, -1:])
+
+    def _phi(self, z: torch.Tensor) -> torch.Tensor:
+        """Phi with its constant, [C, n, k], for the regression in double precision."""
+        features = layer_outputs(z, self._parameters)[-1].double()
+        return torch.cat([features, torch.ones(*features.shape[:2], 1, dtype=torch.float64)], dim=2)
 
     def _network_now(self) -> NetworkState:
         return NetworkState(
@@ -261,6 +278,11 @@ def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array)
             errors[:, at] -= phi(channel, signals) @ channel.last_layer
     squared: Array = np.square(errors).sum(axis=2)
     return squared
+
+
+def _scatter(errors: torch.Tensor) -> torch.Tensor:
+    """Squared errors about their mean, [C], of errors [C, n, 3]: a constant error is for the law on board to remove."""
+    return (errors - errors.mean(dim=1, keepdim=True)).square().sum(dim=(1, 2))
 
 
 def _power(labels: Array, channels: tuple[int, ...]) -> Array:
