@@ -76,6 +76,8 @@ class Choices:
     duration_s: float | None = None
     assignments: Sequence[str] = ()
     """`path.to.key=value`, on the resolved tree."""
+    real: bool = False
+    """For a real vehicle: nothing happens by itself, and every limit is tight (configs/real_vehicle.yaml)."""
 
 
 def named_file(kind: str, name: str) -> Path:
@@ -142,6 +144,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     controller = choices.controller or file.controller
     onboard = merge(read_tree(CONFIG_DIRECTORY / "onboard.yaml"), {"guidance": _guidance(file, duration)})
     onboard = merge(onboard, _simulated_pilot(onboard))
+    careful = read_tree(CONFIG_DIRECTORY / "real_vehicle.yaml") if choices.real else {}
     law = read_tree(named_file("controllers", controller))
     onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
     onboard = merge(onboard, {"seed": seed, "controller": law})
@@ -154,7 +157,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "duration_s": duration,
         "training_time_s": file.training_time_s,
         "experience": file.experience,
-        "onboard": merge(onboard, file.onboard),
+        "onboard": merge(merge(onboard, file.onboard), careful),
         "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
         "vehicle": merge(vehicle, file.vehicle_values),
         "radio": merge(read_tree(named_file("radio", file.radio)), file.radio_values),
@@ -163,7 +166,10 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
 
 
 def _simulated_pilot(onboard: Mapping[str, Any]) -> dict[str, Any]:
-    """In simulation the vehicle arms and takes off by itself, and flies on by optical flow when the pose is lost."""
+    """In simulation the vehicle arms and takes off by itself, and flies on by optical flow when the pose is lost.
+
+    Its sensors may come as irregularly as a shared machine runs it.
+    """
     altitude = onboard["guidance"]["trajectory"].get("altitude_m", 1.0)
     return {
         "supervisor": {
@@ -171,7 +177,16 @@ def _simulated_pilot(onboard: Mapping[str, Any]) -> dict[str, Any]:
             "arm_needs_pose": False,
             "on_pose_stale": "continue",
             "take_off_height_m": altitude,
-        }
+        },
+        "vehicle_link": {
+            "health": {
+                "imu_rate_min_hz": 50.0,
+                "late_s": 0.1,
+                "late_share_max": 0.5,
+                "gap_max_s": 0.5,
+                "clock_rate_tolerance": 0.5,
+            }
+        },
     }
 
 

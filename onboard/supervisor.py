@@ -24,6 +24,8 @@ __all__ = ["Command", "FlightMode", "Supervisor", "SupervisorConfig", "Superviso
 M, E = FlightMode, Event
 _QUEUE_MAX: Final = 8
 """Commands that may wait for their step."""
+_UNREADY_NS: Final = 2 * 10**9
+"""What keeps the vehicle from being armed for so long is said."""
 
 
 class SupervisorConfig(Record):
@@ -104,6 +106,9 @@ class Supervisor:
         self._since_ns: dict[Event, int] = {}
         self._entered_ns: int | None = None
         self._offboard_silent = True
+        self._unready_kind = ""
+        self._unready_since_ns = 0
+        self._unready_said = False
         self._flown = False
         self._inputs: SupervisorInputs | None = None
         self._queue: deque[Command] = deque(maxlen=_QUEUE_MAX)
@@ -157,19 +162,22 @@ class Supervisor:
 
     def _refusal(self, command: Command) -> str:
         event = COMMAND_EVENTS[command]
+        arming = command is Command.ARM
+        if arming and self.mode is M.BOOT and self._inputs is not None and (reason := self.unready(self._inputs)):
+            return reason
         if all(entry is not event for entry, _ in TRANSITIONS[self.mode]):
             return f"not in mode {self.mode.name}"
-        if command is not Command.ARM:
+        if not arming:
             return ""
         return "not running yet" if self._inputs is None else self.unready(self._inputs)
 
     def unready(self, inputs: SupervisorInputs) -> str:
         """What stands against arming; "" when nothing does."""
         config = self._config
+        if inputs.preflight:  # the vehicle's link above all: what is wrong there explains the rest
+            return inputs.preflight
         if not inputs.initialised or inputs.imu_age_s > config.imu_silent_s:
             return "IMU silent or attitude not found"
-        if inputs.preflight:
-            return inputs.preflight
         if config.arm_needs_pose and inputs.pose_age_s > config.pose_stale_s:
             return "no fresh pose"
         if inputs.tilt_rad > 0.35:
@@ -195,6 +203,8 @@ class Supervisor:
                 self._enter(target, event, inputs)
                 break
         self._watch_offboard(inputs)
+        if self.mode is M.BOOT:
+            self._watch_readiness(inputs)
         return self.mode
 
     def _next_command(self) -> Command | None:
@@ -219,6 +229,7 @@ class Supervisor:
         self.mode = mode
         self._entered_ns = inputs.now_ns
         self._since_ns.clear()
+        self._unready_kind = ""
         if mode is M.TAKE_OFF:
             self._flown = True
 
@@ -227,6 +238,16 @@ class Supervisor:
         if silent != self._offboard_silent:
             self._offboard_silent = silent
             self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard heard"))
+
+    def _watch_readiness(self, inputs: SupervisorInputs) -> None:
+        """Says what keeps the vehicle from being armed: once a kind (numbers apart), when it has lasted."""
+        reason = self.unready(inputs)
+        kind = "".join(letter for letter in reason if not letter.isdigit())
+        if kind != self._unready_kind:
+            self._unready_kind, self._unready_since_ns, self._unready_said = kind, inputs.now_ns, False
+        if reason and not self._unready_said and inputs.now_ns - self._unready_since_ns >= _UNREADY_NS:
+            self._unready_said = True
+            self._events.append((inputs.now_ns, f"not ready to arm: {reason}"))
 
     # -- conditions ---------------------------------------------------------------------------------------------------
 

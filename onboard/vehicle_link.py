@@ -23,6 +23,7 @@ from pydantic import Field
 from pymavlink.dialects.v20 import common as mavlink
 
 from configs.loader import Record
+from onboard.link_health import LinkHealth, LinkHealthConfig
 from onboard.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
 from onboard.records import NEVER_NS, Array, BatteryReading, FlowReading, ImuReading, RangeReading, Reading
 
@@ -71,6 +72,7 @@ class VehicleLinkConfig(Record):
         default=None, pattern=SIGNING_KEY_PATTERN, description="32 bytes in hex: sign, and take signed frames only"
     )
     signing_tolerance_s: float = Field(default=60.0, gt=0, description="s; vehicle's signing clock against ours")
+    health: LinkHealthConfig = LinkHealthConfig()
 
 
 class VehicleClock:
@@ -170,6 +172,8 @@ class VehicleLink:
         """What was dropped, by reason."""
         self.received = 0
         """Readings given out."""
+        self.health = LinkHealth(config.health)
+        """Whether what comes is good enough to fly on."""
         self.system = config.vehicle_system
         """System id that is listened to; 0 while none was heard."""
         self.last_heard_ns = NEVER_NS
@@ -227,6 +231,7 @@ class VehicleLink:
             self._say("system", f"listening to vehicle with system id {frame.system}", now_ns)
             self.system = frame.system
             self._clock.reset()
+            self.health.reset()
             return True
         self.rejected["other_vehicle"] += 1
         self._say("other", f"a second vehicle (system id {frame.system}) is on the port and is ignored", now_ns)
@@ -265,7 +270,9 @@ class VehicleLink:
             if not self._config.pressure_min_pa <= pressure_pa <= self._config.pressure_max_pa:
                 self._refuse("pressure")
                 pressure_pa = 0.0
-        return ImuReading(self._clock.to_ours(stamp_ns), accelerometer, gyroscope, pressure_pa)
+        time_ns = self._clock.to_ours(stamp_ns)
+        self.health.take(stamp_ns, now_ns - time_ns, now_ns, accelerometer)
+        return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
 
     def _handle_clock(self, fault: str, now_ns: int) -> bool:
         """Reacts to a bad time stamp; True when the sample may be used all the same."""
@@ -277,6 +284,7 @@ class VehicleLink:
             self.rejected[fault] += 1
             return False
         self._restarted_ns = now_ns
+        self.health.reset()
         self._say("restart", "vehicle clock went backwards: vehicle restarted, its time is mapped anew", now_ns)
         return True
 

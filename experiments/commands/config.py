@@ -7,6 +7,7 @@ from experiments.scenario import DEFAULT_SCENARIO, Choices, resolve
 
 EXAMPLES = """examples:
   dmrac config figure8_wind > flight.yaml
+  dmrac config figure8_calm --real --out flight.yaml
   dmrac sim --config flight.yaml & dmrac offboard --config flight.yaml & dmrac onboard --config flight.yaml
 """
 
@@ -17,13 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", help="name in configs/controllers, or a file")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--duration", type=float, metavar="S")
+    parser.add_argument("--real", action="store_true", help="for a real vehicle: see docs/real_mambo.md")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments")
     parser.add_argument("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes the configuration; returns 0."""
-    choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments)
+    choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments, arguments.real)
     text = resolve(arguments.scenario, choices).to_yaml()
     if arguments.out is None:
         print(text, end="")
