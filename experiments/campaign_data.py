@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -147,7 +148,8 @@ def load_data(folder: Path) -> CampaignData:
         raise ConfigError(f"{folder}: not a campaign's folder: there is no {CAMPAIGN_FILE}")
     tree = read_tree(about)
     config = _presented(fill(CampaignConfig, tree["campaign"], str(about), "campaign."), str(tree["name"]))
-    rows = read_table(folder).to_pylist()
+    table = read_table(folder).to_pylist()
+    rows = [{name: math.nan if value is None else value for name, value in row.items()} for row in table]
     if not rows:
         raise ConfigError(f"{folder}: holds no flights yet")
     flown = tuple(row for row in rows if not row["error"])

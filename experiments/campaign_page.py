@@ -2,6 +2,7 @@
 
 import base64
 import html
+import math
 import os
 import platform
 import re
@@ -74,8 +75,8 @@ def _figure(picture: Picture) -> str:
 
 
 def _provenance(data: CampaignData) -> str:
-    seconds = sum(row["wall_s"] for row in data.rows if row["wall_s"] == row["wall_s"])
+    seconds = sum(row["cpu_s"] for row in data.rows if math.isfinite(row["cpu_s"]))
     lines = [machine(), *(f"{name} {number}" for name, number in versions().items())]
-    lines.append(f"{len(data.rows)} flights, {seconds:.0f} s of flying on one core each, {len(data.failed)} failed")
+    lines.append(f"{len(data.rows)} flights, {seconds:.0f} s of processor time, {len(data.failed)} failed")
     config = yaml.safe_dump(data.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=110)
     return "\n".join([*lines, "", config])

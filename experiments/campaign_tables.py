@@ -128,7 +128,7 @@ def _base(data: CampaignData, group: Group) -> Group | None:
     point = dict(group.point)
     candidates = data.select(group.case, name, point)
     if not candidates and name in [case.name for case in data.config.cases]:
-        candidates = data.select(name)
+        candidates = data.select(name, group.controller) or data.select(name)
     if not candidates:
         candidates = [
             other for other in data.select(group.case, group.controller) if name in dict(other.point).values()

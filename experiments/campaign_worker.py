@@ -68,7 +68,7 @@ def fly_job(job: FlightJob) -> FlightResult:
         "point": json.dumps(dict(job.point)),
         "command": job.command(),
     }
-    started = time.perf_counter()
+    started, used = time.perf_counter(), time.process_time()
     trace = experience = None
     config_text = ""
     try:
@@ -82,6 +82,7 @@ def fly_job(job: FlightJob) -> FlightResult:
     except Exception as error:
         row["error"] = "".join(traceback.format_exception_only(error)).strip() + " at " + _where(error)
     row["wall_s"] = time.perf_counter() - started
+    row["cpu_s"] = time.process_time() - used
     row["worker_peak_mib"] = _peak_mib()
     return FlightResult(job.key, row, trace, experience, config_text)
 

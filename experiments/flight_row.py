@@ -27,7 +27,7 @@ _FLOATS = (
     *("worst_error_m", "recovery_s", "feature_age_median_s", "feature_age_max_s", "pose_age_median_s"),
     *("up_bytes_s", "down_bytes_s", "up_lost_share", "down_lost_share"),
     *("position_bound_median", "position_error_norm_median", "attitude_bound_median", "attitude_error_norm_median"),
-    *("position_swap_jump_max_m_s2", "attitude_swap_jump_max_rad_s2", "wall_s", "worker_peak_mib"),
+    *("position_swap_jump_max_m_s2", "attitude_swap_jump_max_rad_s2", "wall_s", "cpu_s", "worker_peak_mib"),
 )
 _INTEGERS = ("seed", "feature_version", "swaps", "refused", "training_rounds", "versions_sent", "samples")
 _TEXTS = ("key", "campaign", "case", "controller", "point", "crash_reason", "trace_sha256", "error", "command")

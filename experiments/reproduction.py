@@ -1,5 +1,6 @@
 """Every campaign from flights to docs/results.md: what `dmrac reproduce` does, step by step and resumable."""
 
+import math
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -114,11 +115,11 @@ def _opening(sections: Sequence[Section]) -> str:
 def _provenance(plan: Reproduction, sections: Sequence[Section], seconds: float) -> str:
     flights = sum(len(section.data.rows) for section in sections)
     failed = sum(len(section.data.failed) for section in sections)
-    flown = sum(row["wall_s"] for section in sections for row in section.data.rows)
+    used = [row["cpu_s"] for section in sections for row in section.data.rows if math.isfinite(row["cpu_s"])]
     packages = ", ".join(f"{name} {number}" for name, number in versions().items())
     return (
         f"Made by `{plan.command}`, no number or picture is edited by hand. {machine()}. {packages}. "
-        f"{flights} flights ({failed} failed), {flown / 3600.0:.1f} core hours of flying; "
+        f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; "
         f"{seconds / 60.0:.0f} minutes for what was missing, {time.strftime('%Y-%m-%d')}. Medians are over survivors, "
         "with 95 % bootstrap intervals (six flights at least); survival has Wilson intervals; ratios are paired by "
         "seed. What each column means: [experiments.md](experiments.md).\n"
