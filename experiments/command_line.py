@@ -70,7 +70,7 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; the exit status is 0 for success, 1 for a lost vehicle or failed check, 2 for bad usage or config."""
+    """Entry point; returns 0 for success, 1 for a lost vehicle or failed check, 2 for bad usage or config."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((word for word in arguments if not word.startswith("-")), None)
     parsed = build_parser(name).parse_args(arguments)

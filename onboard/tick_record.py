@@ -1,4 +1,4 @@
-"""The record of one tick: what was sensed, wanted, commanded and adapted. One flat vector, written without allocation."""
+"""The record of one tick: what was sensed, wanted, commanded and adapted. One flat vector, without allocation."""
 
 from typing import Final
 

@@ -1,1 +1,1 @@
-"""Controllers: one documented interface, one cascade, and the augmentations that make it PID, MRAC, DMRAC, L1 or INDI."""
+"""Controllers: one documented interface, one cascade, and what makes it PID, MRAC, DMRAC, L1 or INDI."""

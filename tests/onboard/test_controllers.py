@@ -22,7 +22,6 @@ from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
-
 from tests.onboard.rig import AIRFRAME, DT, Rig, controller_tree, shipped_controller
 
 BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")

@@ -200,7 +200,9 @@ def test_a_flight_that_sends_more_or_less_meets_the_same_silences() -> None:
             if clear_of_the_edges:
                 assert (fate.outcome == "blackout") == (S < fate.sent_ns < 2 * S), fate
         recording = again.recording("down")
-        assert recording.used + recording.repeated == sum(fate.sent_ns <= 3990 * MS + Recording.SLACK_NS for fate in again.fates["down"])
+        assert recording.used + recording.repeated == sum(
+            fate.sent_ns <= 3990 * MS + Recording.SLACK_NS for fate in again.fates["down"]
+        )
         assert recording.used + recording.skipped <= 400
     assert recording.skipped > 300
     assert again.fates["down"][0].delay_ns == 10 * MS
