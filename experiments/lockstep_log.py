@@ -27,13 +27,16 @@ class LockstepLog:
     Parameters
     ----------
     with_offboard: whether the flight has an offboard side, for a later replay.
+    experience: what the flight starts from; by default what the config names, if anything.
     """
 
-    def __init__(self, folder: Path, config: FlightConfig, with_offboard: bool = True) -> None:
+    def __init__(
+        self, folder: Path, config: FlightConfig, with_offboard: bool = True, experience: bytes | None = None
+    ) -> None:
         metadata = {"seed": str(config.seed), "scenario": config.scenario, "clock": "lockstep"}
         metadata |= {"session": str(ONBOARD_SESSION), "keyed": "False", "with_offboard": str(with_offboard)}
         attachments = {"config.yaml": config.to_yaml().encode()}
-        experience = read_experience(config.experience)
+        experience = read_experience(config.experience) if experience is None else experience
         if experience is not None:
             attachments[EXPERIENCE] = experience
         self._logs = {

@@ -20,6 +20,7 @@ from onboard.controllers.interface import Learner
 from sim_vehicle.radio import DIRECTIONS, Direction
 
 NOTHING: Final = "-"
+SEED_MAX: Final = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ def with_choices(config: FlightConfig, controller: str | None, seed: int | None)
         return config
     tree: dict[str, Any] = config.model_dump(mode="json", by_alias=True)
     if seed is not None:
+        if not 0 <= seed <= SEED_MAX:
+            raise ConfigError(f"--seed {seed}: allowed are 0 to {SEED_MAX}")
         tree["seed"] = tree["onboard"]["seed"] = tree["offboard"]["seed"] = seed
     if controller is None:
         return fill(FlightConfig, tree, f"--seed {seed}")
@@ -113,7 +116,7 @@ def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> Lockste
     """
     if not any(flight.fates.values()):
         raise ConfigError(f"{flight.path}: holds no radio/fate records, so there are no fates to fly again")
-    with LockstepLog(folder, config, flight.with_offboard) as log:
+    with LockstepLog(folder, config, flight.with_offboard, flight.experience) as log:
         outcome = fly_lockstep(config, (log,), flight.with_offboard, flight.experience, flight.fates)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
