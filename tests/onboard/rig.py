@@ -22,9 +22,36 @@ REST = (0.0, 0.0, 0.0)
 AIRFRAME = fill(AirframeConfig, read_tree(CONFIG_DIRECTORY / "onboard.yaml")["airframe"], "onboard.yaml")
 
 
+def _both(position: dict[str, Any], attitude: dict[str, Any]) -> dict[str, Any]:
+    return {"position": {"augmentation": position}, "attitude": {"augmentation": attitude}}
+
+
+POLES = {
+    "position": {"gains": {"natural_frequency_rad_s": [4.0, 4.0, 5.0], "damping": 0.8}},
+    "attitude": {"gains": {"natural_frequency_rad_s": [16.0, 16.0, 5.0], "damping": 0.8}},
+}
+LAW = _both(
+    {"law": {"tracking_gain": 5.0, "composite_gain": 10.0, "bias_weight": 40.0}},
+    {"law": {"tracking_gain": 20.0, "composite_gain": 10.0, "bias_weight": 40.0}},
+)
+OWN: dict[str, dict[str, Any]] = {
+    "pid": _both({"gain": [16.0, 16.0, 30.0], "limit": 6.0}, {"gain": [600.0, 600.0, 20.0], "limit": 120.0}),
+    "l1": _both(
+        {"predictor_pole_rad_s": 10.0, "bandwidth_rad_s": 6.0}, {"predictor_pole_rad_s": 20.0, "bandwidth_rad_s": 15.0}
+    ),
+    "indi": _both({"filter_s": 0.1}, {"filter_s": 0.05}),
+    "bias": LAW,
+    "mrac": LAW,
+    "dmrac": LAW,
+}
+"""Gains of these tests, whatever the search has written into the shipped files since."""
+
+
 def controller_tree(name: str, settings: dict[str, Any] | None = None) -> dict[str, Any]:
-    """A shipped controller's file, with settings laid over."""
-    return merge(read_tree(CONFIG_DIRECTORY / "controllers" / f"{name}.yaml"), {"settings": settings or {}})
+    """A shipped controller's file with the gains above, and settings laid over."""
+    tree = read_tree(CONFIG_DIRECTORY / "controllers" / f"{name}.yaml")
+    over = merge(merge(POLES, OWN.get(name, {})), settings or {})
+    return merge({"class": tree["class"], "settings": tree["settings"]}, {"settings": over})
 
 
 def shipped_controller(name: str, settings: dict[str, Any] | None = None) -> Any:

@@ -12,7 +12,8 @@ FIGURE8 = {"kind": "figure8", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0}
 
 
 def guidance(over=None):
-    tree = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), {"land_after_s": 20.0, "trajectory": {"path": FIGURE8}})
+    flight = {"land_after_s": 20.0, "feed_forward_lead_s": 0.1, "look_ahead_s": 0.17, "trajectory": {"path": FIGURE8}}
+    tree = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), flight)
     return Guidance(fill(GuidanceConfig, merge(tree, over or {}), "test"))
 
 

@@ -12,7 +12,7 @@ from sim_vehicle.lockstep import Lockstep
 
 ROOT = Path(__file__).parents[2]
 PERIOD_NS = 5_000_000
-SECONDS = 6.5
+SECONDS = 8.0
 """Long enough for take-off, a wind-blown path, training rounds and a swap."""
 EARLY_S = 3.0
 FLIGHT = """
