@@ -25,6 +25,8 @@ from experiments.flight_row import empty_row
 TRIES: Final = 2
 QUEUED_PER_WORKER: Final = 2
 """Flights submitted for each worker: one in flight, one waiting."""
+FLIGHTS_PER_PROCESS: Final = 200
+"""Then a worker process is replaced by a fresh one, so that memory stays flat whatever a library may keep."""
 CAMPAIGN_FILE: Final = "campaign.yaml"
 
 
@@ -51,7 +53,9 @@ class LocalPool:
         """A new pool."""
         one_thread_each()
         context = multiprocessing.get_context("spawn")
-        self._executor = ProcessPoolExecutor(self.count, mp_context=context, initializer=_ignore_interrupt)
+        self._executor = ProcessPoolExecutor(
+            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=FLIGHTS_PER_PROCESS
+        )
         return self._executor
 
     def close(self) -> None:
