@@ -1,8 +1,13 @@
 """`dmrac fly`: a whole flight, in real time over UDP or in lockstep, with its record and flight card."""
 
 import argparse
+import shlex
+import subprocess
+import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +18,7 @@ from experiments.flight_card import build_summary, print_card, write_summary
 from experiments.realtime_flight import require_free_ports
 from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.trace import FlightTrace
+from shell.signals import die_with_parent
 
 if TYPE_CHECKING:
     from experiments.lockstep_flight import LockstepOutcome
@@ -22,6 +28,7 @@ EXAMPLES = """examples:
   dmrac fly rotor_chip --controller pid       the same fault with another controller
   dmrac fly figure8_wind --lockstep --seed 7  in virtual time: repeatable, several times faster
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
+  dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
 """
 
 
@@ -37,6 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="overrule a value by path"
     )
+    parser.add_argument("--view", action="store_true", help="show the flight live in the 3-D viewer (real time only)")
+    parser.add_argument("--web", action="store_true", help="with --view: serve it to a browser on this machine")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -45,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
+    if arguments.view and arguments.lockstep:
+        raise ConfigError("--view: only in real time; a lockstep flight is shown afterwards with dmrac view")
     if not arguments.lockstep:
         require_free_ports(config.network)
     folder = make_folder(arguments.out, config.scenario)
@@ -54,15 +65,49 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.lockstep:
         summary, trace = fly_in_lockstep(config, folder, not arguments.no_offboard)
     else:
-        summary, trace = fly_in_real_time(config, folder, console)
+        with live_viewer(folder, arguments.web) if arguments.view else nullcontext():
+            summary, trace = fly_in_real_time(config, folder, console)
+    summary["command"] = repeat_command(arguments, config)
     write_summary(folder, summary)
     if trace is not None:
         from experiments.flight_figure import draw_flight
+        from flight_record.report import write_report
 
         title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
         draw_flight(trace, title, folder / "flight.png")
+        write_report(folder)
     print_card(summary, folder, console)
     return 0 if summary["survived"] else 1
+
+
+def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
+    """The command line that flies this flight again."""
+    words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
+    words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
+    words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]
+    for assignment in arguments.assignments:
+        words += ["--set", assignment]
+    return shlex.join(words)
+
+
+@contextmanager
+def live_viewer(folder: Path, web: bool) -> Iterator[None]:
+    """`dmrac view --live` beside the flight. It reads the logs as they grow, so that no process of the flight waits."""
+    command = [sys.executable, "-m", "experiments.command_line", "view", str(folder), "--live"]
+    with (folder / "viewer.txt").open("w") as said:
+        process = subprocess.Popen(
+            command + (["--web"] if web else []), stdout=said, stderr=said, preexec_fn=die_with_parent()
+        )
+        try:
+            yield
+            if web and process.poll() is None:
+                print("the flight is over; the page stays up until Ctrl-C", flush=True)
+                process.wait()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            process.terminate()
+            process.wait()
 
 
 def make_folder(out: Path | None, scenario: str) -> Path:
