@@ -1,8 +1,9 @@
 """Addresses of the three processes of a flight and the key that protects the link between two of them."""
 
 import ipaddress
+import re
 from pathlib import Path
-from typing import Annotated, Final, Self
+from typing import Annotated, Final, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -16,7 +17,8 @@ WITHOUT_RADIO: Final = ({"radio_onboard", "offboard_link"}, {"radio_offboard", "
 """Pairs that are one address when onboard and offboard talk directly, as with a real vehicle."""
 
 
-def _check_address(address: str) -> str:
+def check_address(address: str) -> str:
+    """`address`, if it is HOST:PORT with a port that may be used. Raises ValueError that says what is allowed."""
     host, colon, port = address.rpartition(":")
     if not colon or not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
         raise ValueError("expected HOST:PORT with a port from 1 to 65535")
@@ -25,8 +27,49 @@ def _check_address(address: str) -> str:
     return address
 
 
-Address = Annotated[str, AfterValidator(_check_address)]
+Address = Annotated[str, AfterValidator(check_address)]
 """An IPv4 address or host name and a UDP port, "host:port"."""
+
+
+SERIAL_DEFAULT_BAUD: Final = 921600
+_SERIAL: Final = re.compile(r"^serial://(?P<device>/[^?#\s]+)(?:\?baud=(?P<baud>[1-9][0-9]{0,7}))?$")
+
+
+class SerialLine(NamedTuple):
+    """A vehicle on a serial line."""
+
+    device: str
+    baud: int
+
+
+def serial_line(address: str) -> SerialLine | None:
+    """What serial:///dev/ttyX?baud=N names; None for an address on the network."""
+    match = _SERIAL.match(address)
+    return None if match is None else SerialLine(match["device"], int(match["baud"] or SERIAL_DEFAULT_BAUD))
+
+
+def check_vehicle_address(address: str) -> str:
+    """A vehicle's address in its plain form: udp://HOST:PORT becomes HOST:PORT, a serial line stays as it is.
+
+    Raises
+    ------
+    ValueError
+        If it is none of them; the message says what is allowed.
+    """
+    scheme, separator, rest = address.partition("://")
+    if not separator:
+        return check_address(address)
+    if scheme == "udp":
+        return check_address(rest)
+    if scheme != "serial":
+        raise ValueError("expected HOST:PORT, udp://HOST:PORT or serial:///dev/DEVICE?baud=N")
+    if serial_line(address) is None:
+        raise ValueError("expected serial:///dev/DEVICE?baud=N with a whole number N")
+    return address
+
+
+VehicleAddress = Annotated[str, AfterValidator(check_vehicle_address)]
+"""HOST:PORT, udp://HOST:PORT or serial:///dev/DEVICE?baud=N."""
 
 
 def is_loopback(address: str) -> bool:
@@ -43,7 +86,9 @@ def is_loopback(address: str) -> bool:
 class NetworkConfig(Record):
     """Who binds what. Each process binds its own addresses and sends from there to its peer's."""
 
-    vehicle: Address = Field(description="the vehicle's MAVLink socket: motor commands arrive here")
+    vehicle: VehicleAddress = Field(
+        description="the vehicle's MAVLink socket, or the serial line it is on: motor commands go there"
+    )
     onboard_vehicle: Address = Field(description="onboard's socket towards the vehicle: sensors arrive here")
     radio_onboard: Address = Field(description="the vehicle radio's side towards onboard; without radio, offboard")
     onboard_link: Address = Field(description="onboard's socket towards the radio")
@@ -71,12 +116,9 @@ class NetworkConfig(Record):
         return self
 
     def bound_by_sim(self) -> dict[str, str]:
-        """Addresses the simulated vehicle binds, by name."""
-        return {
-            "vehicle": self.vehicle,
-            "radio_onboard": self.radio_onboard,
-            "radio_offboard": self.radio_offboard,
-        }
+        """Addresses the simulated vehicle binds, by name. Who is on a serial line is not simulated."""
+        vehicle = {"vehicle": self.vehicle} if serial_line(self.vehicle) is None else {}
+        return {**vehicle, "radio_onboard": self.radio_onboard, "radio_offboard": self.radio_offboard}
 
     def bound_by_onboard(self) -> dict[str, str]:
         """Addresses the onboard process binds, by name."""

@@ -34,7 +34,7 @@ class LinkHealthConfig(Record):
 class _Block(NamedTuple):
     """What is kept of some samples in a row."""
 
-    count: int
+    samples: int
     first_stamp_ns: int
     first_arrival_ns: int
     late: int
@@ -95,7 +95,7 @@ class LinkHealth:
     def _judge(self, stamp_ns: int, arrival_ns: int) -> str:
         """The first thing that is wrong; the time base before all that depends on it."""
         config, blocks = self._config, self._blocks
-        samples = sum(block.count for block in blocks)
+        samples = sum(block.samples for block in blocks)
         arrival_s = (arrival_ns - blocks[0].first_arrival_ns) * 1e-9
         stamp_s = (stamp_ns - blocks[0].first_stamp_ns) * 1e-9
         clock_rate = stamp_s / arrival_s if arrival_s > 0.0 else math.inf

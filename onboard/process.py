@@ -19,12 +19,13 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, load_section
-from configs.network import NetworkConfig, load_network
+from configs.network import NetworkConfig, load_network, serial_line
 from configs.realtime import RealtimeConfig
 from flight_record.schema import RecordType
 from flight_record.writer import FlightLogWriter
 from onboard.config import OnboardConfig
 from onboard.core import OnboardCore, OnboardOutput
+from onboard.frame_stream import FrameStream
 from onboard.realtime import DurationStatistics, PaceKeeper
 from onboard.tape import TOPIC, Entry, TapeWriter
 from onboard.tick_record import TICK
@@ -34,6 +35,7 @@ from protocol.session import session_number
 from shell.errors import StartError
 from shell.files import make_folder, write_json
 from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
+from shell.serial_port import SerialPort
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
 from shell.status import StatusLines
@@ -54,7 +56,7 @@ class Sockets:
     def __init__(self, network: NetworkConfig) -> None:
         ground_host = network.ground.rpartition(":")[0]
         own_host = "127.0.0.1" if ground_host in {"127.0.0.1", "localhost"} else "0.0.0.0"
-        self.vehicle = DatagramSocket("onboard_vehicle", network.onboard_vehicle, network.vehicle)
+        self.vehicle = open_vehicle(network.vehicle, network.onboard_vehicle)
         try:
             self.offboard = DatagramSocket("onboard_link", network.onboard_link, network.radio_onboard)
             self.ground = DatagramSocket("ground", f"{own_host}:0", network.ground)
@@ -66,6 +68,20 @@ class Sockets:
         """Free the addresses."""
         for one in (self.vehicle, self.offboard, self.ground):
             one.close()
+
+
+def open_vehicle(vehicle: str, local: str) -> DatagramSocket | SerialPort:
+    """The wire to the vehicle: a socket bound to `local`, or the serial line that its address names.
+
+    Raises
+    ------
+    StartError
+        If it cannot be opened.
+    """
+    line = serial_line(vehicle)
+    if line is None:
+        return DatagramSocket("onboard_vehicle", local, vehicle)
+    return SerialPort("vehicle", line.device, line.baud, FrameStream().feed)
 
 
 class OnboardProcess:
@@ -205,8 +221,9 @@ class OnboardProcess:
 EXAMPLES: Final = """examples:
   dmrac config figure8_wind > flight.yaml
   dmrac onboard --config flight.yaml --out flight
-  dmrac onboard --config flight.yaml --vehicle 192.168.3.1:14560 --bind-vehicle 192.168.3.2:14561 \\
+  dmrac onboard --config flight.yaml --vehicle udp://192.168.3.1:14560 --bind-vehicle 192.168.3.2:14561 \\
       --offboard 10.0.0.7:14573 --bind-link 10.0.0.2:14571 --key-file flight.key
+  dmrac onboard --config flight.yaml --vehicle "serial:///dev/ttyUSB0?baud=921600"
 """
 
 
@@ -214,7 +231,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m onboard` and `dmrac onboard`."""
     parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
-    parser.add_argument("--vehicle", metavar="HOST:PORT", help="the vehicle's MAVLink address")
+    parser.add_argument("--vehicle", metavar="URL", help="the vehicle: udp://HOST:PORT or serial:///dev/ttyX?baud=N")
     parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio towards it")
     parser.add_argument("--ground", metavar="HOST:PORT", help="ground station that gets telemetry")
     parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own address towards the vehicle")

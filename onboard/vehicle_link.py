@@ -93,6 +93,11 @@ class VehicleClock:
         """How often stamps of an older clock came between good ones."""
         self.known = False
 
+    @property
+    def newest_ns(self) -> int:
+        """The newest stamp that was accepted, in the vehicle's clock."""
+        return self._newest_ns
+
     def accept(self, stamp_ns: int, now_ns: int) -> str:
         """Takes the IMU's time stamp. Returns "" (good), "restart" (good, on a new clock) or why it is refused."""
         step_ns = stamp_ns - self._newest_ns
@@ -185,6 +190,11 @@ class VehicleLink:
     def restarts(self) -> int:
         """How often the vehicle's clock started anew."""
         return self._clock.restarts
+
+    @property
+    def newest_stamp_ns(self) -> int:
+        """The vehicle's own clock at its newest IMU sample."""
+        return self._clock.newest_ns
 
     def take_events(self) -> list[tuple[int, str]]:
         """What happened since the last call: (time_ns, text). At most one a second of each kind."""

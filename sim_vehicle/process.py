@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, load_section, read_tree
-from configs.network import NetworkConfig, load_network
+from configs.network import NetworkConfig, load_network, serial_line
 from flight_record.schema import RecordType
 from flight_record.writer import FlightLogWriter
 from shell.errors import StartError
@@ -245,6 +245,8 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_section(SimVehicleConfig, arguments.config, "vehicle")
         radio_config = load_section(RadioConfig, arguments.config, "radio")
         network = load_network(arguments.config, _addresses(arguments))
+        if serial_line(network.vehicle) is not None:
+            raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle speaks UDP only")
         make_folder(arguments.out)
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)

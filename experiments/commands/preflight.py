@@ -1,0 +1,195 @@
+"""`dmrac preflight`: listens to a vehicle, has it moved by hand, turns its motors one by one, and prints a table."""
+
+import argparse
+import select
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from configs.loader import ConfigError, load_section
+from configs.network import check_address, check_vehicle_address, is_loopback
+from experiments.preflight_session import PreflightSession
+from offboard.config import PoseRelayConfig
+from offboard.pose_relay import PoseRelay
+from onboard.config import OnboardConfig
+from onboard.preflight import Check, MotorAnswer, PreflightConfig, Result, Step
+from onboard.preflight_recording import PoseSample, Recorder
+from onboard.process import open_vehicle
+from onboard.vehicle_link import VehicleLinkConfig
+from shell.errors import StartError
+from shell.sockets import DatagramSocket
+
+EXAMPLES = """examples:
+  dmrac preflight --vehicle udp://192.168.3.1:14560 --pose 0.0.0.0:14574
+  dmrac preflight --vehicle "serial:///dev/ttyUSB0?baud=921600" --no-motors
+  dmrac preflight --vehicle udp://127.0.0.1:14560 --listen-only     # the simulated vehicle of `dmrac sim`
+"""
+OWN_PORT = 14561
+PLACES = {"fr": "front right", "fl": "front left", "rr": "rear right", "rl": "rear left", "none": "none"}
+COLOURS = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIPPED: "yellow"}
+DATAGRAMS_PER_WAKE = 64
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `dmrac preflight`."""
+    parser.add_argument("--vehicle", required=True, metavar="URL", help="udp://HOST:PORT or serial:///dev/ttyX?baud=N")
+    parser.add_argument(
+        "--bind", metavar="HOST:PORT", help=f"own address towards the vehicle (default port {OWN_PORT})"
+    )
+    parser.add_argument("--pose", metavar="HOST:PORT", help="own address where motion capture sends its ODOMETRY")
+    parser.add_argument(
+        "--config", type=Path, help="resolved configuration: signing key and battery limit are taken from it"
+    )
+    parser.add_argument("--no-motors", action="store_true", help="leave the motors alone")
+    parser.add_argument(
+        "--listen-only", action="store_true", help="nothing is moved, nothing turns: stream checks only"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs the check; returns 0 when nothing failed, 1 when something did (2, bad usage, is raised)."""
+    link, config = VehicleLinkConfig(), PreflightConfig()
+    if arguments.config is not None:
+        onboard = load_section(OnboardConfig, arguments.config, "onboard")
+        link = onboard.vehicle_link
+        config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
+    wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
+    console = Console()
+    try:
+        person = PersonAtTerminal(console)
+        session = PreflightSession(wire, person, Recorder(link), config, arguments.pose is not None)
+        checks = session.run(
+            motion=not arguments.listen_only, motors=not (arguments.no_motors or arguments.listen_only)
+        )
+    finally:
+        wire.close()
+    console.print(table_of(checks))
+    console.print(verdict(checks))
+    return int(any(check.result is Result.FAIL for check in checks))
+
+
+class UdpOrSerialWire:
+    """The world's side of a session."""
+
+    def __init__(self, vehicle: str, bind: str | None, pose: str | None) -> None:
+        """Raises ConfigError for an address that is none, StartError for one that cannot be opened."""
+        try:
+            address = check_vehicle_address(vehicle)
+            local = check_address(bind or _own_address(address))
+            pose = None if pose is None else check_address(pose)
+        except ValueError as error:
+            given = ", ".join(text for text in (vehicle, bind, pose) if text is not None)
+            raise ConfigError(f"{given}: {error}") from None
+        self._vehicle = open_vehicle(address, local)
+        try:
+            self._pose = None if pose is None else DatagramSocket("motion_capture", pose, None)
+        except StartError:
+            self._vehicle.close()
+            raise
+        self._relay = PoseRelay(PoseRelayConfig(latency_s=0.0, position_limit_m=1e5))  # so far that mm come through
+        self._heard = [one for one in (self._vehicle, self._pose) if one is not None]
+
+    def now_ns(self) -> int:
+        """Monotonic time."""
+        return time.monotonic_ns()
+
+    def exchange(self, wait_s: float) -> tuple[list[bytes], list[PoseSample]]:
+        """What has come from the vehicle, and the poses of the motion capture."""
+        select.select(self._heard, (), (), wait_s)
+        poses = []
+        if self._pose is not None:
+            for datagram in self._pose.receive(DATAGRAMS_PER_WAKE):
+                pose = self._relay.receive(datagram, self.now_ns())
+                if pose is not None:
+                    n, e, d = pose.position_ned_m.tolist()
+                    w, x, y, z = pose.quaternion.tolist()
+                    poses.append(PoseSample(pose.time_ns, (n, e, d), (w, x, y, z)))
+        return self._vehicle.receive(DATAGRAMS_PER_WAKE), poses
+
+    def send(self, datagram: bytes) -> None:
+        """One datagram to the vehicle."""
+        self._vehicle.send(datagram)
+
+    def close(self) -> None:
+        """Free the addresses."""
+        for one in self._heard:
+            one.close()
+
+
+class PersonAtTerminal:
+    """Asks on the terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def ready(self, step: Step, seconds: float) -> None:
+        """Explains a step and waits for Enter, except for the first: listening needs nobody."""
+        if step is Step.STILL:
+            self._console.print(f"Listening for {seconds:.0f} s: {step.value}.")
+            return
+        self._console.print(f"\nNext, within {seconds:.0f} s of pressing Enter: {step.value}.")
+        self._console.print("Hold it still for the first and the last second.")
+        self._ask("Enter to begin: ")
+
+    def consents(self) -> bool:
+        """Only the typed word counts; no terminal is a no."""
+        self._console.print(
+            "\n[bold red]Motors will turn, one at a time.[/] Take the PROPELLERS OFF, or tie the vehicle"
+        )
+        self._console.print("down, and keep hands, hair and eyes away.")
+        return self._ask('Type "yes" to let the motors turn: ') == "yes"
+
+    def saw(self, motor: int) -> MotorAnswer:
+        """Place and sense of rotation, asked until they are understood."""
+        place = spin = ""
+        while place not in PLACES:
+            place = self._ask(f"Motor {motor}: which rotor turned? fr, fl, rr, rl or none: ").lower()
+        while place != "none" and spin not in ("cw", "ccw"):
+            spin = self._ask("Which way, seen from above? cw or ccw: ").lower()
+        return MotorAnswer(PLACES[place], spin)
+
+    def saw_it_stop(self) -> bool:
+        """Asked about the last spin."""
+        return self._ask("Did the rotor stop by itself, at once? yes or no: ").lower() == "yes"
+
+    def tell(self, checks: list[Check]) -> None:
+        """A line for each check."""
+        for check in checks:
+            colour = COLOURS[check.result]
+            self._console.print(f"  [{colour}]{check.result.value}[/] {check.name}", highlight=False)
+
+    def _ask(self, question: str) -> str:
+        try:
+            return self._console.input(question, markup=False).strip()
+        except EOFError:
+            raise StartError("preflight asks questions and needs a terminal; --listen-only does not") from None
+
+
+def table_of(checks: list[Check]) -> Table:
+    """All rows, with what is most likely wrong beside what failed."""
+    table = Table(title="preflight")
+    for heading in ("check", "result", "measured", "wanted", "likely cause"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        colour = COLOURS[check.result]
+        table.add_row(
+            check.name, f"[{colour}]{check.result.value}[/]", *map(escape, (check.measured, check.wanted, check.hint))
+        )
+    return table
+
+
+def verdict(checks: list[Check]) -> str:
+    """One line under the table."""
+    failed = sum(check.result is Result.FAIL for check in checks)
+    left = sum(check.result is Result.SKIPPED for check in checks)
+    if failed:
+        return f"{failed} of {len(checks)} checks failed: do not fly."
+    return f"{left} checks were not done: not ready to fly." if left else "All checks passed."
+
+
+def _own_address(vehicle: str) -> str:
+    """Where to listen when nothing is said: this machine only, when the vehicle is simulated here."""
+    return f"127.0.0.1:{OWN_PORT}" if is_loopback(vehicle) else f"0.0.0.0:{OWN_PORT}"
