@@ -6,16 +6,19 @@ at which its pose was true.
 """
 
 from collections import Counter
+from collections.abc import Callable
+from math import cos, hypot, isfinite, nan, sin
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from offboard.config import PoseRelayConfig
+from protocol.mavlink_frames import Frame, FrameReader
 from protocol.messages import Pose
 
-Array = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 FRAME_MAX_BYTES: Final = 280
 QUATERNION_TOLERANCE: Final = 0.01
@@ -31,7 +34,7 @@ class PoseRelay:
 
     def __init__(self, config: PoseRelayConfig) -> None:
         self._config = config
-        self._codec = mavlink.MAVLink(None)
+        self._reader = FrameReader(_CONTENTS)
         self._clock_offset_ns: int | None = None
         self._last_capture_ns: int | None = None
         self._last_arrival_ns = 0
@@ -49,41 +52,35 @@ class PoseRelay:
         return pose
 
     def _pose(self, datagram: bytes, now_ns: int) -> Pose:
-        message = self._decode(datagram)
-        kind = message.get_type()
-        if kind == "ODOMETRY":
-            if message.frame_id not in LOCAL_FRAMES or message.child_frame_id != mavlink.MAV_FRAME_BODY_FRD:
-                raise _RejectedError("frame")
-            quaternion = np.array(message.q, dtype=np.float64)
-        elif kind == "ATT_POS_MOCAP":
-            quaternion = np.array(message.q, dtype=np.float64)
-        else:
-            quaternion = quaternion_of_euler(message.roll, message.pitch, message.yaw)
-        position = np.array([message.x, message.y, message.z], dtype=np.float64)
-        time_usec = message.usec if kind == "VICON_POSITION_ESTIMATE" else message.time_usec
-        self._check(position, quaternion)
-        time_ns = self._map_time(int(time_usec) * 1000, now_ns)
-        unit = quaternion / np.linalg.norm(quaternion)
-        return Pose(time_ns, position.astype(np.float32), unit.astype(np.float32))
+        frame = self._frame(datagram, now_ns)
+        time_us, position, quaternion = _CONTENTS[frame.message_id](frame.fields)
+        norm = self._checked_norm(position, quaternion)
+        time_ns = self._map_time(time_us * 1000, now_ns)
+        w, x, y, z = quaternion
+        unit = (w / norm, x / norm, y / norm, z / norm)
+        return Pose(time_ns, np.array(position, dtype=np.float32), np.array(unit, dtype=np.float32))
 
-    def _decode(self, datagram: bytes) -> Any:
+    def _frame(self, datagram: bytes, now_ns: int) -> Frame:
+        """The one frame of a datagram."""
         if not 0 < len(datagram) <= FRAME_MAX_BYTES:
             raise _RejectedError("length")
-        try:
-            message = self._codec.decode(bytearray(datagram))
-        except (mavlink.MAVError, ValueError, TypeError):  # whatever a peer's bytes make pymavlink raise
-            raise _RejectedError("frame_bytes") from None
-        if message.get_type() not in ("ODOMETRY", "ATT_POS_MOCAP", "VICON_POSITION_ESTIMATE"):
-            raise _RejectedError("message")
-        return message
+        frames = self._reader.read(datagram, now_ns)
+        if len(frames) != 1:
+            others = self._reader.rejected.pop("message_not_allowed", 0)
+            raise _RejectedError("message" if others else "frame_bytes")
+        return frames[0]
 
-    def _check(self, position: Array, quaternion: Array) -> None:
-        if not (np.isfinite(position).all() and np.isfinite(quaternion).all()):
+    def _checked_norm(self, position: Vector3, quaternion: Quaternion) -> float:
+        """Length of the quaternion, once both are found to be sensible."""
+        n, e, d = position
+        norm = hypot(*quaternion)
+        if not isfinite(n + e + d + norm):
             raise _RejectedError("not_finite")
-        if np.abs(position).max() > self._config.position_limit_m:
+        if max(abs(n), abs(e), abs(d)) > self._config.position_limit_m:
             raise _RejectedError("too_far")
-        if abs(float(np.linalg.norm(quaternion)) - 1.0) > QUATERNION_TOLERANCE:
+        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             raise _RejectedError("quaternion")
+        return norm
 
     def _map_time(self, capture_ns: int, now_ns: int) -> int:
         """When the pose was true, in our clock; rejects what is older than what was relayed."""
@@ -110,16 +107,43 @@ class _RejectedError(Exception):
         self.reason = reason
 
 
-def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Array:
-    """Quaternion wxyz, body to world, of yaw-pitch-roll angles in rad. [4]"""
-    cr, sr = np.cos(roll / 2), np.sin(roll / 2)
-    cp, sp = np.cos(pitch / 2), np.sin(pitch / 2)
-    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
+Content = tuple[int, Vector3, Quaternion]
+"""Capture's clock, us; position; attitude."""
+
+
+def _odometry(f: tuple[Any, ...]) -> Content:
+    frame, child_frame = f[56], f[57]  # after time, x y z, q, six rates and two covariances of 21
+    if frame not in LOCAL_FRAMES or child_frame != mavlink.MAV_FRAME_BODY_FRD:
+        raise _RejectedError("frame")
+    return f[0], (f[1], f[2], f[3]), (f[4], f[5], f[6], f[7])
+
+
+def _att_pos_mocap(f: tuple[Any, ...]) -> Content:
+    return f[0], (f[5], f[6], f[7]), (f[1], f[2], f[3], f[4])
+
+
+def _vicon(f: tuple[Any, ...]) -> Content:
+    return f[0], (f[1], f[2], f[3]), quaternion_of_euler(f[4], f[5], f[6])
+
+
+_CONTENTS: Final[dict[int, Callable[[tuple[Any, ...]], Content]]] = {
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
+    mavlink.MAVLINK_MSG_ID_ATT_POS_MOCAP: _att_pos_mocap,
+    mavlink.MAVLINK_MSG_ID_VICON_POSITION_ESTIMATE: _vicon,
+}
+"""What is accepted, and where its fields lie (wire order)."""
+
+
+def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Quaternion wxyz, body to world, of yaw-pitch-roll angles in rad; NaN where an angle is not finite."""
+    if not isfinite(roll + pitch + yaw):
+        return nan, nan, nan, nan
+    cr, sr = cos(roll / 2), sin(roll / 2)
+    cp, sp = cos(pitch / 2), sin(pitch / 2)
+    cy, sy = cos(yaw / 2), sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
     )

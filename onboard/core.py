@@ -20,7 +20,6 @@ from onboard.feature_reception import FeatureReception
 from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.ground_link import GroundLink
 from onboard.guidance import Guidance
-from onboard.mavlink_frames import SigningClock
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
 from onboard.signal_vector import SignalVector
@@ -29,6 +28,7 @@ from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink
 from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
+from protocol.mavlink_frames import SigningClock
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.session import session_start_ns
 

@@ -18,8 +18,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from configs.loader import Record
 from onboard.flight_modes import SPINNING, Command, FlightMode
-from onboard.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
 from onboard.records import NEVER_NS, BatteryReading, VehicleState
+from protocol.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
 
 HEARTBEAT: Final[int] = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 COMMAND_LONG: Final[int] = mavlink.MAVLINK_MSG_ID_COMMAND_LONG

@@ -24,8 +24,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from configs.loader import Record
 from onboard.link_health import LinkHealth, LinkHealthConfig
-from onboard.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
 from onboard.records import NEVER_NS, Array, BatteryReading, FlowReading, ImuReading, RangeReading, Reading
+from protocol.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
 
 HIL_SENSOR: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_SENSOR
 FLOWS: Final = (mavlink.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD)

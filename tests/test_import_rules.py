@@ -53,7 +53,10 @@ PURE_STANDARD_LIBRARY = {
     *("abc", "bisect", "collections", "dataclasses", "enum", "functools", "hashlib", "heapq", "hmac", "ipaddress"),
     *("itertools", "math", "operator", "struct", "types", "typing", "zlib"),
 }
-PROTOCOL_MAY_USE = {"numpy", "msgpack", "pydantic", "configs", "flight_record", "protocol", *PURE_STANDARD_LIBRARY}
+PROTOCOL_MAY_USE = {
+    *("configs", "flight_record", "msgpack", "numpy", "protocol", "pydantic", "pymavlink"),
+    *PURE_STANDARD_LIBRARY,
+}
 
 
 def is_shell(module: str) -> bool:

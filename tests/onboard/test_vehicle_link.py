@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from onboard.mavlink_frames import SigningClock
 from onboard.records import BatteryReading, FlowReading, ImuReading, RangeReading
 from onboard.vehicle_link import ARMED, HIL_SENSOR, VehicleLink, VehicleLinkConfig
+from protocol.mavlink_frames import SigningClock
 
 STEP_NS = 5_000_000
 KEY = bytes(range(32))

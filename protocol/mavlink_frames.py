@@ -27,6 +27,9 @@ STREAMS_MAX: Final = 16
 """Signed streams (link, system, component) that are remembered."""
 KEY_BYTES: Final = 32
 
+_MARKER: Final = bytes((MARKER,))
+_HEADER: Final = struct.Struct("<BBBBBBHB")
+"""Without the marker: length, two kinds of flags, sequence, system, component, message id."""
 _EPOCH_2015_NS: Final = 1_420_070_400 * 10**9
 _SIGNATURE_TICK_NS: Final = 10_000
 _checksum: Any = mavlink.mcrf4xx
@@ -66,6 +69,10 @@ class SigningClock:
         self._last = max(self.now(now_ns), self._last + 1)
         return self._last
 
+    def catch_up(self, stamp: int) -> None:
+        """Takes over another clock's tick, for a side that has no clock of its own."""
+        self._last = max(self._last, stamp)
+
 
 def signature(key: bytes, frame: bytes) -> bytes:
     """First 48 bits of SHA-256 over key and `frame`, which ends with link id and time stamp (MAVLink 2 signing)."""
@@ -93,10 +100,36 @@ def check_key(key: bytes | None) -> bytes | None:
     return key
 
 
+class Layout(NamedTuple):
+    """How one message type lies on the wire."""
+
+    message_id: int
+    payload: struct.Struct
+    """All fields, extensions included."""
+    seed: bytes
+    """What the checksum ends with, so that two layouts of one id do not pass for each other."""
+    field_count: int
+
+
 @cache
-def _field_count(kind: Any) -> int:
-    """Number of values in a message's payload."""
-    return len(kind.unpacker.unpack(bytes(kind.unpacker.size)))
+def layout_of(message_id: int) -> Layout:
+    """The layout of a message type. Raises KeyError if the dialect does not know it."""
+    kind = mavlink.mavlink_map[message_id]
+    payload: struct.Struct = kind.unpacker
+    count = len(payload.unpack(bytes(payload.size)))
+    return Layout(message_id, payload, bytes((kind.crc_extra,)), count)
+
+
+def checked_fields(frame: bytes, layout: Layout) -> tuple[Any, ...] | None:
+    """The fields of one frame of that layout, in wire order; None if its checksum is wrong, or it is cut."""
+    end = HEADER_BYTES + frame[1]
+    checksum: int = _checksum(layout.seed, _checksum(frame[1:end]))
+    if checksum.to_bytes(2, "little") != frame[end : end + 2]:
+        return None
+    payload, size = frame[HEADER_BYTES:end], layout.payload.size
+    if len(payload) != size:  # trailing zeros are not sent; extensions that we do not know are cut off
+        payload = payload[:size].ljust(size, b"\0")
+    return layout.payload.unpack(payload)
 
 
 class FrameReader:
@@ -113,10 +146,7 @@ class FrameReader:
 
         Raises ValueError if the key is not one, KeyError if a message id is unknown.
         """
-        self._layouts: dict[int, tuple[struct.Struct, int, bytes]] = {}
-        for message_id in message_ids:
-            kind = mavlink.mavlink_map[message_id]
-            self._layouts[message_id] = (kind.unpacker, kind.unpacker.size, bytes([kind.crc_extra]))
+        self._layouts = {message_id: layout_of(message_id) for message_id in message_ids}
         self._key = check_key(key)
         self._clock = clock or SigningClock()
         self._tolerance = int(tolerance_s * 1e9) // _SIGNATURE_TICK_NS
@@ -161,9 +191,8 @@ class FrameReader:
         if layout is None:
             self.rejected["message_not_allowed"] += 1
             return None
-        unpacker, size, seed = layout
-        payload_end = HEADER_BYTES + data[1]
-        if _checksum(seed, _checksum(data[1:payload_end])) != data[payload_end] | data[payload_end + 1] << 8:
+        fields = checked_fields(data, layout)
+        if fields is None:
             self.rejected["checksum"] += 1
             return None
         if self._key is not None:
@@ -171,10 +200,7 @@ class FrameReader:
             if fault:
                 self.rejected[fault] += 1
                 return None
-        payload = data[HEADER_BYTES:payload_end]
-        if len(payload) != size:  # trailing zeros are not sent; extensions that we do not know are cut off
-            payload = payload[:size].ljust(size, b"\0")
-        return Frame(message_id, data[5], data[6], data[4], unpacker.unpack(payload))
+        return Frame(message_id, data[5], data[6], data[4], fields)
 
     def _signature_fault(self, data: bytes, flags: int, now_ns: int) -> str:
         """Why a signature is refused; "" when it is good. Nothing is stored before it is verified."""
@@ -225,31 +251,18 @@ class FrameWriter:
         struct.error
             If a field does not fit its type: our own mistake.
         """
-        missing = _field_count(kind) - len(fields)
+        message_id: int = kind.id
+        layout = layout_of(message_id)
+        missing = layout.field_count - len(fields)
         if missing > 0:
             fields += (0,) * missing
-        payload: bytes = kind.unpacker.pack(*fields).rstrip(b"\0") or b"\0"
-        message_id = kind.id
+        payload = layout.payload.pack(*fields).rstrip(b"\0") or b"\0"
         sequence = self._sequence
         self._sequence = (sequence + 1) & 0xFF
-        body = (
-            bytes(
-                (
-                    len(payload),
-                    self._flags,
-                    0,
-                    sequence,
-                    self._system,
-                    self._component,
-                    message_id & 0xFF,
-                    message_id >> 8 & 0xFF,
-                    message_id >> 16,
-                )
-            )
-            + payload
-        )
-        checksum: int = _checksum(bytes((kind.crc_extra,)), _checksum(body))
-        frame = b"\xfd" + body + checksum.to_bytes(2, "little")
+        addressed = (self._system, self._component, message_id & 0xFFFF, message_id >> 16)
+        body = _HEADER.pack(len(payload), self._flags, 0, sequence, *addressed) + payload
+        checksum: int = _checksum(layout.seed, _checksum(body))
+        frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             return frame
         frame += self._link + self._clock.next(now_ns).to_bytes(6, "little")
