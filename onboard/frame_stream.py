@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from onboard.mavlink_frames import CHECKSUM_BYTES, HEADER_BYTES, MARKER, SIGNATURE_BYTES, SIGNED_FLAG
+from protocol.mavlink_frames import CHECKSUM_BYTES, HEADER_BYTES, MARKER, SIGNATURE_BYTES, SIGNED_FLAG
 
 _checksum: Any = mavlink.mcrf4xx
 _SEEDS: Final[dict[int, bytes]] = {number: bytes([kind.crc_extra]) for number, kind in mavlink.mavlink_map.items()}
