@@ -5,7 +5,7 @@ north-east-down. The capture's clock is mapped to ours by the least delay seen, 
 at which its pose was true.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from math import cos, hypot, isfinite, nan, sin
 from typing import Any, Final
@@ -24,6 +24,11 @@ FRAME_MAX_BYTES: Final = 280
 QUATERNION_TOLERANCE: Final = 0.01
 CLOCK_JUMP_NS: Final = 500_000_000
 """An arrival that is later or earlier than expected by more than this means that the capture's clock jumped."""
+LATE_NS: Final = 50_000_000
+"""A pose later than expected by more than this is not relayed: it was held up, or a clock has jumped."""
+LATE_POSES_MAX: Final = 50
+LATE_SPREAD_NS: Final = 20_000_000
+"""So many poses in a row, all late by the same time within this spread, were not held up: a clock has jumped."""
 CLOCK_DRIFT: Final = 1e-4
 """Relative drift of the two clocks that the mapping follows."""
 LOCAL_FRAMES: Final = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
@@ -38,6 +43,7 @@ class PoseRelay:
         self._clock_offset_ns: int | None = None
         self._last_capture_ns: int | None = None
         self._last_arrival_ns = 0
+        self._late: deque[int] = deque(maxlen=LATE_POSES_MAX)
         self.relayed = 0
         self.rejected: Counter[str] = Counter()
 
@@ -90,6 +96,9 @@ class PoseRelay:
         if self._last_capture_ns is not None and capture_ns <= self._last_capture_ns:
             raise _RejectedError("old")
         delay_ns = now_ns - capture_ns
+        if self._clock_offset_ns is not None and delay_ns - self._clock_offset_ns > LATE_NS:
+            self._require_jump(delay_ns)
+        self._late.clear()
         if self._clock_offset_ns is None:
             self._clock_offset_ns = delay_ns
         else:
@@ -97,6 +106,14 @@ class PoseRelay:
             self._clock_offset_ns = min(delay_ns, crept)
         self._last_capture_ns, self._last_arrival_ns = capture_ns, now_ns
         return max(0, capture_ns + self._clock_offset_ns - int(self._config.latency_s * 1e9))
+
+    def _require_jump(self, delay_ns: int) -> None:
+        """Rejects a late pose; unless all have been late alike for a while, then the mapping starts anew."""
+        late = self._late
+        late.append(delay_ns)
+        if len(late) < LATE_POSES_MAX or max(late) - min(late) > LATE_SPREAD_NS:
+            raise _RejectedError("late")
+        self._clock_offset_ns = min(late)
 
 
 class _RejectedError(Exception):

@@ -19,6 +19,8 @@ EXAMPLES = """examples:
   dmrac dropouts mine.csv --controller mrac        one of your own: dmrac replay FLIGHT --save-trace mine.csv
 """
 DURATION_S = 30.0
+FILE_WIDTH = 120
+"""Columns of the table where there is no terminal."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,6 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     flights = jobs(arguments)
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=FILE_WIDTH)
     with console.status(f"{len(flights)} flights") as status:
         done: list[str] = []
 
@@ -50,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     controller = f"controller {arguments.controller}" if arguments.controller else "the scenario's controller"
     table = Table(title=f"{arguments.scenario}, {arguments.duration:g} s, {controller}", title_justify="left")
     for index, heading in enumerate(HEADINGS):
-        table.add_column(heading, justify="right" if 0 < index < len(HEADINGS) - 1 else "left")
+        inner = 0 < index < len(HEADINGS) - 1
+        table.add_column(heading, justify="right" if inner else "left", no_wrap=index == 0)
     for row in rows:
         table.add_row(*row.cells(), style=None if row.survived else "bold red")
     console.print(table)

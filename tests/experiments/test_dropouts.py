@@ -7,7 +7,7 @@ import pytest
 
 from configs.loader import ConfigError
 from experiments.command_line import main
-from experiments.dropout_flights import PERFECT, DropoutFlight, fly_one
+from experiments.dropout_flights import HEADINGS, DropoutFlight, fly_one
 from experiments.dropout_trace import COLUMNS, FOLDER, load_trace, trace_names, write_csv
 from experiments.link_quality import link_quality
 from sim_vehicle.radio import Fate, Radio, RadioConfig
@@ -111,14 +111,20 @@ def test_the_quality_of_a_link() -> None:
 
 
 def test_flights_meet_their_traces() -> None:
-    rows = {
-        trace: fly_one(DropoutFlight(trace, "hover", "mrac", 1, 6.0)) for trace in (PERFECT, "dead", "recorded_bad")
-    }
-    assert all(row.survived for row in rows.values()), "a dead link must not cost the vehicle"
-    assert (rows[PERFECT].lost_up, rows["dead"].lost_down) == (0.0, 1.0)
-    assert rows["dead"].gap_down_s == pytest.approx(6.0, abs=0.01)
-    assert 0.1 < rows["recorded_bad"].lost_down < 0.4
-    for row in rows.values():
+    """Even a link that is dead from the first moment does not cost the vehicle."""
+    dead = fly_one(DropoutFlight("dead", "hover", "pid", 1, 9.5))
+    bad = fly_one(DropoutFlight("recorded_bad", "hover", "pid", 1, 7.0))
+    assert (dead.lost_up, dead.lost_down) == (1.0, 1.0)
+    assert dead.gap_down_s == pytest.approx(9.5, abs=0.01)
+    assert 0.1 < bad.lost_down < 0.4
+    for row in (dead, bad):
+        assert row.survived
         assert row.position_rmse_m < 0.5
-        assert len(row.cells()) == 8
+        assert len(row.cells()) == len(HEADINGS)
         assert row.cells()[6] == "none"
+
+
+@pytest.mark.full
+def test_the_whole_set_survives(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dropouts"]) == 0
+    assert capsys.readouterr().out.count(" yes ") == len(trace_names()) + 1
