@@ -131,6 +131,7 @@ class LastLayer:
         self.memory: Array = np.zeros((feature_count, 3))
         """theta_n, the trained last layer, towards which W leaks."""
         self._gamma = self._gamma_for(feature_count)
+        self._norm2 = 0.0
 
     @property
     def gamma(self) -> Array:
@@ -159,35 +160,48 @@ class LastLayer:
         residual: [3], Delta_hat, filtered x_dot - A x - B u_hat.
         dt: s.
         """
-        config = self.config
-        gamma_Phi = self._gamma * Phi
-        s = float(Phi @ gamma_Phi)
+        # Three numbers at a time are quicker without numpy.
+        config, W = self.config, self.W
+        s = self._gain_along(Phi)
         m2 = config.normalisation_floor + s
         # Tracking term, implicit in what it does to e_2 one step later.
-        gain = config.tracking_gain / (1.0 + config.tracking_gain * self._rate_weight * dt * dt)
-        direction = (-gain / m2) * (e @ self._PB)
-        # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
-        a = config.composite_gain * dt / m2
-        if a > 0.0:
+        tracking = config.tracking_gain / (1.0 + config.tracking_gain * self._rate_weight * dt * dt) / m2
+        dx, dy, dz = (-tracking * x for x in (e @ self._PB).tolist())
+        if config.composite_gain > 0.0:
+            # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
             # The tracking step comes first; its effect on W'Phi is s * direction * dt.
-            mismatch = Phi @ self.W + (s * dt) * direction - residual
-            direction = direction - (config.composite_gain / m2 / (1.0 + a * s)) * mismatch
-        if not (s < SQUARE_MAX and float(direction @ direction) < SQUARE_MAX):  # NaN fails too
+            a = config.composite_gain * dt / m2
+            composite, done = config.composite_gain / m2 / (1.0 + a * s), s * dt
+            nx, ny, nz = (Phi @ W).tolist()
+            rx, ry, rz = residual.tolist()
+            dx -= composite * (nx + done * dx - rx)
+            dy -= composite * (ny + done * dy - ry)
+            dz -= composite * (nz + done * dz - rz)
+        if not (s < SQUARE_MAX and dx * dx + dy * dy + dz * dz < SQUARE_MAX):  # NaN fails too
             return
-        rate = gamma_Phi[:, None] * direction
-        self.W += dt * projected_rate(self.W, rate, self._gamma, config.weight_norm_max)
+        change = Phi[:, None] * np.array((dt * dx, dt * dy, dt * dz))
+        change[-1] *= config.bias_weight
+        if self._norm2 > config.weight_norm_max * config.weight_norm_max:
+            change = projected_rate(W, change, self._gamma, config.weight_norm_max)
+        W += change
         if config.leak > 0.0:
             share = config.leak * dt
-            self.W += (share / (1.0 + share)) * (self.memory - self.W)
+            W += (share / (1.0 + share)) * (self.memory - W)
         self._keep_in_ball()
 
+    def _gain_along(self, Phi: Array) -> float:
+        """Phi' Gamma Phi, where Gamma is 1 but for the last feature."""
+        last = float(Phi[-1])
+        return float(Phi @ Phi) + (self.config.bias_weight - 1.0) * last * last
+
     def _keep_in_ball(self) -> None:
-        norm2 = float(np.vdot(self.W, self.W))
+        self._norm2 = float(np.vdot(self.W, self.W))
         limit2 = self.config.weight_norm_max**2 * (1.0 + PROJECTION_MARGIN)
-        if norm2 > limit2:
-            self.W *= (limit2 / norm2) ** 0.5
+        if self._norm2 > limit2:
+            self.W *= (limit2 / self._norm2) ** 0.5
+            self._norm2 = limit2
 
     @property
     def weight_norm(self) -> float:
         """Frobenius norm of W, units of u."""
-        return math.sqrt(float(np.vdot(self.W, self.W)))
+        return math.sqrt(self._norm2)

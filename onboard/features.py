@@ -46,10 +46,10 @@ class _Selection:
 
     def select(self, signals: Array) -> Array:
         """Z = (x - offset) / scale, clipped to +-INPUT_LIMIT."""
-        if signals.ndim == 1:
-            z = (signals[self._indices] - self._offset) * self._inverse
-        else:
-            z = (signals[self._indices] - self._offset_column) * self._inverse_column
+        z: Array = signals.take(self._indices, axis=0)
+        one = signals.ndim == 1
+        z -= self._offset if one else self._offset_column
+        z *= self._inverse if one else self._inverse_column
         return np.minimum(np.maximum(z, -INPUT_LIMIT, out=z), INPUT_LIMIT, out=z)
 
 
@@ -58,21 +58,28 @@ class NetworkFeatures(_Selection):
 
     def __init__(self, channel: ChannelFeatures) -> None:
         super().__init__(channel.inputs, channel.offset, channel.scale)
+        # [W, b] with a row of ones below the layer's input: one product less a layer, into arrays that are kept.
         self._layers = [
-            (np.ascontiguousarray(W), b[:, None].copy()) for W, b in zip(channel.weights, channel.biases, strict=True)
+            np.ascontiguousarray(np.hstack([W, b[:, None]]))
+            for W, b in zip(channel.weights, channel.biases, strict=True)
         ]
+        self._work: list[Array] = []
         self.feature_count = channel.feature_count
         self.lipschitz = channel.lipschitz_bound()
 
     def evaluate(self, z: Array) -> Array:
         """Phi = [tanh(W_L ... tanh(W_1 z + b_1) + b_L); 1]."""
-        h = z
-        for W, b in self._layers:
-            h = np.dot(W, h)
-            h += b
-            np.tanh(h, out=h)
-        Phi = np.empty((self.feature_count, h.shape[1]))
-        Phi[:-1] = h
+        n = z.shape[1]
+        if not self._work or self._work[0].shape[1] != n:
+            self._work = [np.ones((layer.shape[1], n)) for layer in self._layers]
+        Phi = np.empty((self.feature_count, n))
+        h = self._work[0]
+        h[:-1] = z
+        for layer, above in zip(self._layers, (*self._work[1:], Phi), strict=True):
+            inner = above[:-1]
+            np.dot(layer, h, out=inner)
+            np.tanh(inner, out=inner)
+            h = above
         Phi[-1] = 1.0
         return Phi
 

@@ -1,6 +1,6 @@
 """MRAC and DMRAC: nu_ad = W' Phi(x, c) with the last-layer law. DMRAC is MRAC whose features are learnt in flight."""
 
-from math import exp
+from math import exp, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
@@ -106,16 +106,16 @@ class AdaptiveAugmentation:
         return self._nu
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
-        misfit = nu[:, 0] - self._residual
-        self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (float(misfit @ misfit) - self._eps_1_squared)
-        ahead = nu[:, 1] - nu[:, 0]
-        telemetry.adaptive_now[:] = nu[:, 0]
+        (x, x_ahead), (y, y_ahead), (z, z_ahead) = nu.tolist()
+        rx, ry, rz = self._residual.tolist()
+        misfit2 = (x - rx) ** 2 + (y - ry) ** 2 + (z - rz) ** 2
+        self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
+        telemetry.adaptive_now[:] = (x, y, z)
         telemetry.residual[:] = self._residual
         telemetry.weight_norm = self.last_layer.weight_norm
-        telemetry.eps_1 = self._eps_1_squared**0.5
-        telemetry.eps_2 = self._eps_2
-        telemetry.eps_3 = float(ahead @ ahead) ** 0.5
-        telemetry.live_bound = self._bound_factor * (telemetry.eps_1 + telemetry.eps_2 + telemetry.eps_3)
+        eps_1, eps_3 = sqrt(self._eps_1_squared), sqrt((x_ahead - x) ** 2 + (y_ahead - y) ** 2 + (z_ahead - z) ** 2)
+        telemetry.eps_1, telemetry.eps_2, telemetry.eps_3 = eps_1, self._eps_2, eps_3
+        telemetry.live_bound = self._bound_factor * (eps_1 + self._eps_2 + eps_3)
 
     def reset(self) -> None:
         """Filters start over; what was learnt stays."""
