@@ -126,24 +126,22 @@ class Flight:
 
 def test_a_trainer_killed_and_restarted_again_and_again_costs_nothing() -> None:
     flight = Flight().fly(4.0)
-    versions = []
     checkpoint = None
     for life in range(3):
         checkpoint = flight.offboard.final_checkpoint() or checkpoint
-        versions.append(flight.last("feature_version"))
         flight.lockstep.remove_offboard()
-        flight.fly(0.4)
+        flight.fly(0.3)
         flight.offboard = build_offboard(flight.config, 10 + life)
         if checkpoint is not None and life % 2:
             flight.offboard.resume(checkpoint)
         flight.lockstep.attach_offboard(flight.offboard)
-        flight.fly(1.1)
+        flight.fly(0.7)
+    assert checkpoint is not None, "it is meant to have trained"
     assert len(flight.said("offboard restarted")) == 3
     assert flight.mode is FlightMode.FLYING
     assert max(flight.errors_m[-200:]) < 0.3
     assert flight.last("pose_age") < 0.1
-    flight.fly(2.5)
-    assert flight.last("feature_version") > max(versions), "the last trainer's versions are heard, too"
+    assert flight.offboard.learner.samples > 10, "the last one is heard and taught, too"
 
 
 def test_both_sides_restarted_with_the_wall_clock_set_back_find_each_other_again() -> None:
