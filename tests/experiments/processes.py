@@ -1,0 +1,70 @@
+"""The three processes of a flight started one by one, each as a test wants it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
+READY_LIMIT_S = 40.0
+
+
+class Processes:
+    """Starts processes that log into a folder; ends them all when left."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, config: Path, *options: str, prefix: tuple[str, ...] = ()) -> None:
+        """Starts a process and waits until it says that it is ready."""
+        said = self.out / f"{name}_said.txt"
+        command = [*prefix, sys.executable, "-m", MODULES[name], "--config", str(config), "--out", str(self.out)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        with said.open("wb") as file:
+            self.running[name] = subprocess.Popen(
+                [*command, *options], stdout=file, stderr=subprocess.STDOUT, env=environment, stdin=subprocess.DEVNULL
+            )
+        limit = time.monotonic() + READY_LIMIT_S
+        while "ready" not in said.read_text(encoding="utf-8", errors="replace"):
+            assert self.running[name].poll() is None, said.read_text(encoding="utf-8")
+            assert time.monotonic() < limit, f"{name} is not ready"
+            time.sleep(0.05)
+
+    def wait(self, name: str, limit_s: float) -> int:
+        """Waits for a process to end by itself."""
+        return self.running[name].wait(limit_s)
+
+    def end(self, *names: str) -> None:
+        """Asks processes to end, twice where once does not do, and waits."""
+        for name in names:
+            process = self.running[name]
+            for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGKILL):
+                if process.poll() is None:
+                    process.send_signal(number)
+                    try:
+                        process.wait(5.0)
+                    except subprocess.TimeoutExpired:
+                        continue
+
+    def summary(self, name: str) -> dict[str, Any]:
+        """What a process wrote at its end."""
+        found: dict[str, Any] = json.loads((self.out / f"{name}_summary.json").read_text(encoding="utf-8"))
+        return found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in self.running.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
