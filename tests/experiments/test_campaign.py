@@ -256,7 +256,7 @@ def test_shipped_campaigns_resolve(path: Path) -> None:
 
 
 SHORT = """
-description: Two flights and one that cannot be flown.
+description: A flight, and one that cannot be flown.
 controllers: [none]
 cases:
   - {name: hover, scenario: hover, duration_s: 6}
@@ -267,10 +267,10 @@ traces: 1
 
 
 def test_flights_in_worker_processes(tmp_path: Path) -> None:
-    progress = fly_all(tmp_path, LocalPool(2), SHORT)
+    progress = fly_all(tmp_path, LocalPool(1), SHORT.replace("count: 2", "count: 1"))
     rows = {row["key"]: row for row in read_table(tmp_path).to_pylist()}
     good, wrong = rows["hover/none/1000"], rows["wrong/none/1000"]
-    assert (progress.flown, progress.errors) == (4, 2)
+    assert (progress.flown, progress.errors) == (2, 1)
     assert good["survived"]
     assert 0.0 < good["position_rmse_m"] < 0.2
     assert good["up_bytes_s"] > 1000.0
@@ -331,18 +331,23 @@ def cluster(tmp_path: Path) -> Iterator[str]:
         for process in reversed(processes):
             process.terminate()
         for process in processes:
-            process.wait(10)
+            try:
+                process.wait(30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 @pytest.mark.full
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_the_same_flights_on_a_cluster(cluster: str, tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
-    fly_all(here, LocalPool(2), SHORT)
-    fly_all(there, DaskWorkers(cluster), SHORT)
+    short = SHORT.replace("count: 2", "count: 1")
+    fly_all(here, LocalPool(1), short)
+    fly_all(there, DaskWorkers(cluster), short)
     hashes = [{row["key"]: row["trace_sha256"] for row in read_table(folder).to_pylist()} for folder in (here, there)]
     assert hashes[0] == hashes[1]
-    assert len(hashes[0]) == 4
+    assert len(hashes[0]) == 2
 
 
 def test_no_scheduler_is_a_plain_error() -> None:
