@@ -128,14 +128,16 @@ def _check_pose_turn(step: Step, recording: Recording, config: PreflightConfig) 
     truth = _tilt(recording) if step in _FORCE_AXIS else abs(float(_turned(recording)[2]))
     expected = np.zeros(3)
     expected[axis] = sign * truth
-    turn = _pose_turn(recording, (0, 1, 2, 3))
+    turn = _pose_turn(recording)
     tolerance = max(config.pose_angle_tolerance_rad, config.angle_tolerance * truth)
     good = truth >= config.tilt_min_rad and float(np.linalg.norm(turn - expected)) <= tolerance
     hint = "the pose's frame is not NED with an FRD body"
     if float(np.linalg.norm(_pose_turn(recording, (3, 0, 1, 2)) - expected)) <= tolerance:
         hint = "the quaternion comes as x, y, z, w; the wire has w first"
+    elif float(np.linalg.norm(_pose_turn(recording, inverse=True) - expected)) <= tolerance:
+        hint = "the quaternion is from world to body; the wire has body to world"
     elif float(np.linalg.norm(turn + expected)) <= tolerance:
-        hint = "the rotation is turned round: axis sign, or quaternion from world to body"
+        hint = f"the rotation about {'xyz'[axis]} is turned round: the pose's axes are not FRD"
     elif int(np.argmax(np.abs(turn))) != axis:
         hint = f"the pose turns about {'xyz'[int(np.argmax(np.abs(turn)))]}: its axes are exchanged"
     wanted = f"{np.degrees(sign * truth):+.0f} deg about {'xyz'[axis]}"
@@ -250,11 +252,13 @@ def _turned(recording: Recording) -> Array:
     return angles
 
 
-def _pose_turn(recording: Recording, order: tuple[int, int, int, int]) -> Array:
-    """[3] rad: rotation vector, in the body before, of the pose's turn; `order` picks w, x, y, z from the wire."""
-    before, after = _ends(recording.pose_s, recording.poses[:, 3:7])
-    places = list(order)
-    turn = rotation(before[places]).T @ rotation(after[places])
+def _pose_turn(recording: Recording, order: tuple[int, int, int, int] = (0, 1, 2, 3), inverse: bool = False) -> Array:
+    """[3] rad: rotation vector, in the body before, of the pose's turn.
+
+    `order` picks w, x, y, z from the wire, `inverse` takes them as world to body: to try what a bridge may have meant.
+    """
+    before, after = (rotation(q[list(order)]) for q in _ends(recording.pose_s, recording.poses[:, 3:7]))
+    turn = before @ after.T if inverse else before.T @ after
     angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     rotation_vector: Array = axis * (0.5 if angle < 1e-3 else 0.5 * angle / max(float(np.sin(angle)), 1e-6))
