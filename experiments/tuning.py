@@ -212,7 +212,7 @@ def run_search(
     finished = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
     while (done := len(study.get_trials(deepcopy=False, states=finished))) < search.trials:
         study.sampler = optuna.samplers.TPESampler(
-            seed=search.seed * 100_003 + done, n_startup_trials=10, multivariate=True
+            seed=search.seed * 100_003 + done, n_startup_trials=7, multivariate=True
         )
         trial = study.ask()
         values = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in space}
