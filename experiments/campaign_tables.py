@@ -151,13 +151,20 @@ def _half_points(data: CampaignData) -> Table:
             alive = [bool(row["survived"]) for group in groups for row in group.rows]
             if x:
                 point = half_survival_point(x, alive, generator("half", case, controller))
-                rows.append((data.label(case), controller, str(len(x)), show(point)))
+                rows.append((data.label(case), controller, str(len(x)), show(point), _band(data, case, controller)))
     label = data.config.sweeps[0].label or sweep
-    return Table(
-        f"Where half of the vehicles survive, by logistic fit: {label}",
-        ("case", "controller", "flights", label),
-        tuple(rows),
-    )
+    header = ("case", "controller", "flights", label, "dmrac ≥ 95 % and this ≤ 50 % at")
+    return Table(f"Where half of the vehicles survive, by logistic fit: {label}", header, tuple(rows))
+
+
+def _band(data: CampaignData, case: str, controller: str) -> str:
+    """Values of the sweep where nearly all of ours survive and at most half of the other's."""
+    found = []
+    for ours in data.select(case, OURS):
+        for theirs in data.select(case, controller, dict(ours.point)):
+            if ours.survival.value >= 0.95 and theirs.survival.value <= 0.5:
+                found += [str(value) for _, value in ours.point]
+    return ", ".join(found) or "–"
 
 
 def _group(data: CampaignData, flown: Flown) -> Group | None:

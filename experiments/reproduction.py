@@ -21,6 +21,9 @@ CAMPAIGNS: Final = (
 )
 """In the order of docs/results.md."""
 
+BEGIN_TARGETS: Final = "<!-- begin targets: written by dmrac reproduce -->"
+END_TARGETS: Final = "<!-- end targets -->"
+
 
 @dataclass(frozen=True)
 class Reproduction:
@@ -100,6 +103,21 @@ def write_results(plan: Reproduction, sections: Sequence[Section], seconds: floa
     part = plan.page.with_suffix(".md.part")
     part.write_text("\n".join(parts), encoding="utf-8")
     part.replace(plan.page)
+
+
+def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool:
+    """Rewrites the targets' table between its marks in another page; False if the page has no marks."""
+    if not path.exists():
+        return False
+    before, begin, rest = path.read_text(encoding="utf-8").partition(BEGIN_TARGETS)
+    _, end, after = rest.partition(END_TARGETS)
+    if not begin or not end:
+        return False
+    text = f"{before}{begin}\n`{command}`\n\n{_targets(sections).markdown()}\n{end}{after}"
+    part = path.with_suffix(".md.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return True
 
 
 def _opening(sections: Sequence[Section]) -> str:

@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 done, 1 some flights failed, 130 interrupted (call again to go on)."""
     from experiments.campaign_runner import DaskWorkers, LocalPool, Workers
     from experiments.commands.campaign import cores, progress_bar
-    from experiments.reproduction import CAMPAIGNS, Reproduction, draw, fly, write_results
+    from experiments.reproduction import CAMPAIGNS, Reproduction, draw, fly, write_results, write_targets
 
     unknown = [name for name in arguments.only or () if name not in CAMPAIGNS]
     if unknown:
@@ -57,6 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         console.print("interrupted; everything flown is kept, the same command goes on")
         return 130
+    if not arguments.quick and write_targets(page.parent / "control.md", sections, plan.command):
+        console.print(f"written: {page.parent / 'control.md'}, its table of targets", soft_wrap=True, highlight=False)
     console.print(
         f"written: {page}, {(time.monotonic() - started) / 60.0:.1f} minutes", soft_wrap=True, highlight=False
     )

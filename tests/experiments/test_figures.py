@@ -19,6 +19,14 @@ from experiments.campaign_worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.figure_plan import KINDS, draw_all
 from experiments.flight_row import empty_row
+from experiments.reproduction import (
+    BEGIN_TARGETS,
+    END_TARGETS,
+    Reproduction,
+    Section,
+    write_results,
+    write_targets,
+)
 from protocol.signals import SIGNAL_INDEX
 
 TEXT = """
@@ -165,6 +173,30 @@ def test_unknown_figures_and_options_are_named(folder: Path, tmp_path: Path) -> 
         wrong = type(data)(data.folder, data.name, config, data.rows)
         with pytest.raises(ConfigError, match=words):
             draw_all(wrong, tmp_path, lambda text: None)
+
+
+def test_targets_are_written_between_their_marks(folder: Path, tmp_path: Path) -> None:
+    page = tmp_path / "control.md"
+    sections = [Section(load_data(folder), (), ())]
+    assert not write_targets(page, sections, "dmrac reproduce")
+    page.write_text(f"before\n{BEGIN_TARGETS}\nold\n{END_TARGETS}\nafter\n")
+    assert write_targets(page, sections, "dmrac reproduce")
+    first = page.read_text()
+    assert first.startswith("before\n")
+    assert first.endswith("after\n")
+    assert "old" not in first
+    assert "0.40 [0.40, 0.40]" in first
+    write_targets(page, sections, "dmrac reproduce")
+    assert page.read_text() == first
+
+
+def test_results_page_begins_with_the_losses(folder: Path, tmp_path: Path) -> None:
+    plan = Reproduction(folder.parent, tmp_path / "results.md", quick=True)
+    write_results(plan, [Section(load_data(folder), (), ())], 60.0)
+    text = plan.page.read_text()
+    assert text.split("\n")[2].startswith("- Made up: **DMRAC loses here:**")
+    assert "`dmrac reproduce --quick`" in text
+    assert "numpy" in text
 
 
 def test_a_folder_without_flights_is_an_error(tmp_path: Path) -> None:
