@@ -49,8 +49,8 @@ class PositionReferenceModel:
     """Position and velocity, world NED."""
 
     def __init__(self, gains: ChannelGains) -> None:
-        self._k1 = gains.stiffness()
-        self._k2 = gains.rate_gain()
+        self._k1 = tuple(gains.stiffness().tolist())
+        self._k2 = tuple(gains.rate_gain().tolist())
         self.position: Array = np.zeros(3)
         self.velocity: Array = np.zeros(3)
 
@@ -63,17 +63,26 @@ class PositionReferenceModel:
         """Follows a jump [3] of the position estimate, which is no motion."""
         self.position += jump
 
-    def step(self, command: Array, hedge: Array, dt: float) -> None:
+    def error(self, position: Array, velocity: Array, out: Array) -> None:
+        """E = x_rm - x [6] against the vehicle's position and velocity [3], m and m/s."""
+        np.subtract(self.position, position, out=out[:3])
+        np.subtract(self.velocity, velocity, out=out[3:])
+
+    def step(self, command: Vector3, hedge: Vector3, dt: float) -> None:
         """Advances one period.
 
         Parameters
         ----------
-        command: [3], K_r r, m/s^2.
-        hedge: [3], u - u_hat, m/s^2.
+        command: K_r r, m/s^2.
+        hedge: u - u_hat, m/s^2.
         """
-        acceleration = command - self._k1 * self.position - self._k2 * self.velocity - hedge
-        self.position += dt * self.velocity + (0.5 * dt * dt) * acceleration
-        self.velocity += dt * acceleration
+        x, v = self.position, self.velocity
+        positions, velocities = x.tolist(), v.tolist()
+        for axis in (0, 1, 2):
+            at, speed = positions[axis], velocities[axis]
+            acceleration = command[axis] - self._k1[axis] * at - self._k2[axis] * speed - hedge[axis]
+            x[axis] = at + (dt * speed + (0.5 * dt * dt) * acceleration)
+            v[axis] = speed + dt * acceleration
 
 
 class AttitudeReferenceModel:

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from configs.loader import Record
 from onboard.airframe import GRAVITY, AirframeConfig
-from onboard.control_records import ControlInputs, ControlOutput
+from onboard.control_records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.controllers.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.controllers.augmentation import Augmentation, ChannelState
 from onboard.controllers.baselines import (
@@ -29,8 +29,9 @@ from onboard.controllers.baselines import (
     NoAugmentation,
     NoneConfig,
 )
+from onboard.records import VehicleState
 from onboard.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
-from onboard.rotation import attitude_for_thrust, quaternion_multiply, quaternion_to_rotation_vector
+from onboard.rotation import Quaternion, attitude_for_thrust, quaternion_multiply, quaternion_to_rotation_vector
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
@@ -40,9 +41,10 @@ AugmentationConfig = Annotated[
     NoneConfig | IntegralConfig | L1Config | IndiConfig | AdaptiveConfig, Field(discriminator="kind")
 ]
 
-POSITION = slice(SIGNAL_INDEX["position_n"], SIGNAL_INDEX["position_d"] + 1)
-VELOCITY = slice(SIGNAL_INDEX["velocity_n"], SIGNAL_INDEX["velocity_d"] + 1)
-BODY_VELOCITY = slice(SIGNAL_INDEX["body_velocity_x"], SIGNAL_INDEX["body_velocity_z"] + 1)
+POSITION_N = SIGNAL_INDEX["position_n"]
+VELOCITY_N = SIGNAL_INDEX["velocity_n"]
+BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
+"""The other two axes follow."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Beyond this the attitude error is no longer linear: the reference model starts over at the vehicle."""
 
@@ -94,20 +96,24 @@ class CascadedController:
         self._augmentations = (_augmentation(settings.position, rng), _augmentation(settings.attitude, rng))
         self._position_model = PositionReferenceModel(settings.position.gains)
         self._attitude_model = AttitudeReferenceModel(settings.attitude.gains)
-        self._k1, self._k2 = settings.position.gains.stiffness(), settings.position.gains.rate_gain()
+        self._k1 = tuple(settings.position.gains.stiffness().tolist())
+        self._k2 = tuple(settings.position.gains.rate_gain().tolist())
         self._a1 = tuple(settings.attitude.gains.stiffness().tolist())
         self._a2 = tuple(settings.attitude.gains.rate_gain().tolist())
-        self._channels = (ChannelState(), ChannelState())
+        self._tilt_max = tan(settings.tilt_max_rad)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
-        for channel in self._channels:
-            channel.signals = self._signals
         self._output = ControlOutput()
-        self._command: Array = np.zeros(3)
-        self._last_rates: Array = np.zeros(3)
+        self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
+        self._command: Vector3 = (0.0, 0.0, 0.0)
+        self._last_rates: Vector3 = (0.0, 0.0, 0.0)
         self._last_delivered = (0.0, 0.0, 0.0, 0.0)
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
+
+    def _channel(self, telemetry: ChannelTelemetry) -> ChannelState:
+        """A channel whose model error and delivered u_hat are reported as they are: the arrays are the telemetry's."""
+        return ChannelState(model_error=telemetry.error, delivered=telemetry.delivered, signals=self._signals)
 
     # --- the interface -------------------------------------------------------------------------------------------
 
@@ -120,14 +126,13 @@ class CascadedController:
         self._output.thrust_n = thrust
         self._output.commanded_quaternion = commanded
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
-        self._last_rates[:] = inputs.state.rates
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
         """Reference models to the vehicle's state, integrals and filters to zero."""
-        state = inputs.state
         self._restart_models(inputs)
-        self._last_rates[:] = state.rates
+        p, q, r = inputs.state.rates.tolist()
+        self._last_rates = (p, q, r)
         for augmentation in self._augmentations:
             augmentation.reset()
 
@@ -173,45 +178,62 @@ class CascadedController:
     # --- taking in -----------------------------------------------------------------------------------------------
 
     def _take_in(self, inputs: ControlInputs) -> None:
-        state, target = inputs.state, inputs.target
-        position, attitude = self._channels
         for channel in self._channels:
             channel.dt, channel.adapt, channel.saturated = inputs.dt, inputs.adapt, inputs.saturated
-        # u_hat and Delta of the position channel: what thrust and attitude really give, against the accelerometer.
-        down = state.rotation[:, 2]
         thrust, torque = self._mean_delivered(inputs)
-        thrust_acceleration = thrust / self._airframe.mass_kg
-        np.multiply(down, -thrust_acceleration, out=position.delivered)
-        np.subtract(state.rotation @ state.specific_force, position.delivered, out=position.residual_raw)
-        position.delivered[2] += GRAVITY
-        position.rate[:] = state.velocity
-        # The same of the attitude channel: torque by the actuator model against the gyroscope's derivative.
-        attitude.delivered[:] = self._angular_acceleration(torque, state.rates)
-        np.subtract(state.rates, self._last_rates, out=attitude.residual_raw)
-        attitude.residual_raw /= inputs.dt
-        attitude.residual_raw -= attitude.delivered
-        attitude.rate[:] = state.rates
+        self._take_in_translation(inputs.state, thrust)
+        self._take_in_rotation(inputs.state, torque, inputs.dt)
         self._look_ahead(inputs)
-        # Tracking error of the position channel, bounded so that a far target asks for no more than a near one.
-        error = position.tracking_error
+        self._track(inputs)
+
+    def _take_in_translation(self, state: VehicleState, thrust: float) -> None:
+        """u_hat and Delta of the position channel: what thrust and attitude really give, against the accelerometer."""
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = state.rotation.tolist()
+        fx, fy, fz = state.specific_force.tolist()
+        lift = -thrust / self._airframe.mass_kg
+        ux, uy, uz = lift * r02, lift * r12, lift * r22
+        channel = self._channels[0]
+        delivered, residual = channel.delivered, channel.residual_raw
+        delivered[0], delivered[1], delivered[2] = ux, uy, uz + GRAVITY
+        residual[0] = r00 * fx + r01 * fy + r02 * fz - ux
+        residual[1] = r10 * fx + r11 * fy + r12 * fz - uy
+        residual[2] = r20 * fx + r21 * fy + r22 * fz - uz
+        channel.rate[:] = state.velocity
+
+    def _take_in_rotation(self, state: VehicleState, torque: Vector3, dt: float) -> None:
+        """The same of the attitude channel: torque by the actuator model against the gyroscope's derivative."""
+        p, q, r = state.rates.tolist()
+        was_p, was_q, was_r = self._last_rates
+        up, uq, ur = self._angular_acceleration(torque, p, q, r)
+        channel = self._channels[1]
+        delivered, residual = channel.delivered, channel.residual_raw
+        delivered[0], delivered[1], delivered[2] = up, uq, ur
+        residual[0], residual[1], residual[2] = (p - was_p) / dt - up, (q - was_q) / dt - uq, (r - was_r) / dt - ur
+        channel.rate[:] = state.rates
+        self._last_rates = (p, q, r)
+
+    def _track(self, inputs: ControlInputs) -> None:
+        """Tracking error of the position channel, bounded so that a far target asks for no more than a near one."""
+        north, east, down = inputs.state.position.tolist()
+        vn, ve, vd = inputs.state.velocity.tolist()
+        (target_n, target_e, target_d), (target_vn, target_ve, target_vd), _ = inputs.target.now
         limit = self._settings.position_error_max_m
-        error[:3] = target.now.position
-        error[:3] -= state.position
-        np.minimum(np.maximum(error[:3], -limit, out=error[:3]), limit, out=error[:3])
-        error[3:] = target.now.velocity
-        error[3:] -= state.velocity
+        error = self._channels[0].tracking_error
+        error[0] = min(max(target_n - north, -limit), limit)
+        error[1] = min(max(target_e - east, -limit), limit)
+        error[2] = min(max(target_d - down, -limit), limit)
+        error[3], error[4], error[5] = target_vn - vn, target_ve - ve, target_vd - vd
 
     def _mean_delivered(self, inputs: ControlInputs) -> tuple[float, Vector3]:
         """Thrust [N] and torque [N m] over the tick that has just ended: that is what moved the vehicle since."""
         was, now = self._last_delivered, (inputs.delivered_thrust_n, *inputs.delivered_torque_nm)
         self._last_delivered = now
-        thrust, roll, pitch, yaw = (0.5 * (a + b) for a, b in zip(was, now, strict=True))
-        return thrust, (roll, pitch, yaw)
+        thrust = 0.5 * (was[0] + now[0])
+        return thrust, (0.5 * (was[1] + now[1]), 0.5 * (was[2] + now[2]), 0.5 * (was[3] + now[3]))
 
-    def _angular_acceleration(self, torque: Vector3, rates: Array) -> Vector3:
+    def _angular_acceleration(self, torque: Vector3, p: float, q: float, r: float) -> Vector3:
         """J^-1 (tau - omega x J omega), rad/s^2."""
         jx, jy, jz = self._airframe.inertia_kg_m2
-        p, q, r = rates.tolist()
         return (
             (torque[0] - (jz - jy) * q * r) / jx,
             (torque[1] - (jx - jz) * p * r) / jy,
@@ -220,15 +242,23 @@ class CascadedController:
 
     def _look_ahead(self, inputs: ControlInputs) -> None:
         """x_ahead = x + (x_d(t + t_ahead) - x_d(t))."""
-        signals, target = self._signals, inputs.target
+        signals, (now, now_rate, _), (ahead, ahead_rate, _) = self._signals, inputs.target.now, inputs.target.ahead
         signals[:, 0] = inputs.signals
-        ahead = signals[:, 1]
-        ahead[:] = inputs.signals
-        ahead[POSITION] += target.ahead.position
-        ahead[POSITION] -= target.now.position
-        ahead[VELOCITY] += target.ahead.velocity
-        ahead[VELOCITY] -= target.now.velocity
-        ahead[BODY_VELOCITY] = ahead[VELOCITY] @ inputs.state.rotation
+        column = signals[:, 1]
+        column[:] = inputs.signals
+        north, east, down = inputs.state.position.tolist()
+        column[POSITION_N] = north + ahead[0] - now[0]
+        column[POSITION_N + 1] = east + ahead[1] - now[1]
+        column[POSITION_N + 2] = down + ahead[2] - now[2]
+        vn, ve, vd = inputs.state.velocity.tolist()
+        vn += ahead_rate[0] - now_rate[0]
+        ve += ahead_rate[1] - now_rate[1]
+        vd += ahead_rate[2] - now_rate[2]
+        column[VELOCITY_N], column[VELOCITY_N + 1], column[VELOCITY_N + 2] = vn, ve, vd
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = inputs.state.rotation.tolist()
+        column[BODY_VELOCITY_X] = r00 * vn + r10 * ve + r20 * vd
+        column[BODY_VELOCITY_X + 1] = r01 * vn + r11 * ve + r21 * vd
+        column[BODY_VELOCITY_X + 2] = r02 * vn + r12 * ve + r22 * vd
 
     # --- reference models ----------------------------------------------------------------------------------------
 
@@ -241,17 +271,22 @@ class CascadedController:
         if state.position_reset_count != self._resets_seen and not self._follow_jump(inputs):
             return
         position, attitude = self._channels
-        hedge = self._output.position.demand - position.delivered if self._settings.hedging else np.zeros(3)
-        self._position_model.step(self._command, hedge, inputs.dt)
-        position.model_error[:3] = self._position_model.position - state.position
-        position.model_error[3:] = self._position_model.velocity - state.velocity
-        turn = self._output.attitude.demand - attitude.delivered if self._settings.hedging else np.zeros(3)
-        hp, hq, hr = turn.tolist()
-        self._attitude_model.step(self._turn_command, (hp, hq, hr), inputs.dt)
+        self._position_model.step(self._command, self._hedge(self._output.position, position), inputs.dt)
+        self._position_model.error(state.position, state.velocity, position.model_error)
+        self._attitude_model.step(self._turn_command, self._hedge(self._output.attitude, attitude), inputs.dt)
         self._attitude_model.error(state.quaternion, state.rates, attitude.model_error)
-        if float(attitude.model_error[:3] @ attitude.model_error[:3]) > MODEL_ERROR_MAX_RAD**2:
+        e1, e2, e3, _, _, _ = attitude.model_error.tolist()
+        if e1 * e1 + e2 * e2 + e3 * e3 > MODEL_ERROR_MAX_RAD**2:
             self._attitude_model.reset(state.quaternion, state.rates)
             attitude.model_error[:] = 0.0
+
+    def _hedge(self, telemetry: ChannelTelemetry, channel: ChannelState) -> Vector3:
+        """Demand minus u_hat, what the actuators did not deliver of the last demand; zero without hedging."""
+        if not self._settings.hedging:
+            return 0.0, 0.0, 0.0
+        u1, u2, u3 = telemetry.demand.tolist()
+        d1, d2, d3 = channel.delivered.tolist()
+        return u1 - d1, u2 - d2, u3 - d3
 
     def _follow_jump(self, inputs: ControlInputs) -> bool:
         """A jump of the estimate is no motion: the references jump along (True), or start over where they cannot."""
@@ -260,7 +295,9 @@ class CascadedController:
             self._restart_models(inputs)  # the frame has turned, or the size of a jump in between is not known
             return False
         self._position_model.shift(state.position_jump)
-        self._command += self._k1 * state.position_jump
+        (cx, cy, cz), k1 = self._command, self._k1
+        jump_n, jump_e, jump_d = state.position_jump.tolist()
+        self._command = (cx + k1[0] * jump_n, cy + k1[1] * jump_e, cz + k1[2] * jump_d)
         self._resets_seen = state.position_reset_count
         return True
 
@@ -274,34 +311,42 @@ class CascadedController:
 
     # --- the loops -----------------------------------------------------------------------------------------------
 
-    def _position_loop(self, inputs: ControlInputs) -> Array:
-        """U of the position channel [3], m/s^2."""
+    def _position_loop(self, inputs: ControlInputs) -> Vector3:
+        """U of the position channel, m/s^2."""
         channel, telemetry = self._channels[0], self._output.position
         nu = self._augmentations[0].step(channel, telemetry)
-        u = telemetry.demand
-        np.multiply(self._k1, channel.tracking_error[:3], out=u)
-        u += self._k2 * channel.tracking_error[3:]
-        u += inputs.target.feed_forward
-        u -= nu
+        telemetry.adaptive[:] = nu
+        n1, n2, n3 = nu.tolist()
+        (k11, k12, k13), (k21, k22, k23) = self._k1, self._k2
+        e1, e2, e3, e4, e5, e6 = channel.tracking_error.tolist()
+        f1, f2, f3 = inputs.target.feed_forward
+        x, y, z = inputs.state.position.tolist()
+        vx, vy, vz = inputs.state.velocity.tolist()
+        u1 = k11 * e1 + k21 * e4 + f1 - n1
+        u2 = k12 * e2 + k22 * e5 + f2 - n2
+        u3 = k13 * e3 + k23 * e6 + f3 - n3
         if inputs.level_only:
-            u[:2] = 0.0
-            u[2] = self._k2[2] * (self._settings.level_sink_speed_m_s - channel.rate[2]) - nu[2]
+            u1, u2, u3 = 0.0, 0.0, k23 * (self._settings.level_sink_speed_m_s - vz) - n3
+        demand = telemetry.demand
+        demand[0], demand[1], demand[2] = u1, u2, u3
         # K_r r as the reference model needs it: u = K_r r - K x - nu_ad. Here nu_ad is that of the present state, which
         # the law weighs e with; what the look-ahead adds counts as part of the command.
-        self._command = u + self._k1 * inputs.state.position + self._k2 * inputs.state.velocity + telemetry.adaptive_now
-        telemetry.error[:] = channel.model_error
-        telemetry.delivered[:] = channel.delivered
-        telemetry.adaptive[:] = nu
-        return u
+        m1, m2, m3 = telemetry.adaptive_now.tolist()
+        self._command = (
+            u1 + k11 * x + k21 * vx + m1,
+            u2 + k12 * y + k22 * vy + m2,
+            u3 + k13 * z + k23 * vz + m3,
+        )
+        return u1, u2, u3
 
-    def _thrust_vector(self, inputs: ControlInputs, u: Array) -> tuple[float, tuple[float, float, float, float]]:
+    def _thrust_vector(self, inputs: ControlInputs, u: Vector3) -> tuple[float, Quaternion]:
         """Collective thrust [N] along the present body axis, and the attitude that would realise u, within limits."""
         settings = self._settings
-        ux, uy, uz = u.tolist()
+        ux, uy, uz = u
         uz = min(max(uz, -settings.climb_acceleration_max_m_s2), settings.sink_acceleration_max_m_s2)
         fx, fy, fz = -ux, -uy, GRAVITY - uz
         horizontal = (fx * fx + fy * fy) ** 0.5
-        most = fz * tan(settings.tilt_max_rad)
+        most = fz * self._tilt_max
         if horizontal > most:
             fx, fy = fx * most / horizontal, fy * most / horizontal
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
@@ -310,7 +355,7 @@ class CascadedController:
         thrust = self._airframe.mass_kg * (fx * r02 + fy * r12 + fz * r22)
         return max(thrust, 0.0), commanded
 
-    def _attitude_loop(self, inputs: ControlInputs, commanded: tuple[float, float, float, float]) -> Vector3:
+    def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
         """Body torque [N m]."""
         channel, telemetry = self._channels[1], self._output.attitude
         state = inputs.state
@@ -328,8 +373,6 @@ class CascadedController:
         ar = k1[2] * ez - k2[2] * r - n3
         demand = telemetry.demand
         demand[0], demand[1], demand[2] = ap, aq, ar
-        telemetry.error[:] = channel.model_error
-        telemetry.delivered[:] = channel.delivered
         telemetry.adaptive[:] = nu
         m1, m2, m3 = telemetry.adaptive_now.tolist()
         self._turn_command = (ap + m1, aq + m2, ar + m3)
