@@ -11,6 +11,8 @@ import pytest
 
 from configs.network import NetworkConfig
 from experiments.realtime_flight import Supervisor
+from experiments.recorded_flight import read_recorded
+from experiments.replay_check import check_flight
 from experiments.scenario import Choices, FlightConfig, resolve
 from flight_record.reader import open_flight
 from onboard.flight_modes import FlightMode
@@ -81,6 +83,11 @@ def test_a_flight_survives_the_death_of_offboard_and_takes_up_another(tmp_path: 
     modes = set(ticks["mode"].astype(int).tolist())
     assert {FlightMode.TAKE_OFF, FlightMode.FLYING, FlightMode.LANDING, FlightMode.LANDED} <= modes
     assert not modes & {FlightMode.HOLD_LEVEL, FlightMode.EMERGENCY}
+
+    (checked,) = check_flight(read_recorded(tmp_path))  # the golden replay: a fresh core answers as it did in the air
+    assert checked.difference is None
+    assert checked.incomplete == ""
+    assert checked.ticks == checked.rows == summary["onboard"]["ticks"]
 
 
 def read_summary(folder: Path, name: str) -> dict[str, Any]:
