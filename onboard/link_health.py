@@ -27,6 +27,7 @@ class LinkHealthConfig(Record):
     late_s: float = Field(default=0.010, gt=0, description="s behind the quickest sample; such a sample is late")
     late_share_max: float = Field(default=0.05, ge=0, le=1, description="share of late samples")
     gap_max_s: float = Field(default=0.040, gt=0, description="s between two arrivals; less than imu_silent_s")
+    backwards_share_max: float = Field(default=0.05, ge=0, le=1, description="share of samples with old time stamps")
     clock_rate_tolerance: float = Field(default=0.05, gt=0, description="1; the vehicle's second against ours")
     gravity_tolerance_m_s2: float = Field(default=1.5, gt=0, description="m/s^2; |accelerometer| at rest against 1 g")
 
@@ -40,6 +41,8 @@ class _Block(NamedTuple):
     late: int
     gap_ns: int
     """Longest time between two arrivals, the one before the block included."""
+    backwards: int
+    """Samples that were dropped meanwhile because their time was not new."""
     force_squared: float
     """Sum of the squared specific force, (m/s^2)^2."""
 
@@ -56,7 +59,7 @@ class LinkHealth:
         """Forgets everything: another vehicle, or another clock."""
         self._blocks: deque[_Block] = deque(maxlen=BLOCKS)
         self._arrival_ns: int | None = None
-        self._count = self._late = self._gap_ns = 0
+        self._count = self._late = self._gap_ns = self._backwards = 0
         self._first_stamp_ns = self._first_arrival_ns = 0
         self._force_squared = 0.0
         self.fault = NOT_JUDGED
@@ -77,6 +80,10 @@ class LinkHealth:
         if self._count == BLOCK_SAMPLES:
             self._end_block(stamp_ns, arrival_ns)
 
+    def note_backwards(self) -> None:
+        """One sample that was dropped because its time stamp was not newer than the last."""
+        self._backwards += 1
+
     def _end_block(self, stamp_ns: int, arrival_ns: int) -> None:
         self._blocks.append(
             _Block(
@@ -85,10 +92,11 @@ class LinkHealth:
                 self._first_arrival_ns,
                 self._late,
                 self._gap_ns,
+                self._backwards,
                 self._force_squared,
             )
         )
-        self._count = self._late = self._gap_ns = 0
+        self._count = self._late = self._gap_ns = self._backwards = 0
         self._force_squared = 0.0
         self.fault = self._judge(stamp_ns, arrival_ns)
 
@@ -101,6 +109,9 @@ class LinkHealth:
         clock_rate = stamp_s / arrival_s if arrival_s > 0.0 else math.inf
         if abs(clock_rate - 1.0) > config.clock_rate_tolerance:
             return f"time base: the vehicle's clock runs at {clock_rate:.3g} of ours"
+        backwards = sum(block.backwards for block in blocks) / samples
+        if backwards > config.backwards_share_max:
+            return f"time base: {backwards:.0%} of the samples have old time stamps; two vehicles?"
         rate_hz = (samples - 1) / arrival_s
         if not config.imu_rate_min_hz <= rate_hz <= config.imu_rate_max_hz:
             return f"IMU at {rate_hz:.0f} Hz"

@@ -292,6 +292,7 @@ class VehicleLink:
             self._say("conflict", "the vehicle's time jumps to and fro: two vehicles with one system id?", now_ns)
         if fault != "restart":
             self.rejected[fault] += 1
+            self.health.note_backwards()
             return False
         self._restarted_ns = now_ns
         self.health.reset()

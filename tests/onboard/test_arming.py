@@ -1,0 +1,276 @@
+"""With the settings for a real vehicle: armed by a person only, and only when link, battery and pose are sound.
+
+And what the limits are for: with one turned off, a flight is lost that with it ends safe.
+"""
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from experiments.scenario import Choices, resolve
+from onboard.core import OnboardCore
+from onboard.flight_modes import SPINNING, FlightMode
+from onboard.link_health import BLOCK_SAMPLES, BLOCKS, NOT_JUDGED, LinkHealth, LinkHealthConfig
+from sim_vehicle.lockstep import Lockstep
+from sim_vehicle.radio import Radio
+from sim_vehicle.vehicle import SimVehicle
+from tests.onboard.test_core import CLOCK_NS, PERIOD_NS, Peer
+
+REST = (0.0, 0.0, -9.81)
+
+
+# -- the judgement of the stream --------------------------------------------------------------------------------------
+
+
+def judged(samples=200, period_s=0.005, clock=1.0, force=REST, late=lambda k: 0.0):
+    """The fault after a stream of samples; `late(k)` is how much later than due sample k comes, s."""
+    health = LinkHealth(LinkHealthConfig())
+    for k in range(samples):
+        due_s = k * period_s
+        arrival_ns = round((due_s + late(k)) * 1e9)
+        health.take(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, force)
+    return health.fault
+
+
+@pytest.mark.parametrize(
+    ("stream", "fault"),
+    [
+        ({}, ""),
+        ({"samples": BLOCK_SAMPLES}, ""),
+        ({"samples": BLOCK_SAMPLES - 1}, NOT_JUDGED),
+        ({"period_s": 0.01}, "IMU at 100 Hz"),
+        ({"period_s": 0.004}, "IMU at 250 Hz"),
+        ({"clock": 0.001}, "time base"),
+        ({"clock": 1000.0}, "time base"),
+        ({"late": lambda k: 0.004 * (k % 2)}, ""),
+        ({"late": lambda k: 0.015 * (k % 10 == 0)}, "IMU jitter: 10%"),
+        ({"late": lambda k: 0.05 * (k >= 120)}, "IMU gap of 55 ms"),
+        ({"force": (0.0, 0.0, -1.0)}, "accelerometer gives 1 m/s^2"),
+        ({"force": (0.09, -0.06, -9.47)}, ""),
+    ],
+)
+def test_a_stream_is_judged(stream, fault):
+    found = judged(**stream)
+    assert found.startswith(fault)
+    assert bool(found) == bool(fault)
+
+
+def test_a_fault_is_forgiven_after_a_second():
+    last = BLOCKS * BLOCK_SAMPLES
+
+    def stall(k):
+        return max(0.0, 0.05 - 0.005 * (k - 130)) if k >= 130 else 0.0
+
+    assert "gap" in judged(samples=300, late=stall)
+    assert judged(samples=150 + last, late=stall) == ""
+
+
+# -- arming -----------------------------------------------------------------------------------------------------------
+
+
+class RealFlight:
+    """The simulated vehicle under the settings for a real one, with motion capture and a person at a ground station."""
+
+    def __init__(self, fault=None, assignments=(), poses=True):
+        config = resolve("hover", Choices("pid", 3, None, assignments, real=True))
+        self.vehicle = SimVehicle(config.vehicle, config.seed)
+        self.core = OnboardCore(config.onboard, 1, None)
+        self.fault, self.peer = fault or (lambda t, frames: frames), Peer()
+        self.peer.relays = poses
+        self.station, self.heartbeats = mavlink.MAVLink(None, 255, 190), True
+        self.tick, self.motors, self.waiting, self.typed = 0, [], [], []
+        self.modes, self.events, self.texts, self.answers = [], [], [], []
+
+    def type(self, command, *parameters):
+        values = [*map(float, parameters), *(0.0,) * 7][:7]
+        self.typed.append(bytes(mavlink.MAVLink_command_long_message(1, 1, command, 0, *values).pack(self.station)))
+        return self
+
+    def arm(self):
+        return self.type(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+
+    def fly(self, seconds):
+        for _ in range(round(seconds * 200)):
+            self.step()
+        return self
+
+    def step(self):
+        now = self.tick * PERIOD_NS
+        flown = self.vehicle.step(now)
+        for frame in self.fault(now * 1e-9, list(flown.to_onboard)):
+            self.core.take_in_vehicle(frame, now)
+        for message in self.waiting:
+            self.core.take_in_offboard(self.peer.endpoint.encode(message, now + CLOCK_NS), now)
+        if self.heartbeats and self.tick % 200 == 0:
+            self.typed.append(bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(self.station)))
+        for datagram in self.typed:
+            self.core.take_in_ground(datagram, now)
+        out = self.core.step(now)
+        for datagram in self.motors:
+            self.vehicle.take_in(datagram, now)
+        self.motors, self.waiting, self.typed = out.to_vehicle, [], []
+        for datagram in out.to_offboard:
+            self.waiting += self.peer.take_in(datagram, now)
+        self.waiting += self.peer.say(flown.truth, self.tick, now)
+        self.modes.append(FlightMode(int(out.tick[0])))
+        self.events += [text for _, text in out.events]
+        self._read(out.to_ground)
+        self.tick += 1
+
+    def _read(self, datagrams):
+        for datagram in datagrams:
+            message = mavlink.MAVLink(None).decode(bytearray(datagram))
+            if message.get_type() == "STATUSTEXT":
+                self.texts.append(message.text)
+            elif message.get_type() == "COMMAND_ACK":
+                self.answers.append(message.result)
+
+
+def changed(frame, change):
+    """A HIL_SENSOR frame with `change(message)` made to it; other frames as they are."""
+    message = mavlink.MAVLink(None).decode(bytearray(frame))
+    if message.get_type() != "HIL_SENSOR":
+        return frame
+    change(message)
+    return bytes(message.pack(mavlink.MAVLink(None, message.get_srcSystem(), message.get_srcComponent())))
+
+
+def with_all(change):
+    return lambda t, frames: [changed(frame, change) for frame in frames]
+
+
+def milliseconds(message):
+    message.time_usec //= 1000
+
+
+def g_units(message):
+    message.xacc, message.yacc, message.zacc = (value / 9.81 for value in (message.xacc, message.yacc, message.zacc))
+
+
+def every_other(t, frames):
+    return (
+        frames if round(t * 200) % 2 else [frame for frame in frames if frame[7] != mavlink.MAVLINK_MSG_ID_HIL_SENSOR]
+    )
+
+
+class InBatches:
+    """Holds frames back and lets five ticks' worth go at once."""
+
+    def __init__(self):
+        self.held = []
+
+    def __call__(self, t, frames):
+        self.held += frames
+        if round(t * 200) % 5:
+            return []
+        frames, self.held = self.held, []
+        return frames
+
+
+def second_vehicle(behind_s):
+    """The same system id, another clock."""
+
+    def fault(t, frames):
+        if t < 2.5:
+            return frames
+        return [
+            *frames,
+            *(changed(f, lambda m: setattr(m, "time_usec", m.time_usec - round(behind_s * 1e6))) for f in frames),
+        ]
+
+    return fault
+
+
+SILENT = "vehicle.disturbances=[{{kind: sensor_fault, sensor: {}, fault: silent}}]"
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"fault": every_other}, "IMU at 100 Hz"),
+        ({"fault": InBatches()}, "IMU jitter"),
+        ({"fault": with_all(milliseconds)}, "time base"),
+        ({"fault": with_all(g_units)}, "accelerometer gives"),
+        ({"fault": second_vehicle(2)}, "two vehicles"),
+        ({"fault": second_vehicle(0.2)}, "time base: 100%"),
+        ({"assignments": (SILENT.format("battery"),)}, "no battery report"),
+        ({"assignments": ("onboard.supervisor.battery_arm_v=4.3",)}, "battery at 4."),
+        ({"poses": False}, "no fresh pose"),
+        ({"assignments": (SILENT.format("imu"),)}, NOT_JUDGED),
+    ],
+)
+def test_arming_is_refused_and_the_reason_is_an_event_and_a_text(settings, reason):
+    flight = RealFlight(**settings).fly(4.0).arm().fly(1.0)
+    assert not SPINNING & set(flight.modes)
+    assert any(text.startswith(f"refused to arm: {reason}") for text in flight.events), flight.events
+    assert any(text.startswith(f"refused to arm: {reason}"[:50]) for text in flight.texts)
+    assert any(text.startswith(f"not ready to arm: {reason}") for text in flight.events)
+    assert flight.answers == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
+
+
+def test_a_sound_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_station_falls_silent():
+    flight = RealFlight().fly(3.0)
+    assert flight.modes[-1] is FlightMode.READY
+    flight.arm().fly(0.5)
+    assert flight.modes[-1] is FlightMode.ARMED
+    flight.type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(4.0)
+    assert flight.modes[-1] is FlightMode.FLYING
+    assert flight.answers == [mavlink.MAV_RESULT_ACCEPTED] * 2
+    flight.heartbeats = False
+    flight.fly(10.0)
+    assert "FLYING -> LANDING: ground station silent" in flight.events
+    assert FlightMode.LANDED in flight.modes
+    assert not flight.vehicle.crash_reason
+    assert flight.modes[-1] in (FlightMode.LANDED, FlightMode.BOOT)
+    assert "not ready to arm: no ground station" in flight.events
+
+
+def test_flight_termination_stops_the_motors_in_the_air_for_good():
+    flight = RealFlight().fly(2.0).arm().fly(0.5).type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(3.0)
+    flight.type(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, 1).fly(0.1)
+    assert flight.modes[-1] is FlightMode.TERMINATED
+    controls = mavlink.MAVLink(None).decode(bytearray(flight.motors[0]))
+    assert (controls.controls, controls.mode) == ([0.0] * 16, 0)
+    flight.arm().fly(0.2)
+    assert flight.modes[-1] is FlightMode.TERMINATED
+
+
+# -- what the limits are for ------------------------------------------------------------------------------------------
+
+
+def alone(seconds, *assignments):
+    """A flight in simulation without offboard: (crash reason, last mode, greatest distance from the origin)."""
+    config = resolve("hover", Choices("pid", 3, None, ("onboard.pose_wait_s=0.5", *assignments)))
+    core, vehicle = OnboardCore(config.onboard, 1, None), SimVehicle(config.vehicle, 3)
+    radio = Radio(config.radio, np.random.default_rng(3))
+    lockstep = Lockstep(vehicle, radio, core, None, config.onboard.period_ns, 0)
+    far, mode = 0.0, FlightMode.BOOT
+    for _ in range(round(seconds * 200)):
+        result = lockstep.step()
+        far, mode = max(far, float(np.hypot(*result.truth[:2]))), FlightMode(int(result.onboard.tick[0]))
+        if lockstep.crash_reason:
+            break
+    return lockstep.crash_reason, mode, far
+
+
+BLIND_IN_THE_WIND = (
+    "vehicle.disturbances=[{kind: wind, velocity_ned_m_s: [0.0, 2.0, 0.0], onset_s: 3.0},"
+    "{kind: sensor_fault, sensor: flow, fault: silent, onset_s: 4.0}]"
+)
+WEAK_ROTOR = "vehicle.disturbances=[{kind: rotor_chip, rotor: 1, thrust_factor: 0.3}]"
+
+
+def test_without_the_limit_on_lost_velocity_a_blind_vehicle_is_blown_away():
+    crash, mode, far = alone(14.0, BLIND_IN_THE_WIND)
+    assert (crash, mode in (FlightMode.LANDED, FlightMode.BOOT, FlightMode.READY)) == ("", True)
+    assert far < 4.0
+    unlimited = ("onboard.supervisor.velocity_lost_s=1000", "onboard.supervisor.hold_max_s=1000")
+    crash, mode, far = alone(20.0, BLIND_IN_THE_WIND, *unlimited)
+    assert crash or (mode is FlightMode.HOLD and far > 6.0)
+
+
+def test_without_the_limit_on_tilt_a_weak_rotor_turns_the_vehicle_over_at_take_off():
+    crash, mode, _ = alone(6.0, WEAK_ROTOR, "onboard.supervisor.tilt_max_rad=0.45")
+    assert (crash, mode) == ("", FlightMode.EMERGENCY)
+    crash, _, _ = alone(6.0, WEAK_ROTOR, "onboard.supervisor.tilt_max_rad=3.1")
+    assert "tilted" in crash
