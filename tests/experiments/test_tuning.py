@@ -32,11 +32,11 @@ class Inline(Executor):
 
 
 def bowl(job: Any) -> FlightResult:
-    """A flight whose error is smallest at a damping of 0.9 and a height frequency of 6."""
+    """A flight whose error is smallest at a lead of 0.12 s and a position frequency of 5."""
     given = dict(item.split("=", 1) for item in job.assignments)
-    damping = float(given["onboard.controller.settings.position.gains.damping"])
-    height = float(given["onboard.controller.settings.position.gains.natural_frequency_rad_s.2"])
-    error = 0.02 * math.exp(4.0 * (damping - 0.9) ** 2 + 2.0 * math.log(height / 6.0) ** 2)
+    lead = float(given["onboard.guidance.feed_forward_lead_s"])
+    frequency = float(given["onboard.controller.settings.position.gains.natural_frequency_rad_s.0"])
+    error = 0.02 * math.exp(100.0 * (lead - 0.12) ** 2 + 2.0 * math.log(frequency / 5.0) ** 2)
     row = ALIVE | {"settled_rmse_m": error, "after_onset_rmse_m": error}
     return FlightResult(job.key, row)
 
