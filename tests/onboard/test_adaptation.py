@@ -297,7 +297,7 @@ def test_projection_never_adds_to_v(seed):
     k, W_max = 5, 2.0
     gamma = rng.uniform(0.5, 40.0, k)
     W = rng.normal(size=(k, 3))
-    W *= rng.uniform(0.2, 1.0) * W_max * BALL / np.linalg.norm(W)
+    W *= rng.uniform(0.5, 1.2) * W_max * BALL / np.linalg.norm(W)
     W_star = rng.normal(size=(k, 3))
     W_star *= rng.uniform(0.0, 1.0) * W_max / np.linalg.norm(W_star)
     rate = gamma[:, None] * rng.normal(size=(k, 3))
@@ -305,8 +305,20 @@ def test_projection_never_adds_to_v(seed):
     assert float(((W - W_star) / gamma[:, None] * (projected - rate)).sum()) <= 1e-9
     if np.linalg.norm(W) <= W_max or float(np.vdot(W, rate)) <= 0.0:
         np.testing.assert_array_equal(projected, rate)
-    if np.linalg.norm(W) >= W_max * BALL * (1.0 - 1e-12):
-        assert float(np.vdot(W, projected)) <= 1e-9
+    else:  # the outward part shrinks linearly over the layer, to nothing, and never turns inward
+        f = (np.linalg.norm(W) ** 2 / W_max**2 - 1.0) / PROJECTION_MARGIN
+        left = max(1.0 - f, 0.0) * float(np.vdot(W, rate))
+        assert float(np.vdot(W, projected)) == pytest.approx(left, abs=1e-9)
+
+
+def test_gamma_weighs_the_bias():
+    """One step moves W along Gamma Phi; nu moves at the stated rate all the same."""
+    _, _, P = double_integrator()
+    last = LastLayer(config(tracking_gain=0.0, bias_weight=40.0), 3, P[:, 3:])
+    Phi, target = np.array([0.5, -0.25, 1.0]), np.array([1.0, 2.0, -3.0])
+    last.step(Phi, np.zeros(6), target, DT)
+    np.testing.assert_allclose(last.W / last.W[0], np.array([0.5, -0.25, 40.0])[:, None] / np.full(3, 0.5))
+    np.testing.assert_allclose(last.W.T @ Phi, target * 0.05 / 1.05, rtol=1e-4)
 
 
 def test_new_weights_outside_the_ball_are_clipped_to_it():

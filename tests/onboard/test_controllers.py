@@ -170,6 +170,29 @@ def test_the_errors_dynamics_are_the_same_in_saturation() -> None:
     np.testing.assert_allclose(unsaturated[-1, :3], -np.array(FORCE) / (16.0, 16.0, 25.0), rtol=0.05)
 
 
+def test_u_hat_is_what_acted_over_the_tick_and_not_at_its_end() -> None:
+    """A step of u puts half a tick times the step into e_2 if the two are confused; here u steps by 130 rad/s^2."""
+    rig = Rig(shipped_controller("none"))
+    rig.fly(0.1)
+    rig.target = np.array([0.6, 0.0, -1.0])
+    rates = column(rig.fly(0.3), "attitude_e")[:, 3:]
+    assert np.abs(rates).max() < 0.05
+
+
+def test_both_directions_of_the_attitude_dynamics_know_the_gyroscopic_torque() -> None:
+    """Torque = J u + omega x J omega on the way out, and u_hat the reverse of it on the way in."""
+    rig = Rig(shipped_controller("none"))
+    rig.rates = np.array([6.0, -5.0, 9.0])
+    J = np.diag(AIRFRAME.inertia_kg_m2)
+    gyroscopic = np.cross(rig.rates, J @ rig.rates)
+    inputs = dataclasses.replace(rig.inputs(), delivered_torque_nm=(1e-3, -2e-3, 3e-4))
+    rig.controller.step(inputs)
+    output = rig.controller.step(inputs)
+    np.testing.assert_allclose(output.torque_nm, J @ output.attitude.demand + gyroscopic, rtol=1e-9)
+    expected = np.linalg.solve(J, np.array(inputs.delivered_torque_nm) - gyroscopic)
+    np.testing.assert_allclose(output.attitude.delivered, expected, rtol=1e-9)
+
+
 def test_hedging_keeps_adaptation_from_learning_a_limit() -> None:
     def learnt(hedging: bool) -> float:
         over = {"hedging": hedging}

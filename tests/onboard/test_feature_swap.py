@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.adaptation import PROJECTION_MARGIN, AdaptationConfig
+from onboard.adaptation import PROJECTION_MARGIN, AdaptationConfig, lyapunov_p
 from onboard.control_records import ChannelTelemetry
 from onboard.controllers.adaptive import AdaptiveAugmentation, AdaptiveConfig, InputScaling
 from onboard.controllers.augmentation import ChannelState
@@ -123,6 +123,15 @@ def test_without_a_past_the_memory_is_taken():
     assert (plan.jump, plan.refusal) == (0.0, "")
 
 
+@pytest.mark.parametrize("gain", [1.0, 30.0])
+def test_what_is_too_large_is_refused_without_a_past_as_well(gain):
+    source = channel(1, gain=gain, memory=np.full((10, 3), 20.0))
+    features = NetworkFeatures(source)
+    empty = np.zeros((SIGNAL_COUNT, 0))
+    plan = plan_swap(CONFIG, features, source.last_layer, features, source.last_layer, RADIUS, empty)
+    assert plan.refusal == ("weight_norm" if gain == 1.0 else "lipschitz")
+
+
 @pytest.mark.parametrize(
     ("source", "config", "reason"),
     [
@@ -215,3 +224,42 @@ def test_the_commanded_nu_ad_does_not_jump_by_more_than_was_reported(swap_config
     assert jump <= plan.jump + 1e-9
     assert telemetry.eps_2 == plan.jump
     assert (jump < CONFIG.jump_max) is smooth
+
+
+def test_the_law_learns_at_the_present_state_and_commands_at_the_one_ahead():
+    augmentation, state, _ = flying_augmentation(CONFIG)
+    state.residual_raw[:] = 1.0, -2.0, 3.0
+    telemetry = ChannelTelemetry()
+    for _ in range(1000):  # now and ahead stay two different places
+        nu = augmentation.step(state, telemetry)
+    Phi = augmentation.features.evaluate(augmentation.features.select(state.signals))
+    both = augmentation.last_layer.W.T @ Phi
+    np.testing.assert_allclose(both[:, 0], state.residual_raw, atol=1e-6)
+    np.testing.assert_allclose(telemetry.adaptive_now, both[:, 0], atol=1e-12)
+    np.testing.assert_allclose(nu, both[:, 1], atol=1e-12)
+    ahead = float(np.linalg.norm(both[:, 1] - both[:, 0]))
+    assert ahead > 0.05
+    assert telemetry.eps_3 == pytest.approx(ahead)
+
+
+def test_the_live_bound_is_its_formula():
+    augmentation, state, _ = flying_augmentation(CONFIG)
+    telemetry = ChannelTelemetry()
+    state.residual_raw[:] = 1.0, -2.0, 3.0
+    augmentation.step(state, telemetry)
+    gains = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
+    P = lyapunov_p(gains.closed_loop_matrix(), np.diag([1.0] * 3 + [0.1] * 3))
+    factor = 2.0 * np.linalg.eigvalsh(P)[-1] / 0.1
+    assert telemetry.eps_1 > 0.0
+    assert telemetry.live_bound == pytest.approx(factor * (telemetry.eps_1 + telemetry.eps_2 + telemetry.eps_3))
+
+
+def test_eps_1_settles_at_the_misfit():
+    augmentation, state, _ = flying_augmentation(CONFIG)
+    telemetry = ChannelTelemetry()
+    augmentation.last_layer.W[:] = 0.0
+    state.adapt = False
+    augmentation._residual[:] = 3.0, 0.0, -4.0
+    for _ in range(4000):
+        augmentation.step(state, telemetry)
+    assert telemetry.eps_1 == pytest.approx(5.0, rel=1e-3)
