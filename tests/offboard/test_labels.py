@@ -10,7 +10,7 @@ from protocol.messages import SampleBatch
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 from tests.offboard.flights import PERIOD_NS, PERIOD_S, Flight, figure8_through_jet, offboard_config
 
-LABELS = offboard_config().labels
+LABELS = offboard_config(labels={"position_window_s": 0.28, "attitude_window_s": 0.2, "order": 2}).labels
 
 
 def label_all(batches: list[SampleBatch], kind: str = "residual") -> list[LabelledSample]:
