@@ -86,9 +86,10 @@ class ActuatorModel:
 
     def step(self, commanded: tuple[float, float, float, float]) -> None:
         """Advances by one period under the thrusts [N] commanded during it."""
-        for index, command in enumerate(commanded):
-            now = float(self.thrusts[index])
-            self.thrusts[index] = now + (self._up if command > now else self._down) * (command - now)
+        up, down, thrusts = self._up, self._down, self.thrusts
+        for index, now in enumerate(thrusts.tolist()):
+            command = commanded[index]
+            thrusts[index] = now + (up if command > now else down) * (command - now)
 
     def wrench(self) -> tuple[float, float, float, float]:
         """Collective thrust [N] and body torque [N m] as delivered now."""

@@ -47,28 +47,35 @@ class ControlInputs:
     """True when there is no velocity to fly by: hold level, sink slowly, leave position alone."""
 
 
-@dataclass(slots=True)
 class ChannelTelemetry:
-    """What one channel did; all zeros for a controller without that notion."""
+    """What one channel did; all zeros for a controller without that notion. The arrays are views of `vectors`."""
 
-    error: Array = field(default_factory=lambda: np.zeros(6))
-    """e = x_rm - x; m, m/s or rad, rad/s."""
-    demand: Array = field(default_factory=lambda: np.zeros(3))
-    """u: m/s^2 or rad/s^2."""
-    delivered: Array = field(default_factory=lambda: np.zeros(3))
-    """u_hat."""
-    adaptive: Array = field(default_factory=lambda: np.zeros(3))
-    """nu_ad as commanded (evaluated ahead)."""
-    adaptive_now: Array = field(default_factory=lambda: np.zeros(3))
-    """nu_ad of the present state, W'Phi(x); the same as `adaptive` for a controller that does not look ahead."""
-    residual: Array = field(default_factory=lambda: np.zeros(3))
-    """Delta_hat."""
-    weight_norm: float = 0.0
-    eps_1: float = 0.0
-    eps_2: float = 0.0
-    eps_3: float = 0.0
-    live_bound: float = 0.0
-    """Bound on norm(e), docs/control.md."""
+    __slots__ = (
+        *("adaptive", "adaptive_now", "delivered", "demand", "eps_1", "eps_2", "eps_3", "error", "live_bound"),
+        *("residual", "vectors", "weight_norm"),
+    )
+
+    def __init__(self) -> None:
+        self.vectors: Array = np.zeros(21)
+        """All that follow, one after the other, as onboard.tick_record has them."""
+        self.error: Array = self.vectors[0:6]
+        """e = x_rm - x; m, m/s or rad, rad/s."""
+        self.demand: Array = self.vectors[6:9]
+        """u: m/s^2 or rad/s^2."""
+        self.delivered: Array = self.vectors[9:12]
+        """u_hat."""
+        self.adaptive: Array = self.vectors[12:15]
+        """nu_ad as commanded (evaluated ahead)."""
+        self.adaptive_now: Array = self.vectors[15:18]
+        """nu_ad of the present state, W'Phi(x); the same as `adaptive` for a controller that does not look ahead."""
+        self.residual: Array = self.vectors[18:21]
+        """Delta_hat."""
+        self.weight_norm = 0.0
+        self.eps_1 = 0.0
+        self.eps_2 = 0.0
+        self.eps_3 = 0.0
+        self.live_bound = 0.0
+        """Bound on norm(e), docs/control.md."""
 
 
 @dataclass(slots=True)

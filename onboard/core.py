@@ -37,6 +37,10 @@ Thrusts = tuple[float, float, float, float]
 ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
 """Below this the floor's cushion and contact would be learnt as a disturbance."""
+_ARMED, _TAKE_OFF, _FLYING, _HOLD_LEVEL, _LANDING = (
+    FlightMode[name] for name in ("ARMED", "TAKE_OFF", "FLYING", "HOLD_LEVEL", "LANDING")
+)
+"""By plain names, which are read many times a tick: before Python 3.12 a member of an enum costs as much as a call."""
 POSITION_AT: Final = OFFSET["position_error_n"]
 ATTITUDE_AT: Final = OFFSET["attitude_error_x"]
 VELOCITY_AID_MAX_S: Final = 0.3
@@ -189,7 +193,7 @@ class OnboardCore:
             self._started_ns = now_ns
         state = self._estimator.state
         self._posed = self._posed or state.last_pose_ns != NEVER_NS
-        if self._guidance.finished and not self._land_requested and self._mode is FlightMode.FLYING:
+        if self._guidance.finished and not self._land_requested and self._mode is _FLYING:
             self._land_requested = True
             self._supervisor.command(Command.LAND, now_ns)
         north, east, down = state.position.tolist()
@@ -218,7 +222,7 @@ class OnboardCore:
         for when_ns, text in self._supervisor.take_events():
             self._events.append((when_ns, text))
             self._ground_link.say(text)
-        if mode is FlightMode.TAKE_OFF and self._mode is not FlightMode.TAKE_OFF:
+        if mode is _TAKE_OFF and self._mode is not _TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
         self._estimator.set_on_ground(mode not in AIRBORNE)
@@ -244,9 +248,9 @@ class OnboardCore:
                 north, east, down = state.position_jump.tolist()
                 self._guidance.shift((north, east, down))
             self._posed_in_time = self._posed
-        run = mode in (FlightMode.TAKE_OFF, FlightMode.FLYING)
-        target = self._guidance.step(run, mode is FlightMode.LANDING, self._dt)
-        if mode is FlightMode.HOLD_LEVEL:  # it drifts: a landing that follows is to begin where the vehicle is then
+        run = mode is _TAKE_OFF or mode is _FLYING
+        target = self._guidance.step(run, mode is _LANDING, self._dt)
+        if mode is _HOLD_LEVEL:  # it drifts: a landing that follows is to begin where the vehicle is then
             north, east, down = (state.position - target.now.position).tolist()
             self._guidance.shift((north, east, down))
         return target
@@ -255,7 +259,7 @@ class OnboardCore:
         """Everything the controller may use."""
         state = self._estimator.state
         self._actuators.step(self._command_before)  # a command acts one tick after it was computed
-        thrust, *torque = self._actuators.wrench()
+        thrust, roll, pitch, yaw = self._actuators.wrench()
         aided = (now_ns - state.last_velocity_aid_ns) * 1e-9 < VELOCITY_AID_MAX_S
         flying = self._mode in AIRBORNE and -float(state.position[2]) > ADAPT_HEIGHT_M
         return ControlInputs(
@@ -264,10 +268,10 @@ class OnboardCore:
             target=target,
             signals=self._signals.step(state, self._actuators.thrusts, self._battery.voltage_v),
             delivered_thrust_n=thrust,
-            delivered_torque_nm=(torque[0], torque[1], torque[2]),
+            delivered_torque_nm=(roll, pitch, yaw),
             saturated=self._saturated,
             adapt=flying and aided,
-            level_only=self._mode is FlightMode.HOLD_LEVEL,
+            level_only=self._mode is _HOLD_LEVEL,
         )
 
     def _swap_features(self, now_ns: int) -> None:
@@ -288,7 +292,7 @@ class OnboardCore:
         most = self._config.airframe.motor_thrust_max_n
         if mode in AIRBORNE:
             self._command = self._mixer.thrusts(control.thrust_n, control.torque_nm)
-        elif mode is FlightMode.ARMED:
+        elif mode is _ARMED:
             idle = self._config.airframe.motor_thrust_min_share * most
             self._command = (idle, idle, idle, idle)
         else:
@@ -369,7 +373,9 @@ class OnboardCore:
 
     def _record(self, row: Array, mode: FlightMode, inputs: ControlInputs, control: ControlOutput, now_ns: int) -> None:
         state, target = inputs.state, inputs.target
-        row[:12] = (
+        most = self._config.airframe.motor_thrust_max_n
+        t1, t2, t3, t4 = self._command
+        row[:POSITION_AT] = (
             mode,
             inputs.adapt,
             self._saturated,
@@ -382,14 +388,19 @@ class OnboardCore:
             state.vibration,
             state.position_sigma_m,
             control.thrust_n,
+            *state.position.tolist(),
+            *state.velocity.tolist(),
+            *state.quaternion.tolist(),
+            *state.euler.tolist(),
+            *state.rates.tolist(),
+            *target.now.position,
+            *target.now.velocity,
+            *target.feed_forward,
+            *control.commanded_quaternion,
+            *control.torque_nm,
+            *(t1 / most, t2 / most, t3 / most, t4 / most),
+            *self._actuators.thrusts.tolist(),
         )
-        row[12:15], row[15:18], row[18:22] = state.position, state.velocity, state.quaternion
-        row[22:25], row[25:28] = state.euler, state.rates
-        row[28:31], row[31:34] = target.now.position, target.now.velocity
-        row[34:37], row[37:41], row[41:44] = target.feed_forward, control.commanded_quaternion, control.torque_nm
-        most = self._config.airframe.motor_thrust_max_n
-        row[44:48] = [thrust / most for thrust in self._command]
-        row[48:52] = self._actuators.thrusts
         write_channel(row, POSITION_AT, control.position)
         write_channel(row, ATTITUDE_AT, control.attitude)
 

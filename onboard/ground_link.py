@@ -216,9 +216,10 @@ class GroundLink:
         due = self._due_ns
         if due is None:
             due = self._due_ns = [now_ns + index * 5_000_000 for index in range(len(self._periods_ns))]
-        index = min(range(len(due)), key=due.__getitem__)
-        if now_ns < due[index]:
+        soonest_ns = min(due)
+        if now_ns < soonest_ns:
             return []
+        index = due.index(soonest_ns)
         due[index] = max(due[index] + self._period_ns(index), now_ns - self._periods_ns[index])
         return self._periodic(index, now_ns, mode, state, battery)
 

@@ -67,9 +67,9 @@ class Guidance:
         return Target(now, lead.acceleration, ahead, self._config.trajectory.yaw_rad)
 
     def _at(self, lead_s: float) -> PathPoint:
-        clock = self._clock
-        point = clock.ahead(self.path.at(clock.time_s + clock.rate * lead_s))
-        o, p, v = self._origin, point.position, point.velocity
-        sink = self._sink_speed
-        down = o[2] + p[2] + self._sunk_m + sink * lead_s
-        return PathPoint((o[0] + p[0], o[1] + p[1], down), (v[0], v[1], v[2] + sink), point.acceleration)
+        clock, sink = self._clock, self._sink_speed
+        point = self.path.at(clock.time_s + clock.rate * lead_s)
+        (x, y, z), (vx, vy, vz), acceleration = point if clock.steady else clock.ahead(point)
+        north, east, down = self._origin
+        position = (north + x, east + y, down + z + self._sunk_m + sink * lead_s)
+        return PathPoint(position, (vx, vy, vz + sink), acceleration)

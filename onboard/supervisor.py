@@ -198,8 +198,11 @@ class Supervisor:
             self._entered_ns = inputs.now_ns
         self._inputs = inputs
         self._command = self._next_command()
-        for event, target in TRANSITIONS[self.mode]:
-            if self._holds(event, inputs):
+        for condition, event, target in _RULES[self.mode]:
+            if not condition(self, inputs):
+                if self._since_ns:
+                    self._since_ns.pop(event, None)
+            elif self._has_lasted(event, inputs.now_ns):
                 self._enter(target, event, inputs)
                 break
         self._watch_offboard(inputs)
@@ -209,20 +212,17 @@ class Supervisor:
 
     def _next_command(self) -> Command | None:
         """Termination overtakes everything that waits."""
+        if not self._queue:
+            return None
         if Command.TERMINATE in self._queue:
             self._queue.clear()
             return Command.TERMINATE
-        return self._queue.popleft() if self._queue else None
+        return self._queue.popleft()
 
-    def _holds(self, event: Event, inputs: SupervisorInputs) -> bool:
-        """Whether an event's condition holds, and has held long enough."""
-        if not _CONDITIONS[event](self, inputs):
-            self._since_ns.pop(event, None)
-            return False
+    def _has_lasted(self, event: Event, now_ns: int) -> bool:
+        """Whether an event whose condition holds has held long enough."""
         lasting_ns = self._lasting_ns.get(event)
-        if lasting_ns is None:
-            return True
-        return inputs.now_ns - self._since_ns.setdefault(event, inputs.now_ns) >= lasting_ns
+        return lasting_ns is None or now_ns - self._since_ns.setdefault(event, now_ns) >= lasting_ns
 
     def _enter(self, mode: FlightMode, event: Event, inputs: SupervisorInputs) -> None:
         self._events.append((inputs.now_ns, f"{self.mode.name} -> {mode.name}: {event.value}"))
@@ -321,3 +321,8 @@ _CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] 
     E.UNHEALTHY: Supervisor._sensors_lost,
 }
 """When each event holds."""
+
+_RULES: Final = {
+    mode: tuple((_CONDITIONS[event], event, target) for event, target in row) for mode, row in TRANSITIONS.items()
+}
+"""The table with each event's condition beside it: a lookup by event costs more than most conditions."""

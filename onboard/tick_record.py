@@ -67,14 +67,11 @@ OFFSET: Final = {name: index for index, name in enumerate(TICK.names)}
 
 def write_channel(record: Array, at: int, telemetry: ChannelTelemetry) -> None:
     """Writes a channel's telemetry into the record from index `at`."""
-    record[at : at + 6] = telemetry.error
-    record[at + 6 : at + 9] = telemetry.demand
-    record[at + 9 : at + 12] = telemetry.delivered
-    record[at + 12 : at + 15] = telemetry.adaptive
-    record[at + 15 : at + 18] = telemetry.adaptive_now
-    record[at + 18 : at + 21] = telemetry.residual
-    record[at + 21] = telemetry.weight_norm
-    record[at + 22] = telemetry.eps_1
-    record[at + 23] = telemetry.eps_2
-    record[at + 24] = telemetry.eps_3
-    record[at + 25] = telemetry.live_bound
+    record[at : at + 21] = telemetry.vectors
+    record[at + 21 : at + 26] = (
+        telemetry.weight_norm,
+        telemetry.eps_1,
+        telemetry.eps_2,
+        telemetry.eps_3,
+        telemetry.live_bound,
+    )

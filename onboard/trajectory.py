@@ -112,21 +112,27 @@ class Path:
 
     def at(self, t: float) -> PathPoint:
         """Target at path time t [s], relative to the take-off point on the floor."""
-        config = self._config
-        rise, rise_1, rise_2 = smooth_step(t / config.takeoff_s)
-        height = config.altitude_m
-        d, vd, ad = -height * rise, -height * rise_1 / config.takeoff_s, -height * rise_2 / config.takeoff_s**2
+        d, vd, ad = self._rise(t)
         since = t - self._start_s
-        if since <= 0.0 or isinstance(config.path, Hover):
+        path = self._config.path
+        if since <= 0.0 or isinstance(path, Hover):
             return PathPoint((0.0, 0.0, d), (0.0, 0.0, vd), (0.0, 0.0, ad))
-        if isinstance(config.path, Waypoints):
+        if isinstance(path, Waypoints):
             p, v, a = _along_legs(self._legs, since)
             return PathPoint((p[0], p[1], p[2] + d), (v[0], v[1], v[2] + vd), (a[0], a[1], a[2] + ad))
-        omega = 2.0 * pi / config.path.period_s
-        theta, theta_1, theta_2 = _phase(since, omega, config.ramp_s)
-        if isinstance(config.path, Figure8):
-            return _figure8(config.path, theta, theta_1, theta_2, d, vd, ad)
-        return _circle(config.path, theta, theta_1, theta_2, d, vd, ad)
+        omega = 2.0 * pi / path.period_s
+        theta, theta_1, theta_2 = _phase(since, omega, self._config.ramp_s)
+        if isinstance(path, Figure8):
+            return _figure8(path, theta, theta_1, theta_2, d, vd, ad)
+        return _circle(path, theta, theta_1, theta_2, d, vd, ad)
+
+    def _rise(self, t: float) -> Vector3:
+        """Take-off: down, its rate and its acceleration."""
+        height, takeoff_s = self._config.altitude_m, self._config.takeoff_s
+        if t >= takeoff_s:
+            return -height, 0.0, 0.0
+        rise, rise_1, rise_2 = smooth_step(t / takeoff_s)
+        return -height * rise, -height * rise_1 / takeoff_s, -height * rise_2 / takeoff_s**2
 
 
 def _phase(t: float, omega: float, ramp_s: float) -> tuple[float, float, float]:
@@ -211,6 +217,11 @@ class PathClock:
         moving = self._x != target
         self.rate, self.rate_change = value, (first / self._ease_s * (1.0 if run else -1.0) if moving else 0.0)
         self.time_s += value * dt
+
+    @property
+    def steady(self) -> bool:
+        """Whether path time runs as real time does."""
+        return self.rate == 1.0 and self.rate_change == 0.0
 
     def ahead(self, point: PathPoint) -> PathPoint:
         """The point's derivatives in real time, at the present rate of the clock."""
