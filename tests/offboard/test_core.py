@@ -1,6 +1,6 @@
 """Stories of the offboard core: real datagrams, real training, virtual time."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from flight_record.schema import RecordType
 from offboard.core import OffboardCore
+from offboard.pose_relay import PoseRelay
 from offboard.records import EPOCH, LINK, TRAINING
 from protocol.endpoint import Endpoint
 from protocol.feature_set import FeatureSet
@@ -204,3 +205,39 @@ def test_warm_start_in_frozen_mode_flies_what_was_loaded_and_trains_nothing() ->
     assert original is not None
     assert loaded is not None
     assert np.array_equal(original.last_layer, loaded.last_layer)
+
+
+def test_what_cannot_be_sent_is_told_once_and_the_rest_goes_on() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    log = fly(core, onboard, figure8_through_jet(7.0).batches())
+    flying, latest = onboard.flying, core.learner.latest
+    assert latest is not None
+    assert latest.position is not None
+    huge = replace(latest.position, last_layer=np.full_like(latest.position.last_layer, 1e7))
+    core.learner.latest = replace(latest, position=huge)
+    fresh = Onboard(session=2)
+    again = fly(core, fresh, figure8_through_jet(2.0, seed=3).batches(first_index=10**6), start_ns=START_NS + 10**10)
+    told = [text for _, text in again.events if "cannot be sent: a parameter of 1e+07 is too large" in text]
+    assert len(told) <= 1 + len(again.versions), "not at every step"
+    assert told
+    assert flying in log.versions
+
+
+def test_poses_that_are_all_late_alike_mean_that_a_clock_has_jumped() -> None:
+    relay = PoseRelay(offboard_config().pose_relay)
+    codec = mavlink.MAVLink(None, srcSystem=1)
+
+    def receive(capture_ms: int, delay_ms: int) -> Pose | None:
+        frame = mavlink.MAVLink_att_pos_mocap_message(capture_ms * 1000, [1.0, 0.0, 0.0, 0.0], 0.5, 0.25, -1.0)
+        return relay.receive(bytes(frame.pack(codec)), (capture_ms + delay_ms) * MS)
+
+    assert all(receive(10 * i, 5) for i in range(50))
+    held_up = [receive(500 + 10 * i, 60 + 3 * (i % 20)) for i in range(100)]
+    assert not any(held_up), "late by this and by that: held up, and not relayed as if it were new"
+    assert relay.rejected["late"] == 100
+    assert receive(1500, 5) is not None
+    jumped = [receive(1510 + 10 * i, 305) for i in range(100)]
+    assert not any(jumped[:49])
+    assert all(jumped[49:]), "half a second late by the same: the clock"
+    assert jumped[-1] is not None
+    assert jumped[-1].time_ns == pytest.approx((1510 + 990 + 305 - 8) * MS, abs=MS)

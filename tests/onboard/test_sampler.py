@@ -79,6 +79,23 @@ def test_the_budget_is_never_exceeded_and_the_newest_are_kept(budget: float) -> 
     assert got[-1] > 970
 
 
+def test_status_and_time_sync_count_against_the_budget() -> None:
+    queue = SampleQueue(SamplerConfig(budget_bytes_s=3000.0))
+    endpoint = Endpoint("onboard", 1, None)
+    sent = 0.0
+    for tick in range(4000):
+        now = tick * TICK
+        if tick % 20 == 0:  # something of 100 bytes, ten times a second, also before there are samples
+            queue.charge(100, now)
+            sent += 100 + 28
+        if tick < 1000:
+            continue
+        queue.push(now, np.full(SIGNAL_COUNT, float(tick)), ZEROS, ZEROS)
+        sent += sum(len(endpoint.encode(batch, now)) + 28 for batch in queue.poll(now, 0))
+    assert sent - 5 * 1280 <= 3000.0 * 15 + 2400
+    assert sent - 5 * 1280 > 0.8 * 3000.0 * 15, "what was not used before is not held against them"
+
+
 def test_a_wide_budget_drops_nothing() -> None:
     queue = SampleQueue(SamplerConfig())
     fly(queue, 4000)

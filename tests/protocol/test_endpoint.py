@@ -298,3 +298,24 @@ def test_a_forged_datagram_costs_little() -> None:
             onboard.decode(datagram, 0)
         best_s = min(best_s, (time.perf_counter() - start) / 200)
     assert best_s < 20e-6
+
+
+def test_an_older_session_that_knocks_is_challenged_and_let_in_when_it_answers() -> None:
+    onboard, offboard = ends()
+    offboard.decode(onboard.encode(TimeSyncRequest(0), 0), 0)
+    recording = onboard.encode(TimeSyncRequest(1), 1)
+    back = Endpoint("onboard", 77, KEY)
+    assert offboard.challenge(5 * S) is None, "nobody has knocked"
+    assert offboard.decode(back.encode(TimeSyncRequest(5), 5), S // 2) is None
+    assert offboard.challenge(S // 2) is None, "the current session is not silent yet"
+    assert offboard.decode(back.encode(TimeSyncRequest(6), 6), 5 * S) is None
+    challenge = offboard.challenge(5 * S)
+    assert challenge == TimeSyncRequest(5 * S)
+    offboard.encode(challenge, 5 * S)
+    assert offboard.decode(back.encode(TimeSyncRequest(7), 7), 5 * S + MS) is None
+    assert offboard.challenge(5 * S + MS) is None, "a recording cannot make us talk"
+    assert offboard.decode(back.encode(TimeSyncReply(4 * S, 1, 1), 8), 5 * S + 2 * MS) is None, "not what was asked"
+    assert offboard.decode(back.encode(TimeSyncReply(5 * S, 1, 1), 9), 5 * S + 3 * MS) is not None
+    assert offboard.peer_session == 77
+    assert offboard.decode(recording, 9 * S) is None, "the one it replaced has retired"
+    assert offboard.challenge(9 * S) is None, "and gets no challenge"

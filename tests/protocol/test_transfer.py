@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocol.codec import encode_feature_set
+from protocol.codec import decode_feature_set, encode_feature_set, encode_for_wire
 from protocol.config import TransferConfig
 from protocol.feature_set import FeatureSet
 from protocol.messages import CHUNK_COUNT_MAX, REFUSALS, FeatureChunk, Status
@@ -261,3 +261,22 @@ def test_even_a_terrible_link_delivers_in_the_end(make_features: Make, loss: flo
     wire.sender.offer(make_features(), 0)
     wire.run(120.0)
     assert wire.got
+
+
+def test_what_float16_cannot_hold_travels_in_float32(make_features: Make) -> None:
+    features = make_features()
+    channel = features.position or features.attitude
+    assert channel is not None
+    last_layer = channel.last_layer.copy()
+    last_layer[0, 0] = 70_000.0
+    large = replace(features, position=replace(channel, last_layer=last_layer))
+    arrived = decode_feature_set(encode_for_wire(large, "float16"))
+    assert arrived.position is not None
+    assert arrived.position.last_layer[0, 0] == 70_000.0
+    assert encode_for_wire(features, "float16") == encode_feature_set(features, "float16")
+    sender = FeatureSender(TransferConfig(dtype="float16"))
+    sender.offer(large, 0)
+    assert sender.outstanding_version == large.version
+    last_layer[0, 0] = 2e6
+    with pytest.raises(ValueError, match="too large to send"):
+        sender.offer(replace(large, version=large.version + 1, position=replace(channel, last_layer=last_layer)), 0)
