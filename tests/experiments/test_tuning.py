@@ -94,7 +94,7 @@ def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
     assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
     record = search_record(search(24), parts)
     assert "--trials 24" in record[0]
-    assert "seeds 0 to 1" in record[1]
+    assert "seeds 0 to 0" in record[1]
 
 
 def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
