@@ -37,7 +37,10 @@ def mavproxy(request):
     folder = Path(request.config.cache.mkdir("mavproxy")) / "1.8.75"
     if not (folder / "MAVProxy").is_dir():
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), *PACKAGES]
-        subprocess.run(command, check=True, timeout=240)
+        result = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+        if result.returncode:
+            last = (result.stderr.strip().splitlines() or ["pip failed"])[-1]
+            pytest.skip(f"MAVProxy cannot be installed: {last}")
     return folder
 
 
