@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, read_tree
-from configs.network import RESERVED_PORTS, NetworkConfig, load_network
+from configs.network import RESERVED_PORTS, NetworkConfig, SerialLine, load_network, serial_line
 
 DEFAULTS = read_tree(CONFIG_DIRECTORY / "network.yaml")
 
@@ -59,3 +59,35 @@ def test_options_are_laid_over_the_file_and_named_in_faults(tmp_path: Path) -> N
     assert (network.vehicle, network.ground) == ("127.0.0.1:15001", DEFAULTS["ground"])
     with pytest.raises(ConfigError, match=r"config\.yaml with vehicle from options: network\.vehicle"):
         load_network(path, {"vehicle": "nonsense"})
+
+
+@pytest.mark.parametrize(
+    ("given", "kept", "line"),
+    [
+        ("192.168.3.1:14560", "192.168.3.1:14560", None),
+        ("udp://192.168.3.1:14560", "192.168.3.1:14560", None),
+        ("serial:///dev/ttyUSB0", "serial:///dev/ttyUSB0", SerialLine("/dev/ttyUSB0", 921600)),
+        ("serial:///dev/ttyS1?baud=57600", "serial:///dev/ttyS1?baud=57600", SerialLine("/dev/ttyS1", 57600)),
+    ],
+)
+def test_a_vehicle_is_named_by_address_or_url(given: str, kept: str, line: SerialLine | None) -> None:
+    network = changed(vehicle=given)
+    assert network.vehicle == kept
+    assert serial_line(network.vehicle) == line
+    assert ("vehicle" in network.bound_by_sim()) == (line is None)
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("tcp://127.0.0.1:1", "expected HOST:PORT, udp://HOST:PORT or serial"),
+        ("serial://ttyUSB0", "expected serial:///dev/DEVICE"),
+        ("serial:///dev/ttyUSB0?baud=fast", "whole number"),
+        ("serial:///dev/ttyUSB0?speed=9600", "whole number"),
+        ("udp://127.0.0.1:26061", "reserved by the Mambo"),
+        ("udp://127.0.0.1", "expected HOST:PORT"),
+    ],
+)
+def test_bad_urls_of_a_vehicle_are_refused(url: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=r"network\.vehicle: .*" + said):
+        changed(vehicle=url)

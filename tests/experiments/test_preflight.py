@@ -1,12 +1,6 @@
 """The preflight check, a vehicle in a person's hands: a sound one passes, and each mistake is found and named."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-from preflight_vehicle import HeldVehicle
 
 from experiments import command_line
 from experiments.commands.preflight import table_of, verdict
@@ -15,6 +9,7 @@ from onboard.preflight import PreflightConfig, Result, Step, check_still
 from onboard.preflight_motion import check_motion
 from onboard.preflight_recording import Recorder
 from onboard.vehicle_link import VehicleLinkConfig
+from tests.experiments.preflight_vehicle import HeldVehicle
 
 
 def checked(*mistakes, with_pose=True, motion=True, motors=True, consent=True):

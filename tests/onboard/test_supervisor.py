@@ -199,6 +199,20 @@ def test_arming_is_refused_with_a_reason(changes, reason):
     assert any("refused to arm" in text for text in pilot.texts())
 
 
+def test_what_keeps_it_from_being_armed_is_said_once_a_kind_when_it_lasts():
+    pilot = Pilot()
+    pilot.texts()
+    pilot.step(1.9, initialised=True, battery_v=3.41)
+    assert not [text for text in pilot.texts() if "not ready" in text]
+    for volt in (3.41, 3.42, 3.39):
+        pilot.step(1.0, battery_v=volt)
+    assert len([text for text in pilot.texts() if text.startswith("not ready to arm: battery at 3.4")]) == 1
+    assert "battery at 3.3" in pilot.command(Command.ARM), "the reason, not the mode"
+    pilot.texts()
+    pilot.step(2.5, pose_age_s=9.0, battery_v=4.0)
+    assert "not ready to arm: no fresh pose" in pilot.texts()
+
+
 def test_a_pose_is_not_needed_where_the_config_says_so():
     pilot = Pilot(arm_needs_pose=False)
     assert pilot.step(0.6, initialised=True, pose_age_s=1e9) is M.READY
