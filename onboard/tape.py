@@ -31,9 +31,6 @@ class Entry(IntEnum):
     TO_GROUND = 7
 
 
-INPUTS: Final = frozenset({Entry.FROM_VEHICLE, Entry.FROM_OFFBOARD, Entry.FROM_GROUND, Entry.LAND_REQUEST})
-
-
 class TapeTick(NamedTuple):
     """One record read back."""
 
