@@ -305,6 +305,43 @@ def test_level_only_sinks_slowly_and_leaves_the_position_alone() -> None:
     np.testing.assert_allclose(rows[-1]["position"][:2], 0.0, atol=1e-9)
 
 
+def demand_at(target: Any, feed_forward: Any = (0.0, 0.0, 0.0), yaw: float = 0.0) -> tuple[Any, Any]:
+    """Demands u of both channels from rest one metre up."""
+    rig = Rig(shipped_controller("none"))
+    rig.target, rig.yaw = np.array(target), yaw
+    inputs = rig.inputs()
+    output = rig.controller.step(
+        dataclasses.replace(inputs, target=dataclasses.replace(inputs.target, feed_forward=feed_forward))
+    )
+    return output.position.demand.copy(), output.attitude.demand.copy()
+
+
+def test_a_far_target_asks_for_no_more_than_a_near_one() -> None:
+    np.testing.assert_array_equal(demand_at((50.0, -50.0, -60.0))[0], demand_at((1.5, -1.5, -2.5))[0])
+    np.testing.assert_allclose(demand_at((0.5, -1.0, -1.2))[0], (16 * 0.5, -16 * 1.0, -25 * 0.2))
+
+
+def test_the_feed_forward_is_added_as_it_is() -> None:
+    np.testing.assert_allclose(demand_at((0.0, 0.0, -1.0), (0.3, -0.2, 0.1))[0], (0.3, -0.2, 0.1))
+
+
+def test_a_great_yaw_error_is_turned_gently() -> None:
+    assert demand_at((0.0, 0.0, -1.0), yaw=3.0)[1][2] == pytest.approx(25.0 * 0.5)
+    assert demand_at((0.0, 0.0, -1.0), yaw=0.2)[1][2] == pytest.approx(25.0 * 0.2)
+
+
+def test_an_attitude_error_beyond_the_linear_range_starts_the_reference_anew() -> None:
+    def error_after_a_turn(angle: float) -> Any:
+        rig = Rig(shipped_controller("none"))
+        rig.fly(0.1)
+        rig.attitude = rig.attitude * type(rig.attitude).from_euler("Z", angle)
+        rig.fly(DT)
+        return rig.output.attitude.error
+
+    assert np.abs(error_after_a_turn(0.5)[2]) == pytest.approx(0.5, abs=1e-3)
+    np.testing.assert_array_equal(error_after_a_turn(0.7), 0.0)
+
+
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_nothing_adapts_while_it_must_hold_still(name: str) -> None:
     rig = Rig(shipped_controller(name), FORCE, TORQUE)

@@ -73,6 +73,7 @@ class Loop:
         self.peer = peer
         self.now_ns, self.tick = 0, 0
         self.waiting, self.motors = [], []
+        self.passes = None
         self.rows, self.truths, self.events = [], [], []
 
     def fly(self, seconds):
@@ -83,7 +84,7 @@ class Loop:
     def step(self):
         now = self.now_ns
         flown = self.vehicle.step(now)
-        for datagram in flown.to_onboard:
+        for datagram in filter(self.passes, flown.to_onboard):
             self.core.take_in_vehicle(datagram, now)
         for message in self.waiting:
             self.core.take_in_offboard(self.peer.endpoint.encode(message, now + CLOCK_NS), now)
@@ -172,6 +173,44 @@ def test_a_request_to_land_is_obeyed():
     loop.fly(4.5)
     assert loop.mode in ON_THE_FLOOR
     assert loop.core.airborne is False
+
+
+def is_no_flow(datagram):
+    return all(
+        message.get_type() != "HIL_OPTICAL_FLOW" for message in mavlink.MAVLink(None).parse_buffer(datagram) or []
+    )
+
+
+def test_a_landing_after_flying_level_begins_where_the_vehicle_is():
+    """Blind for seconds it drifts and sinks: climbing back to the old target first would be no landing."""
+    loop = in_flight("pid")
+    loop.peer.relays, loop.passes = False, is_no_flow
+    while loop.mode is not FlightMode.HOLD_LEVEL and loop.tick < 2000:
+        loop.step()
+    loop.fly(0.5)
+    assert loop.mode is FlightMode.HOLD_LEVEL
+    np.testing.assert_allclose(loop.vector("target")[-1], loop.vector("position")[-1], atol=0.01)
+    loop.passes = None
+    while loop.mode is FlightMode.HOLD_LEVEL and loop.tick < 3000:
+        loop.step()
+    assert loop.mode is FlightMode.LANDING
+    np.testing.assert_allclose(loop.vector("target")[-1], loop.vector("position")[-1], atol=0.05)
+
+
+def test_the_controller_is_told_when_the_motors_cannot_do_it():
+    loop = in_flight("pid")
+    step, told = loop.core.controller.step, []
+
+    def greedy(inputs):
+        told.append(inputs.saturated)
+        output = step(inputs)
+        output.thrust_n = 10.0 if len(told) == 3 else output.thrust_n
+        return output
+
+    loop.core.controller.step = greedy
+    loop.fly(0.03)
+    assert told == [False, False, False, True, False, False]
+    assert loop.column("saturated")[-6:].tolist() == [0, 0, 1, 0, 0, 0]
 
 
 # --- our own mistakes ------------------------------------------------------------------------------------------------
@@ -319,6 +358,18 @@ def test_a_controller_that_does_not_learn_refuses():
     assert reception.step(0, ready=True) == "features 1 refused: not_accepting"
     assert reception.refused == (1, REFUSALS.index("not_accepting"))
     assert reception.step(0, ready=True) == ""
+
+
+def test_features_that_wait_are_void_when_the_peer_restarts():
+    class Plain:
+        pass
+
+    reception = FeatureReception(Plain())
+    for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
+        reception.receive(chunk)
+    reception.peer_restarted()
+    assert reception.step(0, ready=True) == ""
+    assert reception.refused == (0, 0)
 
 
 def test_gathering_and_swapping_never_fall_into_one_tick():
