@@ -327,7 +327,9 @@ class OnboardCore:
             self._challenge = None
             self._send(TimeSyncReply(origin_ns, receive_ns, now_ns), now_ns)
         if now_ns >= self._next_sync_ns:
-            self._next_sync_ns = now_ns + round(self._config.time_sync_period_s * 1e9)
+            known = self._endpoint.clock_offset_ns is not None  # until then no pose can be used: ask with each status
+            period_s = self._config.time_sync_period_s if known else self._config.status_period_s
+            self._next_sync_ns = now_ns + round(period_s * 1e9)
             self._send(TimeSyncRequest(now_ns), now_ns)
         self._output.to_ground += self._ground_link.poll(now_ns, self._mode, self._estimator.state, self._battery)
         if now_ns >= self._next_status_ns:
