@@ -16,8 +16,8 @@ from experiments.campaign_tables import Table, first_paragraph, markdown_report,
 from experiments.figure_plan import Picture, draw_all
 
 CAMPAIGNS: Final = (
-    *("wind_figure8", "rotor_chip", "chip_in_flight", "cloth_circle", "transfer", "sim_to_real", "retention"),
-    *("features", "dropouts", "paper_preset", "ablations"),
+    *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),
+    *("sim_to_real", "features", "dropouts", "paper_preset", "ablations"),
 )
 """In the order of docs/results.md."""
 
