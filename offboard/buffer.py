@@ -125,6 +125,7 @@ class NoveltyBuffer:
         self._stack: Array | None = None
         """Phi of every slot, [capacity, k]; None until it is needed with the present features."""
         self._gram = np.zeros((0, 0))
+        self._asked: tuple[LabelledSample, Array] | None = None
         self.count = 0
 
     def consider(self, sample: LabelledSample, split: int) -> bool:
@@ -153,6 +154,7 @@ class NoveltyBuffer:
         """The features changed. Their stack is built again when it is next needed."""
         self._features = features
         self._stack = None
+        self._asked = None
 
     @property
     def order(self) -> NDArray[np.int64]:
@@ -176,8 +178,10 @@ class NoveltyBuffer:
         return point
 
     def _phi(self, sample: LabelledSample) -> Array:
-        phi: Array = self._features(sample.signals[None].astype(np.float32))[0]
-        return phi
+        """Features of a sample, [k]; remembered, since one admission asks several times."""
+        if self._asked is None or self._asked[0] is not sample:
+            self._asked = (sample, self._features(sample.signals[None].astype(np.float32))[0])
+        return self._asked[1]
 
     def _need_stack(self) -> Array:
         if self._stack is not None:
@@ -186,12 +190,14 @@ class NoveltyBuffer:
         self._gram = Phi[: self.count].T @ Phi[: self.count]
         self._stack = Phi
         if self.count and self._config.admission == "history":
-            self._history.rebuild(Phi[: self.count], int(np.argmax(self._entered[: self.count])))
+            self._history.rebuild(self._gram, Phi[int(np.argmax(self._entered[: self.count]))])
         return Phi
 
     def _admit(self, sample: LabelledSample, split: int) -> None:
         if self.count < self._config.capacity:
             self.count += 1
+            if self._config.admission == "kernel":
+                self._kernel.add(self.count - 1, self._point(sample.signals))
             self._fill(self.count - 1, sample, split)
         elif self._config.deletion == "svd":
             Phi = self._need_stack()
@@ -201,19 +207,17 @@ class NoveltyBuffer:
 
     def _replace(self, slot: int, sample: LabelledSample, split: int) -> None:
         if self._config.admission == "kernel":
-            self._kernel.remove(slot)
+            self._kernel.replace(slot, self._point(sample.signals))
         if self._stack is not None:
             self._gram -= np.outer(self._stack[slot], self._stack[slot])
         self._fill(slot, sample, split)
         if self._stack is not None and self._config.admission == "history":
-            self._history.rebuild(self._stack[: self.count], slot)
+            self._history.rebuild(self._gram, self._stack[slot])
 
     def _fill(self, slot: int, sample: LabelledSample, split: int) -> None:
         self.table.put(slot, sample, split)
         self._entered[slot] = self._admitted
         self._admitted += 1
-        if self._config.admission == "kernel":
-            self._kernel.add(slot, self._point(sample.signals))
         if self._stack is not None:
             phi = self._phi(sample)
             self._stack[slot] = phi

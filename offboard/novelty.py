@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 JITTER: Final = 1e-4
 """Added to the kernel matrix's diagonal, so that its inverse stays harmless."""
 FIRST_ALLOCATION: Final = 128
-BISECTIONS: Final = 60
+RANK_TOLERANCE: Final = 1e-3
+"""Share of its length by which a vector must leave a span to count as a direction of its own."""
+BISECTIONS: Final = 50
 
 
 class KernelNovelty:
@@ -22,7 +24,7 @@ class KernelNovelty:
 
     k is the Gaussian kernel of unit width over inputs the caller has scaled, K = k(X, X) + JITTER I over the kept
     points. K^-1 lives in the upper triangle of an array with a row and a column per slot; those of an empty slot
-    are zero, so that adding and removing a point are one symmetric rank-one update each, O(p^2), in place.
+    are zero, so that adding a point is a symmetric rank-one update and replacing one a rank-two update, in place.
     """
 
     def __init__(self, capacity: int, inputs: int) -> None:
@@ -30,15 +32,15 @@ class KernelNovelty:
         self._X = np.zeros((capacity, inputs))
         self._used = np.zeros(capacity)
         self._K_inverse = np.zeros((0, 0), order="F")
+        self._asked: tuple[Array, Array, Array] | None = None
 
     def _allocate(self, slot: int) -> None:
         size = self._K_inverse.shape[0]
-        if slot < size:
-            return
         new_size = min(self._capacity, max(FIRST_ALLOCATION, 2 * size, slot + 1))
         grown = np.zeros((new_size, new_size), order="F")
         grown[:size, :size] = self._K_inverse
         self._K_inverse = grown
+        self._asked = None
 
     def _kernel(self, x: Array) -> Array:
         """k_X, zero at empty slots."""
@@ -52,28 +54,52 @@ class KernelNovelty:
         """Novelty of the point x [inputs], and the slot of the kept point most like it (-1 if none is kept)."""
         if self._K_inverse.shape[0] == 0 or not self._used.any():
             return 1.0, -1
-        k = self._kernel(x)
-        a = blas.dsymv(1.0, self._K_inverse, k)
+        k, a = self._explain(x)
         return float(1.0 - k @ a), int(np.argmax(k))
+
+    def _explain(self, x: Array) -> tuple[Array, Array]:
+        """k_X and a = K^-1 k_X, remembered: who admits a point has just asked for its gamma."""
+        if self._asked is None or not np.array_equal(self._asked[0], x):
+            k = self._kernel(x)
+            self._asked = (x.copy(), k, blas.dsymv(1.0, self._K_inverse, k))
+        return self._asked[1], self._asked[2]
 
     def add(self, slot: int, x: Array) -> None:
         """Keep the point x in an empty slot: K^-1 += u u' / gamma with u = (K^-1 k_X, -1 at the slot)."""
-        self._allocate(slot)
-        k = self._kernel(x)
-        u = blas.dsymv(1.0, self._K_inverse, k)
+        if slot >= self._K_inverse.shape[0]:
+            self._allocate(slot)
+        k, a = self._explain(x)
+        u = a.copy()
+        u[slot] = -1.0
+        blas.dsyr(1.0 / (1.0 + JITTER - float(k @ a)), u, a=self._K_inverse, overwrite_a=True)
+        self._put(slot, x)
+
+    def replace(self, slot: int, x: Array) -> None:
+        """Forget the point in a slot and keep x there, both in one sweep over K^-1 (one read, one write).
+
+        Forgetting is K^-1 -= b b' with b the slot's column over the root of its diagonal; keeping is += u u' as in
+        `add`, with u = K^-1 k - b (b'k) and k the kernel without the forgotten point; and
+        u u' - b b' = ((u - b)(u + b)' + (u + b)(u - b)') / 2.
+        """
+        column = np.concatenate([self._K_inverse[:slot, slot], self._K_inverse[slot, slot:]])
+        k_X, a = self._explain(x)
+        k = k_X.copy()
+        k[slot] = 0.0
+        b = column / np.sqrt(column[slot])
+        u = a - column * k_X[slot]
+        u -= b * float(b @ k)
+        u[slot] = 0.0  # exactly, as the forgotten row is
         gamma = 1.0 + JITTER - float(k @ u)
         u[slot] = -1.0
-        blas.dsyr(1.0 / gamma, u, a=self._K_inverse, overwrite_a=True)
+        u /= np.sqrt(gamma)
+        blas.dsyr2(0.5, u - b, u + b, a=self._K_inverse, overwrite_a=True)
+        self._K_inverse[slot, slot] = 1.0 / gamma
+        self._put(slot, x)
+
+    def _put(self, slot: int, x: Array) -> None:
         self._X[slot] = x
         self._used[slot] = 1.0
-
-    def remove(self, slot: int) -> None:
-        """Forget the point in a slot: K^-1 -= b b' / b_slot with b the slot's column of K^-1."""
-        b = np.concatenate([self._K_inverse[:slot, slot], self._K_inverse[slot, slot:]])
-        blas.dsyr(-1.0 / b[slot], b, a=self._K_inverse, overwrite_a=True)
-        self._K_inverse[: slot + 1, slot] = 0.0
-        self._K_inverse[slot, slot:] = 0.0
-        self._used[slot] = 0.0
+        self._asked = None
 
 
 class HistoryNovelty:
@@ -97,7 +123,7 @@ class HistoryNovelty:
             return None
         outside = phi - self._basis.T @ (self._basis @ phi) if self._basis.size else phi.copy()
         size = float(np.linalg.norm(outside))
-        return outside / size if size > 1e-3 * float(np.linalg.norm(phi)) else None
+        return outside / size if size > RANK_TOLERANCE * float(np.linalg.norm(phi)) else None
 
     def add(self, phi: Array) -> None:
         """Phi [k] was stored."""
@@ -106,11 +132,11 @@ class HistoryNovelty:
             self._basis = np.vstack([self._basis.reshape(-1, phi.shape[0]), direction])
         self._last = phi.copy()
 
-    def rebuild(self, Phi: Array, last: int) -> None:
-        """The stack is now Phi [p, k] (deletion, or new features); row `last` was stored last."""
-        _, sizes, directions = np.linalg.svd(Phi, full_matrices=False)
-        self._basis = directions[sizes > 1e-3 * max(float(sizes[0]), 1e-12)]
-        self._last = Phi[last].copy()
+    def rebuild(self, gram: Array, last: Array) -> None:
+        """The stack is another one (deletion, or new features): its Phi'Phi [k, k], and what was stored last, [k]."""
+        sizes, directions = np.linalg.eigh(gram)  # squares of the stack's singular values
+        self._basis = directions[:, sizes > RANK_TOLERANCE**2 * max(float(sizes[-1]), 1e-12)].T
+        self._last = last.copy()
 
 
 def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
@@ -119,7 +145,8 @@ def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
     With A = Phi'Phi + phi_new phi_new' = Q diag(l) Q' and z_i = Q'phi_i, the smallest eigenvalue mu_i of
     A - phi_i phi_i' is the root of f_i(mu) = 1 - sum_j z_ij^2 / (l_j - mu) in [0, l_1), and f_i(mu) >= 0 exactly
     when mu <= mu_i. So one bisection over mu, which drops candidates as it goes, finds the largest root of all:
-    one k x k decomposition and some O(p k) sweeps instead of p decompositions.
+    one k x k decomposition and some O(p k) sweeps instead of p decompositions. The root of the row with the least
+    share in the weakest direction is where it begins, which leaves few candidates after the first sweep.
 
     Parameters
     ----------
@@ -127,18 +154,32 @@ def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
     """
     eigenvalues, Q = np.linalg.eigh(gram + np.outer(phi_new, phi_new))
     smallest = float(eigenvalues[0])
-    alive = np.arange(Phi.shape[0])
     if smallest <= 1e-12 * float(eigenvalues[-1]):
         return 0
     z_squared = (Phi @ Q) ** 2
-    low, high = 0.0, smallest
-    for _ in range(BISECTIONS):
-        if alive.size == 1:
-            break
+    alive = np.arange(Phi.shape[0])
+    guess = int(np.argmin(z_squared[:, 0]))
+    low, _ = _bisect(z_squared[guess : guess + 1], eigenvalues, 0.0, smallest, 20)
+    keeps = z_squared @ (1.0 / (eigenvalues - low)) <= 1.0
+    keeps[guess] = True
+    alive, z_squared = alive[keeps], z_squared[keeps]
+    if alive.size == 1:
+        return int(alive[0])
+    _, row = _bisect(z_squared, eigenvalues, low, smallest, BISECTIONS)
+    return int(alive[row])
+
+
+def _bisect(z_squared: Array, eigenvalues: Array, low: float, high: float, steps: int) -> tuple[float, int]:
+    """A mu just below the largest root of all rows [n, k], and the row it belongs to."""
+    single = z_squared.shape[0] == 1
+    rows = np.arange(z_squared.shape[0])
+    for _ in range(steps):
+        if rows.size == 1 and not single:
+            break  # it is known which row it is, and only that was asked
         mu = 0.5 * (low + high)
         keeps = z_squared @ (1.0 / (eigenvalues - mu)) <= 1.0
         if keeps.any():
-            low, alive, z_squared = mu, alive[keeps], z_squared[keeps]
+            low, rows, z_squared = mu, rows[keeps], z_squared[keeps]
         else:
             high = mu
-    return int(alive[0])
+    return low, int(rows[0])
