@@ -7,6 +7,7 @@ import numpy as np
 
 from onboard.records import Array, BatteryReading, FlowReading, ImuReading, RangeReading
 from onboard.vehicle_link import VehicleLink, VehicleLinkConfig
+from protocol.mavlink_frames import SigningClock
 
 RowT = TypeVar("RowT")
 
@@ -60,8 +61,8 @@ class Recording(NamedTuple):
 class Recorder:
     """A vehicle link that remembers. `begin` starts a step, `end` gives what came in it."""
 
-    def __init__(self, config: VehicleLinkConfig) -> None:
-        self._link = VehicleLink(config.model_copy(update=ANY_UNIT))
+    def __init__(self, config: VehicleLinkConfig, signing_clock: SigningClock | None = None) -> None:
+        self._link = VehicleLink(config.model_copy(update=ANY_UNIT), signing_clock=signing_clock)
         self.begin()
 
     def begin(self) -> None:

@@ -19,6 +19,7 @@ from onboard.preflight import Check, MotorAnswer, PreflightConfig, Result, Step
 from onboard.preflight_recording import PoseSample, Recorder
 from onboard.process import open_vehicle
 from onboard.vehicle_link import VehicleLinkConfig
+from protocol.mavlink_frames import SigningClock
 from shell.errors import StartError
 from shell.kernel import ask_for_realtime
 from shell.sockets import DatagramSocket
@@ -62,7 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
     ask_for_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
     console = Console()
-    session = PreflightSession(wire, PersonAtTerminal(console), Recorder(link), config, arguments.pose is not None)
+    recorder = Recorder(link, SigningClock(utc_at_first_use_ns=time.time_ns()))
+    session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)
     try:
         checks = session.run(
             motion=not arguments.listen_only, motors=not (arguments.no_motors or arguments.listen_only)
