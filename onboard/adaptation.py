@@ -37,6 +37,7 @@ from pydantic import Field
 from configs.loader import Record
 
 Array = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
 
 PROJECTION_MARGIN = 0.1
 """eps of the projection operator: the square of the norm may exceed W_max^2 by this share."""
@@ -131,6 +132,8 @@ class LastLayer:
         self.memory: Array = np.zeros((feature_count, 3))
         """theta_n, the trained last layer, towards which W leaks."""
         self._gamma = self._gamma_for(feature_count)
+        self._change: Array = np.zeros((feature_count, 3))
+        self._direction: Array = np.zeros(3)
         self._norm2 = 0.0
 
     @property
@@ -148,16 +151,17 @@ class LastLayer:
         self.W = np.array(W)
         self.memory = np.array(memory)
         self._gamma = self._gamma_for(W.shape[0])
+        self._change = np.zeros(W.shape)
         self._keep_in_ball()
 
-    def step(self, Phi: Array, e: Array, residual: Array, dt: float) -> None:
+    def step(self, Phi: Array, e: Array, residual: Vector3, dt: float) -> None:
         """One step of the law at the present state.
 
         Parameters
         ----------
         Phi: [k], features at the present state.
         e: [n], x_rm - x; the second half is the rate of the first.
-        residual: [3], Delta_hat, filtered x_dot - A x - B u_hat.
+        residual: Delta_hat, filtered x_dot - A x - B u_hat.
         dt: s.
         """
         # Three numbers at a time are quicker without numpy.
@@ -166,20 +170,23 @@ class LastLayer:
         m2 = config.normalisation_floor + s
         # Tracking term, implicit in what it does to e_2 one step later.
         tracking = config.tracking_gain / (1.0 + config.tracking_gain * self._rate_weight * dt * dt) / m2
-        dx, dy, dz = (-tracking * x for x in (e @ self._PB).tolist())
+        px, py, pz = e.dot(self._PB).tolist()
+        dx, dy, dz = -tracking * px, -tracking * py, -tracking * pz
         if config.composite_gain > 0.0:
             # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
             # The tracking step comes first; its effect on W'Phi is s * direction * dt.
             a = config.composite_gain * dt / m2
             composite, done = config.composite_gain / m2 / (1.0 + a * s), s * dt
-            nx, ny, nz = (Phi @ W).tolist()
-            rx, ry, rz = residual.tolist()
+            nx, ny, nz = Phi.dot(W).tolist()
+            rx, ry, rz = residual
             dx -= composite * (nx + done * dx - rx)
             dy -= composite * (ny + done * dy - ry)
             dz -= composite * (nz + done * dz - rz)
         if not (s < SQUARE_MAX and dx * dx + dy * dy + dz * dz < SQUARE_MAX):  # NaN fails too
             return
-        change = Phi[:, None] * np.array((dt * dx, dt * dy, dt * dz))
+        direction = self._direction
+        direction[0], direction[1], direction[2] = dt * dx, dt * dy, dt * dz
+        change = np.multiply(Phi[:, None], direction, out=self._change)
         change[-1] *= config.bias_weight
         if self._norm2 > config.weight_norm_max * config.weight_norm_max:
             change = projected_rate(W, change, self._gamma, config.weight_norm_max)
@@ -192,7 +199,7 @@ class LastLayer:
     def _gain_along(self, Phi: Array) -> float:
         """Phi' Gamma Phi, where Gamma is 1 but for the last feature."""
         last = float(Phi[-1])
-        return float(Phi @ Phi) + (self.config.bias_weight - 1.0) * last * last
+        return float(Phi.dot(Phi)) + (self.config.bias_weight - 1.0) * last * last
 
     def _keep_in_ball(self) -> None:
         self._norm2 = float(np.vdot(self.W, self.W))

@@ -41,16 +41,26 @@ class _Selection:
         self._indices = np.array(input_indices(inputs), dtype=np.intp)
         self._offset = offset
         self._inverse = 1.0 / scale
-        self._offset_column = offset[:, None]
-        self._inverse_column = self._inverse[:, None]
+        self._full = self._repeated(2)
 
     def select(self, signals: Array) -> Array:
         """Z = (x - offset) / scale, clipped to +-INPUT_LIMIT."""
         z: Array = signals.take(self._indices, axis=0)
-        one = signals.ndim == 1
-        z -= self._offset if one else self._offset_column
-        z *= self._inverse if one else self._inverse_column
-        return np.minimum(np.maximum(z, -INPUT_LIMIT, out=z), INPUT_LIMIT, out=z)
+        columns = z if z.ndim == 2 else z[:, None]
+        if columns.shape != self._full[0].shape:
+            self._full = self._repeated(columns.shape[1])
+        offset, inverse, limit, negative_limit = self._full
+        columns -= offset
+        columns *= inverse
+        np.minimum(columns, limit, out=columns)
+        np.maximum(columns, negative_limit, out=columns)
+        return z
+
+    def _repeated(self, columns: int) -> tuple[Array, Array, Array, Array]:
+        """Offset, 1 / scale and the limits as [m, columns]: operands of one shape are the quickest."""
+        shape = (len(self._indices), columns)
+        offset, inverse = (np.repeat(vector[:, None], columns, axis=1) for vector in (self._offset, self._inverse))
+        return offset, inverse, np.full(shape, INPUT_LIMIT), np.full(shape, -INPUT_LIMIT)
 
 
 class NetworkFeatures(_Selection):
@@ -63,25 +73,28 @@ class NetworkFeatures(_Selection):
             np.ascontiguousarray(np.hstack([W, b[:, None]]))
             for W, b in zip(channel.weights, channel.biases, strict=True)
         ]
-        self._work: list[Array] = []
+        self._prepare(2)
         self.feature_count = channel.feature_count
         self.lipschitz = channel.lipschitz_bound()
 
+    def _prepare(self, columns: int) -> None:
+        """The arrays of a pass over so many columns: below each layer its inputs and a row of ones; on top Phi."""
+        heights = [layer.shape[1] for layer in self._layers] + [self._layers[-1].shape[0] + 1]
+        levels = [np.ones((height, columns)) for height in heights]
+        self._inputs, self._Phi = levels[0][:-1], levels[-1]
+        self._passes = [
+            (layer, below, above[:-1]) for layer, below, above in zip(self._layers, levels, levels[1:], strict=False)
+        ]
+
     def evaluate(self, z: Array) -> Array:
         """Phi = [tanh(W_L ... tanh(W_1 z + b_1) + b_L); 1]."""
-        n = z.shape[1]
-        if not self._work or self._work[0].shape[1] != n:
-            self._work = [np.ones((layer.shape[1], n)) for layer in self._layers]
-        Phi = np.empty((self.feature_count, n))
-        h = self._work[0]
-        h[:-1] = z
-        for layer, above in zip(self._layers, (*self._work[1:], Phi), strict=True):
-            inner = above[:-1]
-            np.dot(layer, h, out=inner)
-            np.tanh(inner, out=inner)
-            h = above
-        Phi[-1] = 1.0
-        return Phi
+        if z.shape != self._inputs.shape:
+            self._prepare(z.shape[1])
+        self._inputs[:] = z
+        for layer, below, above in self._passes:
+            np.dot(layer, below, out=above)
+            np.tanh(above, out=above)
+        return self._Phi.copy()
 
 
 class RadialFeatures(_Selection):
@@ -93,19 +106,27 @@ class RadialFeatures(_Selection):
         """width: of the Gaussians, in scaled units, for one input; it grows with sqrt(m) to keep them overlapping."""
         super().__init__(inputs, offset, scale)
         m = len(inputs)
-        self._centres = 2.0 * halton(count, m) - 1.0
-        self._centre_norms = (self._centres**2).sum(axis=1)[:, None]
-        self._inverse_width2 = 1.0 / (2.0 * width * width * m)
+        centres = 2.0 * halton(count, m) - 1.0
+        # The exponent is linear in [z; z^2; 1].
+        parts = (2.0 * centres, -np.ones((count, m)), -(centres**2).sum(axis=1)[:, None])
+        self._exponent = np.hstack(parts) / (2.0 * width * width * m)
+        self._work = np.ones((2 * m + 1, 2))
         self.feature_count = count + 1
         # |d phi/dz| <= exp(-1/2) / width for each Gaussian; the norm over all of them is at most sqrt(count) times it.
         self.lipschitz = float(np.exp(-0.5) / (width * m**0.5) * count**0.5)
 
     def evaluate(self, z: Array) -> Array:
         """phi_i = exp(-|z - c_i|^2 / (2 width^2 m)); then 1."""
-        distance2 = self._centre_norms + (z * z).sum(axis=0) - 2.0 * np.dot(self._centres, z)
-        Phi = np.empty((self.feature_count, z.shape[1]))
-        np.exp(-self._inverse_width2 * distance2, out=Phi[:-1])
-        Phi[-1] = 1.0
+        m, n = z.shape
+        if n != self._work.shape[1]:
+            self._work = np.ones((2 * m + 1, n))
+        work = self._work
+        work[:m] = z
+        np.multiply(z, z, out=work[m:-1])
+        Phi = np.ones((self.feature_count, n))
+        inner = Phi[:-1]
+        np.dot(self._exponent, work, out=inner)
+        np.exp(inner, out=inner)
         return Phi
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from configs.loader import Record
-from onboard.adaptation import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
+from onboard.adaptation import AdaptationConfig, LastLayer, Vector3, lyapunov_p, tracking_weights
 from onboard.control_records import ChannelTelemetry
 from onboard.controllers.augmentation import ChannelState
 from onboard.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
@@ -71,10 +71,9 @@ class AdaptiveAugmentation:
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
         self._ticks = 0
-        self._residual: Array = np.zeros(3)
+        self._residual: Vector3 = (0.0, 0.0, 0.0)
         self._eps_1_squared = 0.0
         self._eps_2 = 0.0
-        self._nu: Array = np.zeros(3)
 
     def _start_features(self, rng: np.random.Generator) -> Features:
         config = self._config
@@ -92,26 +91,30 @@ class AdaptiveAugmentation:
         dt = channel.dt
         self._signals = channel.signals
         Phi = self.features.evaluate(self.features.select(channel.signals))
-        Phi_now = Phi[:, 0]
         if channel.adapt:
-            share = 1.0 - exp(-dt / self._config.law.residual_filter_s)
-            self._residual += share * (channel.residual_raw - self._residual)
-            self.last_layer.step(Phi_now, channel.model_error, self._residual, dt)
+            self._filter_residual(channel.residual_raw, dt)
+            self.last_layer.step(Phi[:, 0], channel.model_error, self._residual, dt)
             if self._ticks % self._config.swap.ring_period_ticks == 0:
                 self._recent.push(channel.signals[:, 0])
             self._ticks += 1
-        nu = self.last_layer.W.T @ Phi
+        nu: Array = np.dot(self.last_layer.W.T, Phi)
         self._report(nu, dt, telemetry)
-        self._nu = nu[:, 1]
-        return self._nu
+        return nu[:, 1]
+
+    def _filter_residual(self, raw: Array, dt: float) -> None:
+        """Delta_hat, the measured uncertainty behind a first-order filter."""
+        share = 1.0 - exp(-dt / self._config.law.residual_filter_s)
+        (x, y, z), (rx, ry, rz) = self._residual, raw.tolist()
+        self._residual = (x + share * (rx - x), y + share * (ry - y), z + share * (rz - z))
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
         (x, x_ahead), (y, y_ahead), (z, z_ahead) = nu.tolist()
-        rx, ry, rz = self._residual.tolist()
+        rx, ry, rz = self._residual
         misfit2 = (x - rx) ** 2 + (y - ry) ** 2 + (z - rz) ** 2
         self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
-        telemetry.adaptive_now[:] = (x, y, z)
-        telemetry.residual[:] = self._residual
+        adaptive, residual = telemetry.adaptive_now, telemetry.residual
+        adaptive[0], adaptive[1], adaptive[2] = x, y, z
+        residual[0], residual[1], residual[2] = rx, ry, rz
         telemetry.weight_norm = self.last_layer.weight_norm
         eps_1, eps_3 = sqrt(self._eps_1_squared), sqrt((x_ahead - x) ** 2 + (y_ahead - y) ** 2 + (z_ahead - z) ** 2)
         telemetry.eps_1, telemetry.eps_2, telemetry.eps_3 = eps_1, self._eps_2, eps_3
@@ -119,7 +122,7 @@ class AdaptiveAugmentation:
 
     def reset(self) -> None:
         """Filters start over; what was learnt stays."""
-        self._residual = np.zeros(3)
+        self._residual = (0.0, 0.0, 0.0)
 
     @property
     def learns(self) -> bool:
