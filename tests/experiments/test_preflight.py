@@ -3,12 +3,13 @@
 import pytest
 
 from experiments import command_line
-from experiments.commands.preflight import table_of, verdict
+from experiments.commands.preflight import PersonAtTerminal, table_of, verdict
 from experiments.preflight_session import PreflightSession
-from onboard.preflight import PreflightConfig, Result, Step, check_still
+from onboard.preflight import MotorAnswer, PreflightConfig, Result, Step, check_still
 from onboard.preflight_motion import check_motion
 from onboard.preflight_recording import Recorder
 from onboard.vehicle_link import VehicleLinkConfig
+from shell.errors import StartError
 from tests.experiments.preflight_vehicle import HeldVehicle
 
 
@@ -169,3 +170,39 @@ def test_a_silent_vehicle_ends_it_at_once():
 def test_bad_addresses_are_usage(options, said, capsys):
     assert command_line.main(["preflight", *options, "--listen-only"]) == 2
     assert said in capsys.readouterr().err
+
+
+class Typist:
+    """A console whose keyboard is a list."""
+
+    def __init__(self, *lines):
+        self.lines, self.printed = list(lines), []
+
+    def input(self, question, markup):
+        if not self.lines:
+            raise EOFError
+        return self.lines.pop(0)
+
+    def print(self, text, **_):
+        self.printed.append(text)
+
+
+@pytest.mark.parametrize(
+    ("typed", "consent"), [("yes", True), (" yes ", True), ("y", False), ("", False), ("YES!", False), ("no", False)]
+)
+def test_only_the_typed_word_is_consent(typed, consent):
+    assert PersonAtTerminal(Typist(typed)).consents() is consent
+
+
+def test_an_answer_is_asked_for_until_it_is_understood():
+    assert PersonAtTerminal(Typist("left", "FR", "?", "ccw")).saw(1) == MotorAnswer("front right", "ccw")
+    assert PersonAtTerminal(Typist("none")).saw(2) == MotorAnswer("none", "")
+    assert PersonAtTerminal(Typist("yes")).saw_it_stop()
+    typist = Typist("")
+    PersonAtTerminal(typist).ready(Step.LIFT, 8.0)
+    assert "LIFT" in typist.printed[0]
+
+
+def test_without_a_terminal_nothing_is_taken_for_an_answer():
+    with pytest.raises(StartError, match="needs a terminal"):
+        PersonAtTerminal(Typist()).consents()
