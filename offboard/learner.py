@@ -126,11 +126,10 @@ class Learner:
         )
 
     def take_in_training(self, result: TrainingResult, now_ns: int) -> Outcome:
-        """Go on from what was trained, unless it is not finite; the version to send, if the gate lets it through."""
+        """Go on from what was trained; the version to send, if the gate lets it through."""
         verdict = self._gate.judge(result.candidate, result.evidence, now_ns)
-        if verdict is not Verdict.NOT_FINITE:
-            self._state = result.state
-            self._buffer.set_features(self._feature_function(result.state.network))
+        self._state = result.state
+        self._buffer.set_features(self._feature_function(result.state.network))
         if verdict is not Verdict.SEND:
             return Outcome(verdict, None)
         self._gate.sent(now_ns)

@@ -159,7 +159,7 @@ def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
     z_squared = (Phi @ Q) ** 2
     alive = np.arange(Phi.shape[0])
     guess = int(np.argmin(z_squared[:, 0]))
-    low, _ = _bisect(z_squared[guess : guess + 1], eigenvalues, 0.0, smallest, 20)
+    low, _ = _bisect(z_squared[guess : guess + 1], eigenvalues, 0.0, smallest, 12)
     keeps = z_squared @ (1.0 / (eigenvalues - low)) <= 1.0
     keeps[guess] = True
     alive, z_squared = alive[keeps], z_squared[keeps]

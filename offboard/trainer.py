@@ -113,6 +113,8 @@ class _Round:
     def run(self) -> TrainingResult:
         job = self._job
         losses = np.array([self._epoch(indices) for indices in self._batches()])
+        if not bool(torch.isfinite(self._parameters.flat).all()):
+            return self._diverged(losses)
         self._spectral.exact()
         if job.config.refit_last_layer:
             self._refit()
@@ -122,6 +124,15 @@ class _Round:
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
         candidate = decode_feature_set(encode_for_wire(trained, job.wire_dtype))
         return TrainingResult(state, candidate, self._evidence(trained, candidate), losses, self._samples)
+
+    def _diverged(self, losses: Array) -> TrainingResult:
+        """The round ran away: go on from where it began, without its momentum, and send nothing."""
+        state = TrainerState(self._job.state.network, (), 0, self._job.state.rounds + 1)
+        candidate = feature_set(state.network, self._plan, self._job.version, 0, self._job.samples_seen)
+        self._parameters = parameters_of(state.network)
+        evidence = self._evidence(candidate, candidate)
+        evidence = replace(evidence, candidate_errors=np.full_like(evidence.candidate_errors, np.nan))
+        return TrainingResult(state, candidate, evidence, losses, self._samples)
 
     def _inputs(self, table: SampleTable) -> tuple[torch.Tensor, torch.Tensor]:
         """Scaled inputs [C, n, m] and labels [C, n, 3] of a table."""

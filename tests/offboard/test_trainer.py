@@ -9,6 +9,7 @@ import torch
 
 from offboard.buffer import TRAINING, VALIDATION, SampleTable
 from offboard.config import OffboardConfig
+from offboard.gate import Gate, Verdict
 from offboard.gradient import Optimiser
 from offboard.learner import Learner
 from offboard.trainer import TrainingJob, TrainingResult, squared_errors
@@ -74,6 +75,19 @@ def test_without_the_projection_the_spectral_bound_is_exceeded() -> None:
     bound = offboard_config().network.spectral_norm_max
     loose = job_after(offboard_config(network={"spectral_norm_max": 1e3, "first_layer_gain": 4.0}))
     assert max(rounds(loose, 2).evidence.spectral_norms) > bound
+
+
+def test_a_round_that_runs_away_is_taken_back() -> None:
+    job = job_after(offboard_config(trainer={"optimiser": "sgd", "learning_rate": 1e6, "momentum": 0.99}))
+    result = job.run()
+    assert not np.isfinite(result.epoch_losses[-1, 0]).all()
+    assert all(
+        np.array_equal(a, b) for a, b in zip(result.state.network.weights, job.state.network.weights, strict=True)
+    )
+    assert result.state.rounds == job.state.rounds + 1
+    config = offboard_config()
+    verdict = Gate(config.gate, config.network.spectral_norm_max).judge(result.candidate, result.evidence, 10**10)
+    assert verdict is Verdict.NOT_FINITE
 
 
 def test_dropout_and_one_channel_and_mrgen_train_too() -> None:
