@@ -186,8 +186,10 @@ class Supervisor:
             return f"battery at {inputs.battery_v:.2f} V"
         if 0.0 <= inputs.battery_remaining < config.battery_low_remaining:
             return f"battery at {inputs.battery_remaining:.0%}"
-        if inputs.battery_v <= 0.0 and config.battery_silent_s > 0.0:
+        if config.battery_silent_s > 0.0 and inputs.battery_v <= 0.0:
             return "no battery report"
+        if 0.0 < config.battery_silent_s < inputs.battery_age_s:
+            return "battery report too old"
         if 0.0 < config.ground_silent_s < inputs.ground_age_s:
             return "no ground station"
         return ""
@@ -225,7 +227,8 @@ class Supervisor:
         return lasting_ns is None or now_ns - self._since_ns.setdefault(event, now_ns) >= lasting_ns
 
     def _enter(self, mode: FlightMode, event: Event, inputs: SupervisorInputs) -> None:
-        self._events.append((inputs.now_ns, f"{self.mode.name} -> {mode.name}: {event.value}"))
+        why = f": {self.unready(inputs)}" if event is E.UNHEALTHY else ""
+        self._events.append((inputs.now_ns, f"{self.mode.name} -> {mode.name}: {event.value}{why}"))
         self.mode = mode
         self._entered_ns = inputs.now_ns
         self._since_ns.clear()

@@ -187,6 +187,7 @@ def test_arming_needs_health_for_half_a_second():
         ({"battery_remaining": 0.05}, "5%"),
         ({"preflight": "motors swapped"}, "motors swapped"),
         ({"battery_v": 0.0}, "battery"),
+        ({"battery_age_s": 20.0}, "too old"),
         ({"ground_age_s": 20.0}, "ground station"),
     ],
 )
@@ -211,6 +212,12 @@ def test_what_keeps_it_from_being_armed_is_said_once_a_kind_when_it_lasts():
     pilot.texts()
     pilot.step(2.5, pose_age_s=9.0, battery_v=4.0)
     assert "not ready to arm: no fresh pose" in pilot.texts()
+
+
+def test_what_ends_readiness_is_said_at_once():
+    pilot = Pilot(M.READY)
+    pilot.step(preflight="IMU at 90 Hz")
+    assert "READY -> BOOT: sensors not healthy: IMU at 90 Hz" in pilot.texts()
 
 
 def test_a_pose_is_not_needed_where_the_config_says_so():
