@@ -1,8 +1,8 @@
-"""What one lockstep flight hands to another: trained features for offboard, last layers for who has no trained ones.
+"""What one lockstep flight hands to another: a trainer's experience, last layers for controllers without a trainer.
 
-The file is a numpy archive that offboard.experience.load_version reads (key "features"), with the adaptive controllers'
-last layers beside it. A learning controller starts from the features, which offboard sends again over the link; a
-controller with fixed features (mrac, bias) starts from the last layer.
+The file is an experience (offboard.experience) with two things beside it: the last version alone (key "features") and
+the adaptive controllers' last layers. A learning controller gets the last version, which offboard sends again over the
+link; a controller with fixed features (mrac, bias) starts from the last layer.
 """
 
 import io
@@ -26,6 +26,8 @@ def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
     if offboard is not None and offboard.learner.latest is not None:
         from protocol.codec import encode_feature_set
 
+        with np.load(io.BytesIO(offboard.learner.experience()), allow_pickle=False) as archive:
+            arrays |= {key: archive[key] for key in archive.files}
         encoded = encode_feature_set(offboard.learner.latest, "float32")
         arrays["features"] = np.frombuffer(encoded, dtype=np.uint8)
     if hasattr(controller, "last_layers"):
@@ -46,8 +48,11 @@ def read_experience(path: str) -> bytes | None:
         raise ConfigError(f"experience: {path}: cannot be read: {error.strerror}") from None
 
 
-def start_from(data: bytes, onboard: OnboardCore, offboard: Any) -> None:
+def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = False) -> None:
     """Gives what was learnt to the cores before their first step.
+
+    A trainer that goes on learning also takes over the samples: without them its first rounds, on a few seconds of the
+    new flight, would forget what the features were learnt for.
 
     Raises
     ------
@@ -61,7 +66,10 @@ def start_from(data: bytes, onboard: OnboardCore, offboard: Any) -> None:
             from offboard.experience import ExperienceError
 
             try:
-                offboard.warm_start(data)
+                if frozen:
+                    offboard.warm_start(data)
+                else:
+                    offboard.resume(data)
             except ExperienceError as error:
                 raise ValueError(str(error)) from None
         elif hasattr(controller, "start_from"):

@@ -103,7 +103,7 @@ def fly_lockstep(
     lockstep, onboard, offboard, radio = build(config, with_offboard, recorded)
     experience = read_experience(config.experience) if experience is None else experience
     if experience is not None:
-        start_from(experience, onboard, offboard)
+        start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")
     period_s = config.onboard.period_ns * 1e-9
     ticks_max = round(config.duration_s / period_s)
     ticks: Array = np.zeros((ticks_max, len(TICK.fields)))

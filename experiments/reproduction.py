@@ -127,7 +127,7 @@ def _opening(sections: Sequence[Section]) -> str:
         if "dmrac" in section.data.controllers and len(section.data.controllers) > 1:
             title = section.data.config.title or section.data.name
             lines.append(f"- {title}: {first_paragraph(section.data)}")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
 
 
 def _provenance(plan: Reproduction, sections: Sequence[Section], seconds: float) -> str:
