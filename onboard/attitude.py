@@ -88,3 +88,8 @@ def turned_about_vertical(turn: Vector, v: Vector) -> Vector:
     """`v` rotated about the vertical by the vertical part of `turn`."""
     c, s = math.cos(turn[2]), math.sin(turn[2])
     return (c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
+
+
+def squared(v: Vector) -> float:
+    """Square of the length."""
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]

@@ -25,6 +25,7 @@ history: dp_sum, dv_sum, phi_sum, and (dv t)_sum for the way a velocity correcti
 All 3-vectors are tuples of floats: scalar arithmetic on them is several times cheaper than numpy's.
 """
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -74,6 +75,8 @@ class ErrorStateFilter:
         self._Phi_attitude_bias = self._Phi[6:9, 9:12]
         self._Q: Array = np.zeros(ERROR_SIZE)
         self._scratch: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
+        self._H_position: Array = np.eye(3, ERROR_SIZE)
+        self._G_inverse: Array = np.zeros(9)
         self._gathered = 0
         self._gathered_s = 0.0
         self._gathered_dv: Vector = _ZERO
@@ -241,39 +244,49 @@ class ErrorStateFilter:
 
     def correct_position(self, innovation: Vector, delay_s: float, variance: float, gate: float) -> float:
         """A position measured `delay_s` ago: H = [I, -tau I, 0, 0, 0]. Returns the score, as correct_scalar does."""
-        PHt = self.P[:, 3:6] * -delay_s
-        PHt += self.P[:, 0:3]
-        S = PHt[0:3] - delay_s * PHt[3:6]
+        H = self._H_position
+        H[0, 3] = H[1, 4] = H[2, 5] = -delay_s
+        PHt = self.P.dot(H.T)
+        p, v = PHt[0:3].tolist(), PHt[3:6].tolist()
+        S = [[p[i][j] - delay_s * v[i][j] for j in (0, 1, 2)] for i in (0, 1, 2)]
         return self._correct_three(PHt, S, innovation, variance, gate)
 
     def correct_attitude(self, innovation: Vector, variance: float, gate: float) -> float:
         """A measured attitude: H = [0, 0, I, 0, 0]. Returns the score, as correct_scalar does."""
-        PHt = self.P[:, 6:9].copy()
-        return self._correct_three(PHt, PHt[6:9].copy(), innovation, variance, gate)
+        PHt = self.P[:, 6:9]
+        return self._correct_three(PHt, PHt[6:9].tolist(), innovation, variance, gate)
 
-    def _correct_three(self, PHt: Array, S: Array, innovation: Vector, variance: float, gate: float) -> float:
-        (a, b, c), (_, d, e), (_, _, f) = S.tolist()
-        a += variance
-        d += variance
-        f += variance
-        A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-        determinant = a * A + b * B + c * C
-        D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
-        S_inverse = np.array(((A, B, C), (B, D, E), (C, E, F)))
-        S_inverse /= determinant
-        y = np.array(innovation)
-        weighted = S_inverse.dot(y)
-        score = float(y.dot(weighted))
+    def _correct_three(
+        self, PHt: Array, S: list[list[float]], innovation: Vector, variance: float, gate: float
+    ) -> float:
+        """Three measurements at once, with S = H P H^T + variance I = G G^T and G lower triangular.
+
+        The whitened innovation is w = G^-1 y, the score w.w; with L = P H^T G^-T the error is L w and P loses L L^T,
+        which is symmetric to the last bit.
+        """
+        (a, _, _), (b, d, _), (c, e, f) = S
+        # S is variance I and something positive: no pivot is less, but for rounding.
+        g11 = math.sqrt(max(a + variance, variance))
+        g21, g31 = b / g11, c / g11
+        g22 = math.sqrt(max(d + variance - g21 * g21, variance))
+        g32 = (e - g31 * g21) / g22
+        g33 = math.sqrt(max(f + variance - g31 * g31 - g32 * g32, variance))
+        w1 = innovation[0] / g11
+        w2 = (innovation[1] - g21 * w1) / g22
+        w3 = (innovation[2] - g31 * w1 - g32 * w2) / g33
+        score = w1 * w1 + w2 * w2 + w3 * w3
         if score <= gate:
-            np.dot(PHt.dot(S_inverse), PHt.T, out=self._scratch)
+            i21 = -g21 / (g11 * g22)
+            i32 = -g32 / (g22 * g33)
+            i31 = -(g31 / g11 + g32 * i21) / g33
+            inverse = self._G_inverse
+            inverse[:] = (1.0 / g11, 0.0, 0.0, i21, 1.0 / g22, 0.0, i31, i32, 1.0 / g33)
+            L = PHt.dot(inverse.reshape(3, 3).T)
+            error = L.dot((w1, w2, w3))
+            np.dot(L, L.T, out=self._scratch)
             self.P -= self._scratch
-            self._symmetrise()
-            self._apply(PHt.dot(weighted))
+            self._apply(error)
         return score
-
-    def _symmetrise(self) -> None:
-        np.add(self.P, self.P.T, out=self._scratch)
-        np.multiply(self._scratch, 0.5, out=self.P)
 
     def _apply(self, error: Array) -> None:
         """Moves the estimated error into the nominal state."""

@@ -21,7 +21,7 @@ from collections import Counter
 
 import numpy as np
 
-from onboard.attitude import quaternion_of, rotation_between, turned_about_vertical
+from onboard.attitude import quaternion_of, rotation_between, squared, turned_about_vertical
 from onboard.error_state_filter import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, ErrorStateFilter
 from onboard.estimator_config import EstimatorConfig
 from onboard.imu_conditioning import StillStart, VibrationMeter
@@ -294,7 +294,7 @@ class Estimator:
         config, f = self._config, self._filter
         before = f.position
         time_variance = config.pose_time_sigma_s**2
-        variance = config.pose_position_sigma_m**2 + time_variance * sum(v * v for v in f.velocity)
+        variance = config.pose_position_sigma_m**2 + time_variance * squared(f.velocity)
         score = f.correct_position(position, delay_s, variance, config.pose_gate)
         self.scores["pose_position"] = score
         if score > config.pose_gate:
@@ -303,7 +303,7 @@ class Estimator:
         past = f.at(capture_ns)
         if past is not None:
             turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
-            variance = config.pose_attitude_sigma_rad**2 + time_variance * sum(w * w for w in past.rate_world)
+            variance = config.pose_attitude_sigma_rad**2 + time_variance * squared(past.rate_world)
             score = f.correct_attitude(turn, variance, config.pose_gate)
             self.scores["pose_attitude"] = score
             if score > config.pose_gate:
