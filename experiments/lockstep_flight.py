@@ -145,8 +145,9 @@ def fly_lockstep(
 def _too_far(tick: Array, truth: Array) -> str:
     if int(tick[_MODE]) not in _FOLLOWING:
         return ""
-    error = truth[:3] - tick[_TARGET]
-    far = float(error @ error) > TARGET_DISTANCE_MAX_M**2
+    (north, east, down), (target_n, target_e, target_d) = truth[:3].tolist(), tick[_TARGET].tolist()
+    squared = (north - target_n) ** 2 + (east - target_e) ** 2 + (down - target_d) ** 2
+    far = squared > TARGET_DISTANCE_MAX_M**2
     return f"more than {TARGET_DISTANCE_MAX_M} m from the target" if far else ""
 
 

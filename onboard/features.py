@@ -110,7 +110,8 @@ class RadialFeatures(_Selection):
         # The exponent is linear in [z; z^2; 1].
         parts = (2.0 * centres, -np.ones((count, m)), -(centres**2).sum(axis=1)[:, None])
         self._exponent = np.hstack(parts) / (2.0 * width * width * m)
-        self._work = np.ones((2 * m + 1, 2))
+        self._rows = (2 * m + 1, count + 1)
+        self._prepare(2)
         self.feature_count = count + 1
         # |d phi/dz| <= exp(-1/2) / width for each Gaussian; the norm over all of them is at most sqrt(count) times it.
         self.lipschitz = float(np.exp(-0.5) / (width * m**0.5) * count**0.5)
@@ -118,16 +119,18 @@ class RadialFeatures(_Selection):
     def evaluate(self, z: Array) -> Array:
         """phi_i = exp(-|z - c_i|^2 / (2 width^2 m)); then 1."""
         m, n = z.shape
-        if n != self._work.shape[1]:
-            self._work = np.ones((2 * m + 1, n))
-        work = self._work
+        if n != self._Phi.shape[1]:
+            self._prepare(n)
+        work, exponents = self._work, self._Phi[:-1]
         work[:m] = z
         np.multiply(z, z, out=work[m:-1])
-        Phi = np.ones((self.feature_count, n))
-        inner = Phi[:-1]
-        np.dot(self._exponent, work, out=inner)
-        np.exp(inner, out=inner)
-        return Phi
+        np.dot(self._exponent, work, out=exponents)
+        np.exp(exponents, out=exponents)
+        return self._Phi.copy()
+
+    def _prepare(self, columns: int) -> None:
+        """The arrays of a pass over so many columns: [z; z^2; 1] and Phi."""
+        self._work, self._Phi = (np.ones((rows, columns)) for rows in self._rows)
 
 
 class BiasFeatures:

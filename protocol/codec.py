@@ -117,7 +117,7 @@ DOWN_TYPES: Final = frozenset(number for number, *_ in _ROWS if number >= 64) | 
 """Types that offboard sends."""
 _PACK: Final = {cls: pack for _, cls, pack, _ in _ROWS}
 _UNPACK: Final = {number: unpack for number, _, _, unpack in _ROWS}
-_KINDS: Final[dict[str, type]] = {"i": int, "b": bytes}
+_LETTERS: Final[dict[type, str]] = {int: "i", bytes: "b"}
 
 
 def encode_body(message: Message) -> bytes:
@@ -162,9 +162,8 @@ def _typed(fields: list[Any], kinds: str) -> list[Any]:
     """`fields` when they are as many and of the types as `kinds` says ("i": int, "b": bytes)."""
     if len(fields) != len(kinds):
         raise ProtocolError("body", f"{len(fields)} fields, expected {len(kinds)}")
-    for field, kind in zip(fields, kinds, strict=True):
-        if type(field) is not _KINDS[kind]:  # not isinstance: True is no integer here
-            raise ProtocolError("body", f"a field is {type(field).__name__}, expected {_KINDS[kind].__name__}")
+    if "".join([_LETTERS.get(type(field), "?") for field in fields]) != kinds:  # not isinstance: True is no integer
+        raise ProtocolError("body", f"fields of {[type(field).__name__ for field in fields]}, expected {kinds}")
     return fields
 
 

@@ -30,7 +30,8 @@ def _require(condition: bool, what: str) -> None:
 
 
 def _require_counters(names: str, *values: int) -> None:
-    _require(all(0 <= value <= COUNTER_MAX for value in values), f"{names}: negative or beyond 63 bits")
+    if min(values) < 0 or max(values) > COUNTER_MAX:
+        raise ValueError(f"{names}: negative or beyond 63 bits")
 
 
 def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...]) -> None:
@@ -153,13 +154,15 @@ class Pose:
 
     def __post_init__(self) -> None:
         _require_counters("time_ns", self.time_ns)
-        _require(self.position_ned_m.shape == (3,), f"position_ned_m: shape {self.position_ned_m.shape}, expected (3,)")
-        _require(self.quaternion.shape == (4,), f"quaternion: shape {self.quaternion.shape}, expected (4,)")
+        if self.position_ned_m.shape != (3,) or self.quaternion.shape != (4,):
+            shapes = f"{self.position_ned_m.shape} and {self.quaternion.shape}"
+            raise ValueError(f"position_ned_m and quaternion: shapes {shapes}, expected (3,) and (4,)")
         # plain numbers: two small arrays a hundred times a second are cheaper without numpy; NaN fails every test
         n, e, d = self.position_ned_m.tolist()
-        largest_ok = abs(n) <= ABSOLUTE_VALUE_MAX and abs(e) <= ABSOLUTE_VALUE_MAX and abs(d) <= ABSOLUTE_VALUE_MAX
-        _require(largest_ok, "position_ned_m: a value is not finite or too large")
-        _require(abs(math.hypot(*self.quaternion.tolist()) - 1.0) < 1e-3, "quaternion: not of unit length")
+        if not (abs(n) <= ABSOLUTE_VALUE_MAX and abs(e) <= ABSOLUTE_VALUE_MAX and abs(d) <= ABSOLUTE_VALUE_MAX):
+            raise ValueError("position_ned_m: a value is not finite or too large")
+        if not abs(math.hypot(*self.quaternion.tolist()) - 1.0) < 1e-3:
+            raise ValueError("quaternion: not of unit length")
 
 
 @dataclass(frozen=True, slots=True)

@@ -269,7 +269,9 @@ class _Path:
         left_ns = self._leave_queue(len(datagram), now_ns)
         if left_ns is None:
             return _undelivered(datagram, now_ns, "queue")
-        if any(b.start_s <= since_start_s and (b.end_s is None or since_start_s < b.end_s) for b in c.blackouts):
+        if c.blackouts and any(
+            b.start_s <= since_start_s and (b.end_s is None or since_start_s < b.end_s) for b in c.blackouts
+        ):
             return _undelivered(datagram, now_ns, "blackout")
         if self._in_bad_state and luck[1] < c.burst.loss_in_bad:
             return _undelivered(datagram, now_ns, "burst")

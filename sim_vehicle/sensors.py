@@ -170,13 +170,13 @@ class MotionCapture:
         noise = 0.5 * config.attitude_noise_rad
         turned = _normalised(_times((w, x, y, z), (1.0, noise * take(), noise * take(), noise * take())))
         now_s = now_ns * 1e-9
-        if lost or any(outage.start_s <= now_s < outage.end_s for outage in config.outages):
+        if lost or (config.outages and any(outage.start_s <= now_s < outage.end_s for outage in config.outages)):
             return None
         velocity = (0.0, 0.0, 0.0)
         if self._last is not None:
             dt = (now_ns - self._last[0]) * 1e-9
-            n, e, d = (new - old for new, old in zip(position, self._last[1], strict=True))
-            velocity = _unturn(turned, (n / dt, e / dt, d / dt))
+            (n, e, d), (was_n, was_e, was_d) = position, self._last[1]
+            velocity = _unturn(turned, ((n - was_n) / dt, (e - was_e) / dt, (d - was_d) / dt))
         self._last = (now_ns, position)
         return PoseSample(position, turned, velocity)
 
