@@ -274,6 +274,8 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--no-flights", action="store_true", help="only rebuild from what the folder holds")
     parser.add_argument("--page", type=Path, default=PAGE, help="the page (default docs/link.md)")
     options = parser.parse_args(words)
+    if not options.page.is_file():
+        parser.error(f"--page {options.page}: no such page")
     if not options.no_flights:
         from experiments.command_line import main as dmrac
 
