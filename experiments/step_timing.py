@@ -27,6 +27,8 @@ BLOCKS: Final = (
     ("tick record", "_record"),
 )
 """Name and method of onboard.core.OnboardCore."""
+LAW: Final = "adaptive law"
+"""Both channels' augmentations, features and adaptation; a part of the controller."""
 TURN_S: Final = 2.5
 """The loop and the bare loop beside it take turns of this length."""
 
@@ -47,12 +49,16 @@ class Stopwatch:
     now: dict[str, int] = field(default_factory=dict)
     ticks: dict[str, list[int]] = field(default_factory=dict)
 
+    def expect(self, name: str) -> None:
+        """From now on a tick has a sum of this name."""
+        self.now[name] = 0
+        self.ticks[name] = []
+
     def wrap(self, owner: object, method: str, name: str) -> None:
         """Time every call of `owner.method`, on this one object."""
         inner: Callable[..., Any] = getattr(owner, method)
         clock, spent = time.perf_counter_ns, self.now
-        spent[name] = 0
-        self.ticks[name] = []
+        self.expect(name)
 
         def timed(*arguments: Any, **named: Any) -> Any:
             start = clock()
@@ -122,6 +128,9 @@ class Replay:
         if blocks:
             for name, method in BLOCKS:
                 self.watch.wrap(self._core, method, name)
+            self.watch.expect(LAW)  # a controller of another build may have none
+            for augmentation in getattr(self._core.controller, "augmentations", ()):
+                self.watch.wrap(augmentation, "step", LAW)
         self.watch.wrap(self, "tick", STEP)
 
     @property

@@ -93,7 +93,8 @@ class CascadedController:
         self._settings = settings
         self._airframe = airframe
         rng = np.random.default_rng([seed, 101])
-        self._augmentations = (_augmentation(settings.position, rng), _augmentation(settings.attitude, rng))
+        self.augmentations = (_augmentation(settings.position, rng), _augmentation(settings.attitude, rng))
+        """Of the position and of the attitude channel."""
         self._position_model = PositionReferenceModel(settings.position.gains)
         self._attitude_model = AttitudeReferenceModel(settings.attitude.gains)
         self._k1 = tuple(settings.position.gains.stiffness().tolist())
@@ -133,18 +134,18 @@ class CascadedController:
         self._restart_models(inputs)
         p, q, r = inputs.state.rates.tolist()
         self._last_rates = (p, q, r)
-        for augmentation in self._augmentations:
+        for augmentation in self.augmentations:
             augmentation.reset()
 
     @property
     def accepts_features(self) -> bool:
         """Whether a channel has network features."""
-        return any(isinstance(one, AdaptiveAugmentation) and one.learns for one in self._augmentations)
+        return any(isinstance(one, AdaptiveAugmentation) and one.learns for one in self.augmentations)
 
     def offer_features(self, features: FeatureSet) -> str:
         """Swaps both channels in one tick, or refuses."""
         plans = []
-        for augmentation, channel in zip(self._augmentations, (features.position, features.attitude), strict=True):
+        for augmentation, channel in zip(self.augmentations, (features.position, features.attitude), strict=True):
             if channel is None or not isinstance(augmentation, AdaptiveAugmentation) or not augmentation.learns:
                 continue
             new, plan = augmentation.plan(channel)
@@ -160,13 +161,13 @@ class CascadedController:
     def last_layers(self) -> tuple[Array | None, Array | None]:
         """W [k, 3] of the position and the attitude channel; None for a channel without."""
         position, attitude = (
-            one.last_layer.W.copy() if isinstance(one, AdaptiveAugmentation) else None for one in self._augmentations
+            one.last_layer.W.copy() if isinstance(one, AdaptiveAugmentation) else None for one in self.augmentations
         )
         return position, attitude
 
     def start_from(self, last_layers: tuple[Array | None, Array | None]) -> None:
         """Takes over W of an earlier flight with the same features; raises ValueError if the shapes differ."""
-        for augmentation, W in zip(self._augmentations, last_layers, strict=True):
+        for augmentation, W in zip(self.augmentations, last_layers, strict=True):
             if W is None or not isinstance(augmentation, AdaptiveAugmentation):
                 continue
             if W.shape != augmentation.last_layer.W.shape:
@@ -314,7 +315,7 @@ class CascadedController:
     def _position_loop(self, inputs: ControlInputs) -> Vector3:
         """U of the position channel, m/s^2."""
         channel, telemetry = self._channels[0], self._output.position
-        nu = self._augmentations[0].step(channel, telemetry)
+        nu = self.augmentations[0].step(channel, telemetry)
         telemetry.adaptive[:] = nu
         n1, n2, n3 = nu.tolist()
         (k11, k12, k13), (k21, k22, k23) = self._k1, self._k2
@@ -365,7 +366,7 @@ class CascadedController:
         p, q, r = state.rates.tolist()
         error = channel.tracking_error
         error[0], error[1], error[2], error[3], error[4], error[5] = ex, ey, ez, -p, -q, -r
-        nu = self._augmentations[1].step(channel, telemetry)
+        nu = self.augmentations[1].step(channel, telemetry)
         n1, n2, n3 = nu.tolist()
         k1, k2 = self._a1, self._a2
         ap = k1[0] * ex - k2[0] * p - n1

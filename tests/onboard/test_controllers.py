@@ -396,7 +396,7 @@ def feature_set(gain: tuple[float, float] = (1.0, 1.0)) -> FeatureSet:
 def test_features_are_taken_by_both_channels_or_by_none() -> None:
     rig = Rig(shipped_controller("dmrac"), FORCE, TORQUE)
     rig.fly(2.0)
-    augmentations = rig.controller._augmentations
+    augmentations = rig.controller.augmentations
     before = [(a.features, a.last_layer.W.copy()) for a in augmentations]
     assert rig.controller.offer_features(feature_set((1.0, 1000.0))) == "lipschitz"
     for augmentation, (features, W) in zip(augmentations, before, strict=True):
@@ -432,7 +432,7 @@ def test_equal_seeds_make_equal_controllers() -> None:
     one, other = (fill(ControllerConfig, controller_tree("dmrac"), "t").build(AIRFRAME, seed) for seed in (5, 5))
     third = fill(ControllerConfig, controller_tree("dmrac"), "t").build(AIRFRAME, 6)
     signals = np.random.default_rng(0).normal(size=(21, 2))
-    features = [c._augmentations[0].features for c in (one, other, third)]
+    features = [c.augmentations[0].features for c in (one, other, third)]
     Phi = [f.evaluate(f.select(signals)) for f in features]
     np.testing.assert_array_equal(Phi[0], Phi[1])
     assert np.abs(Phi[0] - Phi[2]).max() > 0.01

@@ -331,7 +331,7 @@ def test_features_are_refused_with_the_reason(controller, sent, reason):
 
 def test_features_that_jump_too_far_are_refused_in_flight():
     loop = in_flight("dmrac")
-    position = loop.core.controller._augmentations[0]
+    position = loop.core.controller.augmentations[0]
     position._config = position._config.model_copy(update={"swap": SwapConfig(jump_max=1e-6)})
     loop.peer.sender.offer(features(last_layer=1.0), loop.now_ns)
     loop.fly(0.5)
