@@ -12,13 +12,12 @@ from configs.loader import ConfigError
 from experiments.command_line import main
 from experiments.commands.fly import lockstep_summary
 from experiments.flight_card import write_summary
-from experiments.lockstep_flight import fly_lockstep
+from experiments.lockstep_flight import build_offboard, fly_lockstep
 from experiments.lockstep_log import LockstepLog
 from experiments.recorded_flight import RecordedFlight, read_recorded
 from experiments.replay import figures, figures_of_recorded, refly, verdict, with_choices
 from experiments.replay_check import CheckResult, check_flight, check_log
 from experiments.scenario import Choices, resolve
-from offboard.experience import dump_version
 from offboard.network import InputPlan, feature_set, initial_state
 from onboard.tape import HEAD, TOPIC, Entry, TapeWriter, read_tick
 from onboard.tick_record import OFFSET, TICK
@@ -39,7 +38,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     network = config.offboard.network
     features = feature_set(initial_state(network, np.random.default_rng(3)), InputPlan.of(network), 1, 0, 100)
     experience = tmp_path_factory.mktemp("experience") / "start.npz"
-    experience.write_bytes(dump_version(features))
+    teacher = build_offboard(config, 1).learner
+    teacher.warm_start(features)
+    teacher.renumbered(features)
+    experience.write_bytes(teacher.experience())
     config = config.model_copy(update={"experience": str(experience)})
     with LockstepLog(folder, config) as log:
         outcome = fly_lockstep(config, (log,))
