@@ -106,6 +106,8 @@ class OffboardProcess:
             self._link.close()
             raise
         self._worker = Worker()
+        self._checkpoint_lock = threading.Lock()
+        self._checkpoint_closed = False
         self.steps = 0
         self._latest_report = ""
         self.escapes = 0
@@ -127,7 +129,7 @@ class OffboardProcess:
         self._poses.close()
         last = self._core.final_checkpoint()
         if last is not None:
-            write_atomically(self._out / "checkpoint.npz", last)
+            self._write_last_checkpoint(last)
         return int(self.escapes >= ESCAPES_MAX)
 
     def _take_in(self, now: int) -> None:
@@ -154,12 +156,26 @@ class OffboardProcess:
             self._log.event(time_ns, text)
             self._status.say(text)
         if output.checkpoint is not None:
-            self._worker.give(partial(write_atomically, self._out / "checkpoint.npz", output.checkpoint))
+            self._worker.give(partial(self._write_checkpoint, output.checkpoint))
         if output.version_file is not None:
             version, content = output.version_file
             self._worker.give(partial(write_atomically, self._out / f"features_{version}.npz", content))
         if self._status.due(now):
             self._status.write({**self._core.status(now), "escapes": self.escapes})
+
+    def _write_checkpoint(self, content: bytes, last: bool = False) -> None:
+        """Two threads write it, the worker in flight and the loop at its end; nothing comes after the last one."""
+        with self._checkpoint_lock:
+            if not self._checkpoint_closed:
+                self._checkpoint_closed = last
+                write_atomically(self._out / "checkpoint.npz", content)
+
+    def _write_last_checkpoint(self, content: bytes) -> None:
+        """A full disk must not cost the summary."""
+        try:
+            self._write_checkpoint(content, last=True)
+        except OSError as error:
+            print(f"{self._out / 'checkpoint.npz'}: cannot be written: {error.strerror}", file=sys.stderr, flush=True)
 
     def _note_escape(self, now: int) -> None:
         self.escapes += 1
