@@ -16,6 +16,7 @@ from offboard.network import Array32, NetworkState
 ADAM_FAST: Final = 0.9
 ADAM_SLOW: Final = 0.999
 ADAM_FLOOR: Final = 1e-8
+MINUS_ONE: Final = torch.tensor(-1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +56,8 @@ def layer_outputs(z: torch.Tensor, parameters: Views) -> list[torch.Tensor]:
     """
     outputs = [z]
     for W, b in zip(parameters.weights, parameters.biases, strict=True):
-        outputs.append(torch.baddbmm(b, outputs[-1], W, beta=2.0, alpha=2.0).sigmoid_().mul_(2.0).sub_(1.0))
+        sigmoid = torch.baddbmm(b, outputs[-1], W, beta=2.0, alpha=2.0).sigmoid_()
+        outputs.append(torch.add(MINUS_ONE, sigmoid, alpha=2.0, out=sigmoid))
     return outputs
 
 

@@ -81,7 +81,8 @@ class TrainingJob:
 
     def run(self) -> TrainingResult:
         """Train. Deterministic: the same job gives the same result, bit for bit, on the same machine and threads."""
-        return _Round(self).run()
+        with torch.inference_mode():  # the gradient is written out: nothing is to be recorded for autograd
+            return _Round(self).run()
 
 
 class _Round:
@@ -166,16 +167,16 @@ class _Round:
 
     def _epoch(self, indices: torch.Tensor) -> Array:
         """Some mini-batches; training, validation and test loss, [3, 2]."""
-        total = torch.zeros(len(self._plan.channels), 3)
+        squares = torch.zeros(len(self._plan.channels), indices.shape[1], 3)
         every = self._job.config.projection_every
         inputs, labels = self._z[:, indices].unbind(1), self._y[:, indices].unbind(1)
         for number, (z, y) in enumerate(zip(inputs, labels, strict=True)):
             errors = loss_gradient(z, y, self._parameters, self._gradient, self._dropout(z.shape[1]))
             self._optimiser.step(self._parameters.flat, self._gradient.flat)
-            total += errors.square().mean(dim=1)
+            squares.addcmul_(errors, errors)
             if number % every == every - 1:
                 self._spectral.approximate()
-        trained = self._to_channels((total / max(len(indices), 1))[:, None])
+        trained = self._to_channels(squares.mean(dim=1, keepdim=True) / max(len(indices), 1))
         return np.vstack([trained, self._held_out_losses()])
 
     def _dropout(self, rows: int) -> torch.Tensor | None:
