@@ -113,7 +113,8 @@ def fill(record_type: type[RecordT], tree: Mapping[str, Any], source: str, at: s
     try:
         return record_type.model_validate(_lists_as_tuples(tree), strict=True)
     except ValidationError as error:
-        raise ConfigError("\n".join(_describe(fault, source, at) for fault in error.errors())) from None
+        faults = (_describe(fault, source, at, record_type) for fault in error.errors())
+        raise ConfigError("\n".join(faults)) from None
 
 
 def load(record_type: type[RecordT], path: Path) -> RecordT:
@@ -180,10 +181,21 @@ def _lists_as_tuples(value: Any) -> Any:
     return value
 
 
-def _describe(fault: Any, source: str, at: str) -> str:
+def _describe(fault: Any, source: str, at: str, record_type: type[BaseModel]) -> str:
     path = at + ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "extra_forbidden":
-        return f"{source}: {path}: unknown key"
+        known = _keys_beside(record_type, fault["loc"])
+        return f"{source}: {path}: unknown key" + (f"; allowed are {', '.join(known)}" if known else "")
     if fault["type"] == "missing":
         return f"{source}: {path}: missing"
     return f"{source}: {path}: {fault['input']!r}: {fault['msg']}"
+
+
+def _keys_beside(record_type: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    """The keys a record allows where `loc` names an unknown one; none where a choice of records makes that unclear."""
+    for part in loc[:-1]:
+        field = record_type.model_fields.get(str(part))
+        if field is None or not (isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)):
+            return []
+        record_type = field.annotation
+    return sorted(field.alias or name for name, field in record_type.model_fields.items())

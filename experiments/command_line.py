@@ -82,6 +82,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ConfigError, StartError) as error:
         print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
         return EXIT_USAGE
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"dmrac {parsed.subcommand}: {error.filename}: {error.strerror}", file=sys.stderr)
+        return EXIT_USAGE
     except KeyboardInterrupt:
         return 130
     return status

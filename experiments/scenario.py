@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, merge, read_tree, set_path
 from configs.network import NetworkConfig
@@ -24,12 +24,23 @@ from sim_vehicle.radio import RadioConfig
 DEFAULT_SCENARIO = "figure8_wind"
 
 
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
+
+
+class _Options(Record):
+    """What `--seed` and `--duration` may be."""
+
+    seed: Seed | None
+    duration: Duration | None
+
+
 class ScenarioFile(Record):
     """A scenario as written: the parts by name, and what is laid over them."""
 
     description: str
-    duration_s: Annotated[float, Field(ge=5, le=3600)]
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    duration_s: Duration
+    seed: Seed = 1
     vehicle: str = "mambo"
     controller: str = "dmrac"
     radio: str = "good"
@@ -49,8 +60,8 @@ class FlightConfig(Record):
     scenario: str
     description: str
     controller: str
-    seed: Annotated[int, Field(ge=0, lt=2**31)]
-    duration_s: Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
+    seed: Seed
+    duration_s: Duration
     training_time_s: Annotated[float, Field(ge=0, le=10, description="lockstep: modelled time of a training round")]
     experience: Annotated[str, Field(description="lockstep: file of what an earlier flight learnt; empty: nothing")] = (
         ""
@@ -106,6 +117,7 @@ def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) ->
         Naming file, path, value and what is allowed.
     """
     choices = choices or Choices()
+    _check_choices(choices)
     path = named_file("scenarios", scenario)
     file = fill(ScenarioFile, read_tree(path), str(path))
     tree = compose(file, path.stem, choices)
@@ -113,6 +125,15 @@ def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) ->
         tree = set_path(tree, assignment)
     source = str(path) + ("".join(f" --set {item}" for item in choices.assignments))
     return complete(tree, source)
+
+
+def _check_choices(choices: Choices) -> None:
+    """An option out of range is named as what was typed, not as the keys of the file that it would have changed."""
+    try:
+        _Options(seed=choices.seed, duration=choices.duration_s)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise ConfigError(f"--{fault['loc'][0]} {fault['input']}: {fault['msg']}") from None
 
 
 def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
@@ -124,9 +145,9 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
         Naming `source`, path, value and what is allowed.
     """
     flight = fill(FlightConfig, tree, source)
-    controller = flight.onboard.controller.build(
-        flight.onboard.airframe, flight.seed, str(named_file("controllers", flight.controller))
-    )
+    _, and_set, assignments = source.partition(" --set ")
+    law = f"{named_file('controllers', flight.controller)}{and_set}{assignments}"
+    controller = flight.onboard.controller.build(flight.onboard.airframe, flight.seed, law)
     learns = isinstance(controller, Learner) and controller.accepts_features
     return flight if learns else _without_training(flight)
 

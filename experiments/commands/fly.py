@@ -18,6 +18,7 @@ from experiments.flight_card import build_summary, print_card, write_summary
 from experiments.realtime_flight import require_free_ports
 from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.trace import FlightTrace
+from protocol.keys import load_key
 from shell.signals import die_with_parent
 
 if TYPE_CHECKING:
@@ -56,8 +57,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
     if arguments.view and arguments.lockstep:
         raise ConfigError("--view: only in real time; a lockstep flight is shown afterwards with dmrac view")
+    if arguments.web and not arguments.view:
+        raise ConfigError("--web: only with --view")
+    if arguments.view:
+        _require_viewer()
     if not arguments.lockstep:
         require_free_ports(config.network)
+    load_key(config.network.key_file)  # a key that cannot be used is said before anything starts
     folder = make_folder(arguments.out, config.scenario)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     console = Console()
@@ -78,6 +84,16 @@ def run(arguments: argparse.Namespace) -> int:
         write_report(folder)
     print_card(summary, folder, console)
     return 0 if summary["survived"] else 1
+
+
+def _require_viewer() -> None:
+    """Raises ConfigError if there is nothing to show the flight with."""
+    from flight_record.viewer import ViewerError, viewer_binary
+
+    try:
+        viewer_binary()
+    except ViewerError as error:
+        raise ConfigError(f"--view: {error}") from None
 
 
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:

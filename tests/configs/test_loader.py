@@ -75,7 +75,8 @@ def test_every_float_survives_its_text(value: float) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("rotors: 4", "rotors: 4\nwings: 2", "vehicle.yaml: wings: unknown key"),
+        ("rotors: 4", "rotors: 4\nwings: 2", "wings: unknown key; allowed are armed, mass_kg, motor, name, rotors"),
+        ("gain: 1,", "gian: 1, gain: 1,", "vehicle.yaml: motor.gian: unknown key; allowed are gain, lags_s"),
         ("name: no", "", "vehicle.yaml: name: missing"),
         ("gain: 1,", "gain: -1,", "vehicle.yaml: motor.gain: -1: Input should be greater than 0"),
         ("68e-3", "true", "vehicle.yaml: mass_kg: True"),
