@@ -35,9 +35,12 @@ def _require_counters(names: str, *values: int) -> None:
 
 
 def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...]) -> None:
-    _require(array.shape == shape, f"{name}: shape {array.shape}, expected {shape}")
+    # the texts are made only when they are needed: making them costs as much as the tests
+    if array.shape != shape:
+        raise ValueError(f"{name}: shape {array.shape}, expected {shape}")
     # written so that NaN fails: max() of an array with a NaN is NaN, which is not below anything
-    _require(float(np.abs(array).max()) <= ABSOLUTE_VALUE_MAX, f"{name}: a value is not finite or too large")
+    if not float(np.abs(array).max()) <= ABSOLUTE_VALUE_MAX:
+        raise ValueError(f"{name}: a value is not finite or too large")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
