@@ -1,5 +1,6 @@
 """The picture of one flight: path, position against target, attitude, nu_ad against the true disturbance, link."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,11 @@ STYLES = ("-", "--", ":")
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 
 
-def draw_flight(trace: FlightTrace, title: str, path: Path) -> None:
-    """Writes the figure (format by the file's ending)."""
+def draw_flight(trace: FlightTrace, title: str, path: Path, lost_s: Mapping[str, Array] | None = None) -> None:
+    """Writes the figure (format by the file's ending).
+
+    lost_s: times of the datagrams that were lost, by direction, on the trace's clock.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -24,7 +28,9 @@ def draw_flight(trace: FlightTrace, title: str, path: Path) -> None:
     grid = figure.add_gridspec(5, 3, width_ratios=(1.0, 1.0, 1.15))
     _draw_path(figure.add_subplot(grid[0:3, 2]), trace)
     _draw_heights(figure.add_subplot(grid[3, 2]), trace)
-    _draw_link(figure.add_subplot(grid[4, 2]), trace)
+    link = figure.add_subplot(grid[4, 2])
+    _draw_link(link, trace)
+    _mark_losses(link, lost_s or {})
     panels = [figure.add_subplot(grid[row, 0:2]) for row in range(5)]
     _draw_position(panels[0], trace)
     _draw_error(panels[1], trace)
@@ -172,11 +178,23 @@ def _worst_per_window(time_s: Array, values: Array, window_s: float) -> tuple[Ar
     return seconds, worst
 
 
+def _mark_losses(panel: Any, lost_s: Mapping[str, Array]) -> None:
+    """A stroke for each lost datagram along the panel's upper edge, one row a direction."""
+    for row, times_s in enumerate(lost_s.values()):
+        height = np.full(times_s.size, 0.95 - 0.07 * row)
+        across = panel.get_xaxis_transform()
+        panel.plot(times_s, height, "|", color="0.35", markersize=5, markeredgewidth=0.6, transform=across)
+    if lost_s:
+        rows = ", then ".join(f"{direction} ({times_s.size})" for direction, times_s in lost_s.items())
+        panel.set_title(f"strokes: lost datagrams, {rows}", fontsize=7, loc="left")
+
+
 def _draw_link(panel: Any, trace: FlightTrace) -> None:
     age = np.where(trace.tick["feature_age"] < 0.0, np.nan, trace.tick["feature_age"])
     panel.plot(trace.time_s, age, color=COLOURS[0], linewidth=1.0)
     panel.set_ylabel("age of features [s]", color=COLOURS[0])
-    panel.set_ylim(bottom=0.0)
+    highest = float(np.nanmax(age)) if np.isfinite(age).any() else 1.0
+    panel.set_ylim(0.0, max(1.25 * highest, 0.1))  # room for the strokes of what was lost
     other = panel.twinx()
     seconds, worst = _worst_per_window(trace.time_s, trace.tick["pose_age"], 0.25)
     other.semilogy(seconds, np.clip(worst, 1e-3, None), color=COLOURS[1], linewidth=0.8, linestyle="--")

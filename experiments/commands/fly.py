@@ -11,6 +11,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from configs.loader import ConfigError
@@ -20,6 +22,8 @@ from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolv
 from experiments.trace import FlightTrace
 from protocol.keys import load_key
 from shell.signals import die_with_parent
+
+Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from experiments.lockstep_flight import LockstepOutcome
@@ -80,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         from flight_record.report import write_report
 
         title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
-        draw_flight(trace, title, folder / "flight.png")
+        draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
         write_report(folder)
     print_card(summary, folder, console)
     return 0 if summary["survived"] else 1
@@ -212,3 +216,20 @@ def read_trace(folder: Path) -> FlightTrace | None:
     if tick is None or truth is None or len(tick) == 0 or len(truth) == 0:
         return None
     return align(tick.time_ns, tick.values, truth.time_ns, truth.values)
+
+
+def lost_datagrams(folder: Path) -> dict[str, Array]:
+    """Seconds from onboard's first tick at which datagrams were lost, by direction; empty without a log of them."""
+    from flight_record.reader import FlightError, open_flight
+    from sim_vehicle.radio import DIRECTIONS, OUTCOMES
+
+    try:
+        flight = open_flight(folder)
+    except FlightError:
+        return {}
+    tick, fate = flight.get("onboard/tick"), flight.get("radio/fate")
+    if tick is None or fate is None or len(tick) == 0:
+        return {}
+    lost = fate["outcome"] != OUTCOMES.index("delivered")
+    seconds = (fate.time_ns - tick.time_ns[0]) * 1e-9
+    return {name: seconds[lost & (fate["direction"] == number)] for number, name in enumerate(DIRECTIONS)}
