@@ -195,7 +195,7 @@ def _seconds(value: float) -> str:
 
 
 def draw(cells: Cells, controller: str, path: Path) -> None:
-    """RMSE of each flight against the median age of its features, on log axes; crosses are lost vehicles."""
+    """RMSE of each flight that survived against the median age of its features."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -223,7 +223,6 @@ def draw(cells: Cells, controller: str, path: Path) -> None:
     if never:
         axes.axhline(100 * float(np.median(never)), color="0.5", linewidth=0.8, label="median where none ever arrived")
     axes.set_xscale("log")
-    axes.set_yscale("log")
     axes.set_xlabel("median age of the features in the air [s]")
     axes.set_ylabel("position RMSE [cm]")
     axes.set_title(f"{controller}: each dot is a flight that survived")
