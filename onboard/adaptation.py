@@ -126,6 +126,8 @@ class LastLayer:
     def __init__(self, config: AdaptationConfig, feature_count: int, PB: Array) -> None:
         """PB: [n, 3], from the Lyapunov equation of the channel's reference model (tracking_weights)."""
         self.config = config
+        self._bound2 = config.weight_norm_max**2
+        self._safe_bound2 = self._bound2 * (1.0 + PROJECTION_MARGIN)
         self._PB = PB
         self._rate_weight = float(np.abs(PB[PB.shape[0] // 2 :]).max())
         self.W: Array = np.zeros((feature_count, 3))
@@ -169,14 +171,15 @@ class LastLayer:
         s = self._gain_along(Phi)
         m2 = config.normalisation_floor + s
         # Tracking term, implicit in what it does to e_2 one step later.
-        tracking = config.tracking_gain / (1.0 + config.tracking_gain * self._rate_weight * dt * dt) / m2
+        gamma, lambda_ = config.tracking_gain, config.composite_gain
+        tracking = gamma / (1.0 + gamma * self._rate_weight * dt * dt) / m2
         px, py, pz = e.dot(self._PB).tolist()
         dx, dy, dz = -tracking * px, -tracking * py, -tracking * pz
-        if config.composite_gain > 0.0:
+        if lambda_ > 0.0:
             # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
             # The tracking step comes first; its effect on W'Phi is s * direction * dt.
-            a = config.composite_gain * dt / m2
-            composite, done = config.composite_gain / m2 / (1.0 + a * s), s * dt
+            a = lambda_ * dt / m2
+            composite, done = lambda_ / m2 / (1.0 + a * s), s * dt
             nx, ny, nz = Phi.dot(W).tolist()
             rx, ry, rz = residual
             dx -= composite * (nx + done * dx - rx)
@@ -188,7 +191,7 @@ class LastLayer:
         direction[0], direction[1], direction[2] = dt * dx, dt * dy, dt * dz
         change = np.multiply(Phi[:, None], direction, out=self._change)
         change[-1] *= config.bias_weight
-        if self._norm2 > config.weight_norm_max * config.weight_norm_max:
+        if self._norm2 > self._bound2:
             change = projected_rate(W, change, self._gamma, config.weight_norm_max)
         W += change
         if config.leak > 0.0:
@@ -203,10 +206,9 @@ class LastLayer:
 
     def _keep_in_ball(self) -> None:
         self._norm2 = float(np.vdot(self.W, self.W))
-        limit2 = self.config.weight_norm_max**2 * (1.0 + PROJECTION_MARGIN)
-        if self._norm2 > limit2:
-            self.W *= (limit2 / self._norm2) ** 0.5
-            self._norm2 = limit2
+        if self._norm2 > self._safe_bound2:
+            self.W *= (self._safe_bound2 / self._norm2) ** 0.5
+            self._norm2 = self._safe_bound2
 
     @property
     def weight_norm(self) -> float:

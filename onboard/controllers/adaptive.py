@@ -68,6 +68,7 @@ class AdaptiveAugmentation:
         self.last_layer = LastLayer(
             config.law, self.features.feature_count, tracking_weights(P, gains.natural_frequency_rad_s)
         )
+        self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
         self._ticks = 0
@@ -94,7 +95,7 @@ class AdaptiveAugmentation:
         if channel.adapt:
             self._filter_residual(channel.residual_raw, dt)
             self.last_layer.step(Phi[:, 0], channel.model_error, self._residual, dt)
-            if self._ticks % self._config.swap.ring_period_ticks == 0:
+            if self._ticks % self._ring_period == 0:
                 self._recent.push(channel.signals[:, 0])
             self._ticks += 1
         nu: Array = np.dot(self.last_layer.W.T, Phi)
@@ -103,7 +104,7 @@ class AdaptiveAugmentation:
 
     def _filter_residual(self, raw: Array, dt: float) -> None:
         """Delta_hat, the measured uncertainty behind a first-order filter."""
-        share = 1.0 - exp(-dt / self._config.law.residual_filter_s)
+        share = 1.0 - exp(-dt / self._filter_s)
         (x, y, z), (rx, ry, rz) = self._residual, raw.tolist()
         self._residual = (x + share * (rx - x), y + share * (ry - y), z + share * (rz - z))
 
