@@ -115,10 +115,10 @@ def fly_lockstep(
         result = lockstep.step()
         ticks[index], truths[index] = result.onboard.tick, result.truth
         flown = index + 1
-        events.extend((when, "onboard", text) for when, text in result.onboard.events)
+        events += [(when, "onboard", text) for when, text in result.onboard.events]
         if result.offboard is not None:
-            events.extend((when, "offboard", text) for when, text in result.offboard.events)
-            records.extend(result.offboard.records)
+            events += [(when, "offboard", text) for when, text in result.offboard.events]
+            records += result.offboard.records
         for observe in observers:
             observe(result)
         crash = lockstep.crash_reason or _too_far(ticks[index], truths[index])
