@@ -15,6 +15,7 @@ from flight_record.schema import RecordType
 from onboard.core import OnboardCore
 from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET, TICK
+from protocol.keys import load_key
 from sim_vehicle.lockstep import Lockstep, TickResult
 from sim_vehicle.radio import DIRECTIONS, Direction, Fate, Radio, Recording
 from sim_vehicle.records import TRUTH
@@ -65,7 +66,7 @@ def build(
     """
     vehicle = SimVehicle(config.vehicle, config.seed)
     radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
-    onboard = OnboardCore(config.onboard, ONBOARD_SESSION, None)
+    onboard = OnboardCore(config.onboard, ONBOARD_SESSION, load_key(config.network.key_file))
     offboard = build_offboard(config, OFFBOARD_SESSION) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
     return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
@@ -78,7 +79,7 @@ def build_offboard(config: FlightConfig, session: int) -> Any:
     from offboard.core import OffboardCore
 
     torch.set_num_threads(1)
-    return OffboardCore(config.offboard, session, None)
+    return OffboardCore(config.offboard, session, load_key(config.network.key_file))
 
 
 def fly_lockstep(

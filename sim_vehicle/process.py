@@ -35,6 +35,9 @@ START_PHASE_NS: Final = 1_000_000
 """From a motor command to the sensors: they are then 3 to 4 ms old at the next onboard tick, well clear of it."""
 MOTOR_DATAGRAMS_PER_WAKE: Final = 16
 RADIO_DATAGRAMS_PER_WAKE: Final = 64
+LANDING_OVERTIME_NS: Final = 8_000_000_000
+"""A vehicle that is still in the air when its time is over gets so long to land."""
+_AIRBORNE: Final = TRUTH.names.index("airborne")
 AFTER_CRASH_NS: Final = 500_000_000
 """The others go on recording for so long after a crash."""
 WARM_UP_STEPS: Final = 20
@@ -71,6 +74,7 @@ class SimProcess:
         self._next_step_ns = 0
         self._loop_record = np.zeros(len(LOOP.fields))
         self._crash_ns = 0
+        self._airborne = False
         self._fates_logged: dict[Direction, int] = {"up": 0, "down": 0}
         self.steps = 0
         self.stalled_steps = 0
@@ -165,6 +169,7 @@ class SimProcess:
 
     def _record(self, step_ns: int, late_ns: int, truth: Any) -> None:
         at_ns = step_ns + self._start_ns
+        self._airborne = bool(truth[_AIRBORNE])
         self._log.write(TRUTH, at_ns, truth)
         self._loop_record[0] = late_ns * 1e-3
         self._loop_record[1] = self.stalled_steps
@@ -189,7 +194,8 @@ class SimProcess:
             return True
         if self._crash_ns:
             return self._next_step_ns > self._crash_ns + AFTER_CRASH_NS
-        return self._next_step_ns > self._duration_ns
+        overtime_ns = LANDING_OVERTIME_NS if self._airborne else 0
+        return self._next_step_ns > self._duration_ns + overtime_ns
 
     def status(self, now: int) -> dict[str, Any]:
         """What the live status shows of the world."""
