@@ -32,6 +32,8 @@ def text_of(page: Path) -> str:
 def block_commands(page: Path) -> Iterator[str]:
     """Whole commands: lines of fenced or indented code, without prompt and comment."""
     for line in text_of(page).splitlines():
+        if line.startswith("|"):  # a table's cells are prose; their commands stand in backticks
+            continue
         for part in re.split(r"(?:&&|\||\s&)\s", line):
             found = re.match(rf"^\s*(?:\$ )?({START}(?:\s.*)?)$", part)
             if found and "`" not in part:
