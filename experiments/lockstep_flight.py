@@ -17,14 +17,13 @@ from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET, TICK
 from protocol.keys import load_key
 from sim_vehicle.lockstep import Lockstep, TickResult
-from sim_vehicle.radio import DIRECTIONS, Direction, Fate, Radio, Recording
+from sim_vehicle.radio import DIRECTIONS, RADIO_STREAM, Direction, Fate, Radio, Recording
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
 Array = NDArray[np.float64]
 ONBOARD_SESSION = 1
 OFFBOARD_SESSION = 2
-RADIO_STREAM = 301
 _TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 _MODE = OFFSET["mode"]
 _FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)

@@ -63,12 +63,6 @@ def _lap_errors(trace: FlightTrace, error: Array, path: Path) -> list[float]:
     return [rms(error[usable & (lap == number)]) for number in range(last + int(whole))]
 
 
-def window_rmse(trace: FlightTrace, start_s: float, end_s: float) -> float:
-    """Position RMSE [m] over a window of flight time, on-path ticks only; NaN if there are none."""
-    inside = trace.on_path & (trace.time_s >= start_s) & (trace.time_s < end_s)
-    return rms(trace.position_error[inside])
-
-
 def lost_target(trace: FlightTrace) -> str:
     """Why the flight is lost by distance from the target, or ""."""
     distance = np.linalg.norm(trace.position_error, axis=1)

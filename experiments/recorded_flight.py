@@ -9,7 +9,7 @@ from configs.loader import ConfigError, fill, parse_yaml
 from experiments.lockstep_flight import Fates
 from experiments.lockstep_log import EXPERIENCE
 from experiments.scenario import FlightConfig
-from experiments.trace import FlightTrace, align
+from experiments.trace import FlightTrace, trace_of
 from flight_record.log_file import LogFile
 from flight_record.reader import Flight, FlightError, open_flight
 from sim_vehicle.radio import DIRECTIONS, FATE, Direction, Fate, fate_from_vector
@@ -56,7 +56,7 @@ def read_recorded(path: Path) -> RecordedFlight:
         path=path,
         config=_config(flight, path),
         fates=read_fates(flight),
-        trace=_trace(flight),
+        trace=trace_of(flight),
         summary=summary,
         onboard_logs=onboard,
         with_offboard=about.get("with_offboard", "True") == "True",
@@ -83,10 +83,3 @@ def _config(flight: Flight, path: Path) -> FlightConfig:
             tree = parse_yaml(attachments[CONFIG_NAME].decode(), source)
             return fill(FlightConfig, tree, source)
     raise ConfigError(f"{path}: its logs hold no {CONFIG_NAME}, so nobody knows how it was flown")
-
-
-def _trace(flight: Flight) -> FlightTrace | None:
-    tick, truth = flight.get("onboard/tick"), flight.get("sim_vehicle/truth")
-    if tick is None or truth is None or len(tick) == 0 or len(truth) == 0:
-        return None
-    return align(tick.time_ns, tick.values, truth.time_ns, truth.values)

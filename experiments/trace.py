@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from flight_record.reader import Flight
 from flight_record.schema import RecordType
 from onboard.supervisor import FlightMode
 from onboard.tick_record import TICK
@@ -85,3 +86,11 @@ def align(tick_ns: Times, ticks: Array, truth_ns: Times, truths: Array) -> Fligh
         raise ValueError("a log without ticks, or without truth")
     newest = np.clip(np.searchsorted(truth_ns, tick_ns, side="right") - 1, 0, None)
     return FlightTrace((tick_ns - tick_ns[0]) * 1e-9, Columns(TICK, ticks), Columns(TRUTH, truths[newest]))
+
+
+def trace_of(flight: Flight) -> FlightTrace | None:
+    """The trace of a recorded flight; None if a log of it is missing or empty."""
+    tick, truth = flight.get(TICK.topic), flight.get(TRUTH.topic)
+    if tick is None or truth is None or len(tick) == 0 or len(truth) == 0:
+        return None
+    return align(tick.time_ns, tick.values, truth.time_ns, truth.values)

@@ -88,7 +88,6 @@ class OnboardCore:
         self._samples = SampleQueue(config.samples)
         self._output = OnboardOutput()
         self._events: list[tuple[int, str]] = []
-        self._inputs: ControlInputs | None = None
         self._command: Thrusts = ZERO
         self._command_before: Thrusts = ZERO
         self._saturated = False

@@ -84,4 +84,4 @@ def rotation_to_quaternion(
 
 def tilt_angle(m22: float) -> float:
     """Angle [rad] between the body down axis and the world's, from the rotation matrix' last element."""
-    return acos(min(max(m22, -1.0), 1.0))
+    return acos(min(1.0, max(-1.0, m22)))

@@ -4,6 +4,7 @@ import math
 
 from onboard.error_state_filter import ErrorStateFilter
 from onboard.records import ImuReading, VehicleState
+from onboard.rotation import tilt_angle
 
 
 def publish(state: VehicleState, source: ErrorStateFilter, reading: ImuReading) -> None:
@@ -37,7 +38,7 @@ def publish_attitude(state: VehicleState, source: ErrorStateFilter) -> None:
     euler[0] = math.atan2(rotation[7], rotation[8])
     euler[1] = math.asin(min(1.0, max(-1.0, -rotation[6])))
     euler[2] = math.atan2(rotation[3], rotation[0])
-    state.tilt_rad = math.acos(min(1.0, max(-1.0, rotation[8])))
+    state.tilt_rad = tilt_angle(rotation[8])
 
 
 def publish_sigmas(state: VehicleState, source: ErrorStateFilter) -> None:

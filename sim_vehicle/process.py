@@ -26,7 +26,7 @@ from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
 from shell.status import StatusLines
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.radio import DIRECTIONS, FATE, Direction, Radio, RadioConfig, fate_vector
+from sim_vehicle.radio import DIRECTIONS, FATE, RADIO_STREAM, Direction, Radio, RadioConfig, fate_vector
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
@@ -44,8 +44,6 @@ WARM_UP_STEPS: Final = 20
 START_LIMIT_S: Final = 120.0
 PRIORITY: Final = 10
 """SCHED_FIFO, below onboard's: the simulated world must keep time too, but not at the loop's cost."""
-RADIO_STREAM: Final = 301
-"""Number of the radio's random stream, apart from the vehicle's."""
 
 LOOP: Final = RecordType("sim_vehicle/loop", (("step_late", "us"), ("stalled_steps", "")))
 

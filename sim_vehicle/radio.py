@@ -24,6 +24,8 @@ from flight_record.schema import RecordType
 Direction = Literal["up", "down"]
 """up: onboard to offboard; down: offboard to onboard."""
 DIRECTIONS: Final[tuple[Direction, Direction]] = ("up", "down")
+RADIO_STREAM: Final = 301
+"""Number of the radio's random stream, apart from the vehicle's; real time and lockstep draw the same luck."""
 IN_FLIGHT_MAX: Final = 20_000
 """Most datagrams on their way in a direction; beyond it the queue counts as full."""
 FATES_MAX: Final = 1_000_000

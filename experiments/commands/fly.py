@@ -205,17 +205,13 @@ def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tu
 
 def read_trace(folder: Path) -> FlightTrace | None:
     """The trace of a recorded flight; None if a log is missing or empty."""
-    from experiments.trace import align
+    from experiments.trace import trace_of
     from flight_record.reader import FlightError, open_flight
 
     try:
-        flight = open_flight(folder)
+        return trace_of(open_flight(folder))
     except FlightError:
         return None
-    tick, truth = flight.get("onboard/tick"), flight.get("sim_vehicle/truth")
-    if tick is None or truth is None or len(tick) == 0 or len(truth) == 0:
-        return None
-    return align(tick.time_ns, tick.values, truth.time_ns, truth.values)
 
 
 def lost_datagrams(folder: Path) -> dict[str, Array]:
