@@ -29,7 +29,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "replay": Subcommand("experiments.commands.replay", "re-fly a recorded flight with exactly the fates its link had"),
     "dropouts": Subcommand("experiments.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
     "config": Subcommand("experiments.commands.config", "write the resolved configuration of a scenario"),
-    "bench": Subcommand("experiments.bench", "time the onboard step, the loop's pace and lockstep"),
+    "bench": Subcommand("experiments.commands.bench", "time the onboard step, the loop's pace and lockstep"),
     "keygen": Subcommand("experiments.commands.keygen", "make a key that protects the onboard/offboard link"),
     "tune": Subcommand("experiments.commands.tune", "search a controller's gains on training seeds"),
     "campaign": Subcommand("experiments.commands.campaign", "fly scenario x controllers x sweeps x seeds"),

@@ -2,8 +2,8 @@
 
 One record a tick, written after the step: a head (time, number of the tick, missed ticks, whether the step failed),
 then entries in the order in which they happened: the kind (one byte), the length (two bytes) and the bytes. Whoever
-drives a core (the real-time process, lockstep) fills a `TapeWriter`; `experiments.replay_check` feeds what is on the
-tape to a fresh core. A tape holds what was on the wires, and no key.
+drives a core (the real-time process, lockstep) fills a `TapeWriter`; `experiments.replays.replay_check` feeds what
+is on the tape to a fresh core. A tape holds what was on the wires, and no key.
 """
 
 import struct

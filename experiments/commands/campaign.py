@@ -9,8 +9,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from experiments.campaign_runner import CampaignRun, DaskWorkers, LocalPool, open_store, prepare_folder, run_campaign
-from experiments.campaign_runner import Progress as CampaignProgress
+from experiments.campaigns.runner import CampaignRun, DaskWorkers, LocalPool, open_store, prepare_folder, run_campaign
+from experiments.campaigns.runner import Progress as CampaignProgress
 
 EXAMPLES = """examples:
   dmrac campaign rotor_chip                          all cores, into campaigns/rotor_chip
@@ -40,7 +40,7 @@ def _positive(text: str) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 all flown, 1 some flights failed, 130 interrupted."""
-    from experiments.campaign import load_campaign
+    from experiments.campaigns.campaign import load_campaign
 
     campaign, path = load_campaign(arguments.campaign)
     folder = arguments.out or Path("campaigns") / path.stem
@@ -74,7 +74,7 @@ def cores() -> int:
 
 def forget_errors(folder: Path) -> None:
     """Drops rows with an error, so that their flights are flown again."""
-    from experiments.campaign_store import drop_rows, read_table
+    from experiments.campaigns.store import drop_rows, read_table
 
     table = read_table(folder)
     failed = {row["key"] for row in table.select(["key", "error"]).to_pylist() if row["error"]}

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from experiments.scenario import DEFAULT_SCENARIO, Choices, resolve
+from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
 EXAMPLES = """examples:
   dmrac config figure8_wind > flight.yaml

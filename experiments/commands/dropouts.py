@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
-from experiments.scenario import DEFAULT_SCENARIO
+from experiments.flights.scenario import DEFAULT_SCENARIO
 
 if TYPE_CHECKING:
-    from experiments.dropout_flights import DropoutFlight
+    from experiments.link.dropout_flights import DropoutFlight
 
 EXAMPLES = """examples:
   dmrac dropouts                                   every trace of configs/dropouts, figure8_wind, dmrac
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 every vehicle survived, 1 one was lost, 2 nothing was flown."""
     from experiments.commands.campaign import cores
-    from experiments.dropout_flights import HEADINGS, fly_all
+    from experiments.link.dropout_flights import HEADINGS, fly_all
 
     flights = jobs(arguments)
     console = Console()
@@ -66,9 +66,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def jobs(arguments: argparse.Namespace) -> "list[DropoutFlight]":
     """The flights that were asked for, the perfect link first. Raises ConfigError before anything is flown."""
-    from experiments.dropout_flights import PERFECT, DropoutFlight
-    from experiments.dropout_trace import load_trace, trace_names
-    from experiments.scenario import Choices, resolve
+    from experiments.flights.scenario import Choices, resolve
+    from experiments.link.dropout_flights import PERFECT, DropoutFlight
+    from experiments.link.dropout_trace import load_trace, trace_names
 
     resolve(arguments.scenario, Choices(arguments.controller, arguments.seed, arguments.duration))
     traces = arguments.traces or trace_names()

@@ -19,10 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 written, 2 not a campaign's folder."""
-    from experiments.campaign_data import load_data
-    from experiments.campaign_page import write_page
-    from experiments.campaign_tables import markdown_report
-    from experiments.figure_plan import draw_all
+    from experiments.results.campaign_data import load_data
+    from experiments.results.figure_plan import draw_all
+    from experiments.results.page import write_page
+    from experiments.results.tables import markdown_report
 
     console = Console()
     data = load_data(arguments.folder)

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from configs.loader import ConfigError
-from experiments.flight_card import build_summary, print_card, write_summary
-from experiments.realtime_flight import require_free_ports
-from experiments.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
-from experiments.trace import FlightTrace
+from experiments.flights.flight_card import build_summary, print_card, write_summary
+from experiments.flights.realtime_flight import require_free_ports
+from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
+from experiments.flights.trace import FlightTrace
 from protocol.keys import load_key
 from shell.signals import die_with_parent
 
 Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
-    from experiments.lockstep_flight import LockstepOutcome
+    from experiments.flights.lockstep_flight import LockstepOutcome
 
 EXAMPLES = """examples:
   dmrac fly                                   the default scenario, figure8_wind, in real time
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     summary["command"] = repeat_command(arguments, config)
     write_summary(folder, summary)
     if trace is not None:
-        from experiments.flight_figure import draw_flight
+        from experiments.flights.flight_figure import draw_flight
         from flight_record.report import write_report
 
         title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
@@ -154,8 +154,8 @@ def make_folder(out: Path | None, scenario: str) -> Path:
 
 def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> tuple[dict[str, Any], FlightTrace]:
     """One flight in virtual time, logged like a real one."""
-    from experiments.lockstep_flight import fly_lockstep
-    from experiments.lockstep_log import LockstepLog
+    from experiments.flights.lockstep_flight import fly_lockstep
+    from experiments.flights.lockstep_log import LockstepLog
 
     with LockstepLog(folder, config, with_offboard) as log:
         outcome = fly_lockstep(config, (log,), with_offboard)
@@ -178,9 +178,9 @@ def lockstep_summary(config: FlightConfig, outcome: "LockstepOutcome") -> dict[s
 
 def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tuple[dict[str, Any], FlightTrace | None]:
     """One flight in three processes over UDP."""
-    from experiments.live_status import LiveStatus
-    from experiments.metrics import lost_target
-    from experiments.realtime_flight import run as fly_processes
+    from experiments.flights.live_status import LiveStatus
+    from experiments.flights.metrics import lost_target
+    from experiments.flights.realtime_flight import run as fly_processes
 
     with LiveStatus(console) as status:
         result = fly_processes(config.network, folder / "config.yaml", config.duration_s, folder, status)
@@ -205,7 +205,7 @@ def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tu
 
 def read_trace(folder: Path) -> FlightTrace | None:
     """The trace of a recorded flight; None if a log is missing or empty."""
-    from experiments.trace import trace_of
+    from experiments.flights.trace import trace_of
     from flight_record.reader import FlightError, open_flight
 
     try:

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from configs.loader import ConfigError, load_section
 from configs.network import check_address, check_vehicle_address, is_loopback
-from experiments.preflight_session import PreflightSession
+from experiments.flights.preflight_session import PreflightSession
 from offboard.config import PoseRelayConfig
 from offboard.pose_relay import PoseRelay
 from onboard.config import OnboardConfig

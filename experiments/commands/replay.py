@@ -9,7 +9,7 @@ from rich.console import Console
 from configs.loader import ConfigError
 
 if TYPE_CHECKING:
-    from experiments.recorded_flight import RecordedFlight
+    from experiments.replays.recorded_flight import RecordedFlight
 
 EXAMPLES = """examples:
   dmrac replay flights/2026-01-01_120000_blackout                   the same flight again, in lockstep
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 flown again and alive (or equal), 1 vehicle lost (or different), 2 nothing was done."""
-    from experiments.recorded_flight import read_recorded
+    from experiments.replays.recorded_flight import read_recorded
 
     if arguments.check and (arguments.controller or arguments.seed is not None):
         raise ConfigError("--check: compares with what was flown; it takes no --controller and no --seed")
@@ -48,8 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
 def replay(flight: "RecordedFlight", arguments: argparse.Namespace, console: Console) -> int:
     """Flies it again and shows both."""
     from experiments.commands.fly import lockstep_summary, make_folder
-    from experiments.flight_card import write_summary
-    from experiments.replay import comparison, figures, figures_of_recorded, refly, verdict, with_choices
+    from experiments.flights.flight_card import write_summary
+    from experiments.replays.replay import comparison, figures, figures_of_recorded, refly, verdict, with_choices
 
     original = figures_of_recorded(flight)
     config = with_choices(flight.config, arguments.controller, arguments.seed)
@@ -67,7 +67,7 @@ def replay(flight: "RecordedFlight", arguments: argparse.Namespace, console: Con
 
 def check(flight: "RecordedFlight", key_file: Path | None, console: Console) -> int:
     """Compares bit for bit; says how much was compared, or names the first difference."""
-    from experiments.replay_check import check_flight
+    from experiments.replays.replay_check import check_flight
 
     equal = True
     for result in check_flight(flight, key_file):
@@ -87,7 +87,7 @@ def check(flight: "RecordedFlight", key_file: Path | None, console: Console) -> 
 
 def save_trace(flight: "RecordedFlight", path: Path, console: Console) -> int:
     """Writes the fates of the flight's link as a file for `dmrac dropouts`."""
-    from experiments.dropout_trace import write_csv
+    from experiments.link.dropout_trace import write_csv
 
     if path.suffix != ".csv":
         raise ConfigError(f"--save-trace {path}: expected a name that ends in .csv")

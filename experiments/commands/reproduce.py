@@ -30,9 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 done, 1 some flights failed, 130 interrupted (call again to go on)."""
-    from experiments.campaign_runner import DaskWorkers, LocalPool, Workers
+    from experiments.campaigns.runner import DaskWorkers, LocalPool, Workers
     from experiments.commands.campaign import cores, progress_bar
-    from experiments.reproduction import CAMPAIGNS, Reproduction, draw, fly, write_results, write_targets
+    from experiments.results.reproduction import CAMPAIGNS, Reproduction, draw, fly, write_results, write_targets
 
     unknown = [name for name in arguments.only or () if name not in CAMPAIGNS]
     if unknown:

@@ -34,11 +34,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 searched and written, 130 interrupted (the search goes on when called again)."""
     import optuna
 
-    from experiments.campaign_runner import LocalPool
+    from experiments.campaigns.controller_file import tuned_text, write_controller
+    from experiments.campaigns.runner import LocalPool
+    from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
     from experiments.commands.campaign import cores
-    from experiments.controller_file import tuned_text, write_controller
-    from experiments.scenario import named_file
-    from experiments.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
+    from experiments.flights.scenario import named_file
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     if arguments.trials < 1:

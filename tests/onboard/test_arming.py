@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from experiments.scenario import Choices, resolve
+from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.flight_modes import SPINNING, FlightMode
 from onboard.link_health import BLOCK_SAMPLES, BLOCKS, NOT_JUDGED, LinkHealth, LinkHealthConfig

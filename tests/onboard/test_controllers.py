@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from configs.loader import ConfigError, fill
-from experiments.lockstep_flight import build
-from experiments.scenario import Choices, resolve
+from experiments.flights.lockstep_flight import build
+from experiments.flights.scenario import Choices, resolve
 from onboard.adaptation import AdaptationConfig
 from onboard.control_records import ChannelTelemetry
 from onboard.controllers.augmentation import ChannelState

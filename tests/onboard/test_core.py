@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from experiments.scenario import Choices, resolve
+from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.feature_reception import FeatureReception
 from onboard.feature_swap import SwapConfig

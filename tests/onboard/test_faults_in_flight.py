@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from experiments.scenario import Choices, resolve
+from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.records import FlowReading
 from onboard.supervisor import FlightMode

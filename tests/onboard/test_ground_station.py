@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.scenario import Choices, resolve
+from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.supervisor import FlightMode
 from sim_vehicle.lockstep import Lockstep

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-from experiments.lockstep_flight import build
-from experiments.scenario import Choices, resolve
+from experiments.flights.lockstep_flight import build
+from experiments.flights.scenario import Choices, resolve
 from sim_vehicle.lockstep import Lockstep
 
 ROOT = Path(__file__).parents[2]

@@ -1,0 +1,193 @@
+"""One flight as one row: its metrics, its link, its features, and the command that repeats it."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from experiments.flights.lockstep_flight import LockstepOutcome
+from experiments.flights.metrics import flight_metrics, rms
+from experiments.flights.scenario import FlightConfig
+from experiments.flights.trace import Array, FlightTrace
+from onboard.supervisor import FlightMode
+from sim_vehicle.lockstep import TickResult
+
+AFTER_ONSET_S = 4.0
+"""First window after a fault."""
+SETTLED_AFTER_ONSET_S = 10.0
+"""From then on after a fault the flight counts as settled."""
+RECOVERED_RAD = math.radians(5.0)
+RECOVERED_FOR_S = 1.0
+
+_FLOATS = (
+    *("duration_s", "flown_s", "onset_s", "position_rmse_m", "attitude_rmse_rad", "first_lap_rmse_m"),
+    *("settled_rmse_m", "before_onset_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"),
+    *("worst_error_m", "recovery_s", "feature_age_median_s", "feature_age_max_s", "pose_age_median_s"),
+    *("up_bytes_s", "down_bytes_s", "up_lost_share", "down_lost_share"),
+    *("position_bound_median", "position_error_norm_median", "attitude_bound_median", "attitude_error_norm_median"),
+    *("position_swap_jump_max_m_s2", "attitude_swap_jump_max_rad_s2", "wall_s", "cpu_s", "worker_peak_mib"),
+)
+_INTEGERS = ("seed", "feature_version", "swaps", "refused", "training_rounds", "versions_sent", "samples")
+_TEXTS = ("key", "campaign", "case", "controller", "point", "crash_reason", "trace_sha256", "error", "command")
+
+SCHEMA = pa.schema(
+    [
+        *((name, pa.string()) for name in _TEXTS),
+        *((name, pa.int64()) for name in _INTEGERS),
+        ("survived", pa.bool_()),
+        *((name, pa.float64()) for name in _FLOATS),
+        ("lap_rmse_m", pa.list_(pa.float64())),
+    ]
+)
+"""Columns of flights.parquet. Times in s of flight time; RMSE over the windows that docs/experiments.md states."""
+
+Row = dict[str, Any]
+
+
+class LinkBytes:
+    """Counts what goes over the link, as an observer of the flight."""
+
+    def __init__(self) -> None:
+        self.up = 0
+        self.down = 0
+
+    def __call__(self, result: TickResult) -> None:
+        """Takes note of one tick."""
+        self.up += sum(len(datagram) for datagram in result.onboard.to_offboard)
+        if result.offboard is not None:
+            self.down += sum(len(datagram) for datagram in result.offboard.to_onboard)
+
+
+def flight_row(config: FlightConfig, outcome: LockstepOutcome, link: LinkBytes) -> Row:
+    """The measured part of a row. NaN stands for what the flight has no answer to."""
+    trace = outcome.trace
+    metrics = flight_metrics(trace, config.onboard.guidance.trajectory)
+    crash = outcome.crash_reason or _cut(trace)
+    flown_s = float(trace.time_s[-1]) if trace.time_s.size else 0.0
+    offboard = outcome.offboard or {}
+    row: Row = {
+        "seed": config.seed,
+        "duration_s": config.duration_s,
+        "flown_s": flown_s,
+        "survived": not crash and bool(trace.on_path.any()),
+        "crash_reason": crash,
+        "error": "" if trace.on_path.any() or crash else "the vehicle never reached its path",
+        "position_rmse_m": metrics.position_rmse_m,
+        "attitude_rmse_rad": metrics.attitude_rmse_rad,
+        "lap_rmse_m": list(metrics.lap_rmse_m),
+        "first_lap_rmse_m": metrics.lap_rmse_m[0] if metrics.lap_rmse_m else math.nan,
+        "settled_rmse_m": metrics.settled_rmse_m,
+        "worst_error_m": _worst(trace),
+        "trace_sha256": outcome.trace_sha256,
+        "training_rounds": int(offboard.get("rounds", 0)),
+        "versions_sent": int(offboard.get("version", 0)),
+        "samples": int(offboard.get("samples", 0)),
+        "feature_version": int(outcome.onboard["features"]["version"]),
+        "swaps": int(outcome.onboard["features"]["swaps"]),
+        "refused": int(outcome.onboard["features"]["refused"]),
+        "up_bytes_s": link.up / max(flown_s, 1e-9),
+        "down_bytes_s": link.down / max(flown_s, 1e-9),
+    }
+    for direction, counts in outcome.radio.items():
+        row[f"{direction}_lost_share"] = counts["lost"] / counts["sent"] if counts["sent"] else math.nan
+    return row | _ages(trace) | _bounds(trace) | _swap_jumps(trace) | _fault_windows(config, trace)
+
+
+def fault_onset_s(config: FlightConfig) -> float:
+    """When the first disturbance sets in that was not there from the start; NaN if there is none."""
+    onsets = [item.onset_s for item in config.vehicle.disturbances if item.onset_s > 0.0]
+    return min(onsets, default=math.nan)
+
+
+def _cut(trace: FlightTrace) -> str:
+    last = trace.mode[-1] if trace.mode.size else FlightMode.BOOT
+    return "motors cut by the supervisor" if last in (FlightMode.EMERGENCY, FlightMode.TERMINATED) else ""
+
+
+def _worst(trace: FlightTrace) -> float:
+    error = np.linalg.norm(trace.position_error[trace.on_path], axis=1)
+    return float(error.max()) if error.size else math.nan
+
+
+def _ages(trace: FlightTrace) -> Row:
+    on_path = trace.on_path
+    features, pose = trace.tick["feature_age"][on_path], trace.tick["pose_age"][on_path]
+    features, pose = features[features >= 0.0], pose[pose >= 0.0]
+    return {
+        "feature_age_median_s": _median(features),
+        "feature_age_max_s": float(features.max()) if features.size else math.nan,
+        "pose_age_median_s": _median(pose),
+    }
+
+
+def _bounds(trace: FlightTrace) -> Row:
+    row: Row = {}
+    adapting = (trace.tick["adapting"] > 0.5) & trace.on_path
+    for channel, first, second in (("position", "ned", "ned"), ("attitude", "xyz", "pqr")):
+        parts = [trace.tick.vector(f"{channel}_error", first), trace.tick.vector(f"{channel}_error_rate", second)]
+        bound = trace.tick[f"{channel}_live_bound"][adapting]
+        row[f"{channel}_bound_median"] = _median(bound[bound > 0.0])
+        row[f"{channel}_error_norm_median"] = _median(np.linalg.norm(np.hstack(parts)[adapting], axis=1))
+    return row
+
+
+def _swap_jumps(trace: FlightTrace) -> Row:
+    """Largest change of nu_ad over a tick in which features were swapped in flight."""
+    swapped = np.flatnonzero((np.diff(trace.tick["feature_version"]) != 0) & trace.on_path[1:])
+    row: Row = {}
+    for channel, axes, unit in (("position", "ned", "m_s2"), ("attitude", "xyz", "rad_s2")):
+        nu = trace.tick.vector(f"{channel}_adaptive_now", axes)
+        jumps = np.linalg.norm(nu[swapped + 1] - nu[swapped], axis=1)
+        row[f"{channel}_swap_jump_max_{unit}"] = float(jumps.max()) if jumps.size else math.nan
+    return row
+
+
+def _fault_windows(config: FlightConfig, trace: FlightTrace) -> Row:
+    onset = fault_onset_s(config)
+    row: Row = {"onset_s": onset}
+    names = ("before_onset_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m", "recovery_s")
+    if math.isnan(onset):
+        return row | dict.fromkeys(names, math.nan)
+    time, on_path, error = trace.time_s, trace.on_path, trace.position_error
+    since = time - onset
+    return row | {
+        "before_onset_rmse_m": rms(error[on_path & (since < 0.0)]),
+        "after_onset_rmse_m": rms(error[on_path & (since >= 0.0) & (since < AFTER_ONSET_S)]),
+        "settled_after_onset_rmse_m": rms(error[on_path & (since >= SETTLED_AFTER_ONSET_S)]),
+        "recovery_s": recovery_s(since[on_path], trace.attitude_error[on_path]),
+    }
+
+
+def recovery_s(since_s: Array, attitude_error: Array) -> float:
+    """Time from the fault (0) to the start of the first second of attitude error below 5 degrees; NaN if none.
+
+    Parameters
+    ----------
+    since_s: [n], time since the fault, s, ascending. attitude_error: [n], rad.
+    """
+    after = since_s >= 0.0
+    time, bad = since_s[after], attitude_error[after] >= RECOVERED_RAD
+    if time.size == 0:
+        return math.nan
+    starts = np.concatenate([[0.0], time[bad]])
+    ends = np.concatenate([time[bad], time[-1:]])
+    long_enough = np.flatnonzero(ends - starts >= RECOVERED_FOR_S)
+    return float(starts[long_enough[0]]) if long_enough.size else math.nan
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if values.size else math.nan
+
+
+def empty_row() -> Row:
+    """A row of which nothing is known."""
+    row: Row = dict.fromkeys(_TEXTS, "") | dict.fromkeys(_INTEGERS, 0) | dict.fromkeys(_FLOATS, math.nan)
+    return row | {"survived": False, "lap_rmse_m": []}
+
+
+def point_of(row: Row) -> dict[str, Any]:
+    """The point in the sweeps that a row belongs to."""
+    point: dict[str, Any] = json.loads(row["point"])
+    return point

@@ -1,0 +1,281 @@
+"""Runs a campaign's flights side by side and keeps their rows. The same loop feeds a local pool and a Dask cluster.
+
+Both are a `concurrent.futures.Executor`. Few flights are under way at a time, so memory does not grow with the
+campaign; a worker that dies costs its flight one more try, then that flight becomes a row with its error.
+"""
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import yaml
+
+from configs.loader import ConfigError, read_tree
+from experiments.campaigns.campaign import CampaignConfig, FlightJob, fingerprint, unfold
+from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.store import CampaignStore, write_bytes_atomically
+from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
+
+TRIES: Final = 2
+QUEUED_PER_WORKER: Final = 2
+"""Flights submitted for each worker: one in flight, one waiting."""
+FLIGHTS_PER_PROCESS: Final = 200
+"""Then a worker process is replaced by a fresh one, so that memory stays flat whatever a library may keep."""
+CAMPAIGN_FILE: Final = "campaign.yaml"
+
+
+class Workers(Protocol):
+    """Where flights are flown."""
+
+    count: int
+
+    def open(self) -> Executor:
+        """An executor; called again after it broke."""
+
+    def close(self) -> None:
+        """Ends everything that was opened."""
+
+
+class LocalPool:
+    """Processes of this machine, started afresh (spawn), one thread each."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._executor: ProcessPoolExecutor | None = None
+
+    def open(self) -> Executor:
+        """A new pool."""
+        one_thread_each()
+        context = multiprocessing.get_context("spawn")
+        self._executor = ProcessPoolExecutor(
+            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=FLIGHTS_PER_PROCESS
+        )
+        return self._executor
+
+    def close(self) -> None:
+        """Drops what waits and lets flights in the air finish."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _ignore_interrupt() -> None:
+    """Ctrl-C is for the parent, which ends the pool in order."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class DaskWorkers:
+    """Workers of a Dask cluster, by its scheduler's address."""
+
+    def __init__(self, address: str) -> None:
+        """Raises ConfigError if distributed is not installed or nobody answers."""
+        try:
+            from distributed import Client
+        except ImportError:
+            raise ConfigError("--scheduler needs the extra `cluster`: pip install 'async-dmrac[cluster]'") from None
+        try:
+            self._client: Any = Client(address, timeout="10s", set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--scheduler {address}: no scheduler answers: {error}") from None
+        self.count = max(sum(self._client.nthreads().values()), 1)
+
+    def open(self) -> Executor:
+        """The cluster as an executor. pure=False: the same job twice is two flights."""
+        executor: Executor = self._client.get_executor(pure=False, retries=TRIES - 1)
+        return executor
+
+    def close(self) -> None:
+        """Leaves the cluster as it was found."""
+        self._client.close()
+
+
+@dataclass
+class Progress:
+    """How far a campaign is."""
+
+    total: int
+    done: int = 0
+    flown: int = 0
+    lost: int = 0
+    errors: int = 0
+    started_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def flights_per_s(self) -> float:
+        """Since this run began."""
+        return self.flown / max(time.monotonic() - self.started_s, 1e-9)
+
+
+@dataclass
+class CampaignRun:
+    """A campaign in its folder."""
+
+    campaign: CampaignConfig
+    name: str
+    folder: Path
+    seeds: int | None = None
+    """So many instead of the campaign's own number."""
+
+    def jobs(self) -> Iterator[FlightJob]:
+        """Every flight of the campaign."""
+        return unfold(self.campaign, self.name, self.seeds)
+
+
+def prepare_folder(run: CampaignRun, resume: bool) -> None:
+    """Writes what the folder is about, or checks that it is about the same.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds flights and `resume` is not set, or holds those of another campaign or other settings.
+    """
+    tree = run.campaign.model_dump(mode="json")
+    mark = fingerprint(tree)
+    path = run.folder / CAMPAIGN_FILE
+    if path.exists():
+        if not resume:
+            raise ConfigError(f"--out {run.folder}: holds a campaign already; add --resume, or choose another folder")
+        if read_tree(path).get("fingerprint") != mark:
+            raise ConfigError(
+                f"--resume {run.folder}: its flights were made with other settings: campaign or configs have changed "
+                "since; choose another folder"
+            )
+    about = {"name": run.name, "fingerprint": mark, "seeds": run.seeds or run.campaign.seeds.count, "campaign": tree}
+    text = yaml.safe_dump(about, sort_keys=False, allow_unicode=True, width=110)
+    write_bytes_atomically(path, text.encode())
+
+
+def run_campaign(
+    run: CampaignRun, store: CampaignStore, workers: Workers, report: Callable[[Progress], None]
+) -> Progress:
+    """Flies what is not in the store yet. KeyboardInterrupt passes through; everything reported is kept.
+
+    report: called after every flight.
+    """
+    total = sum(1 for _ in run.jobs())
+    progress = Progress(total, done=sum(1 for job in run.jobs() if job.key in store.done))
+    report(progress)
+    try:
+        loop = _Loop(run, store, workers, progress, report)
+        loop.fly(job for job in run.jobs() if job.key not in store.done)
+    finally:
+        workers.close()
+    return progress
+
+
+class _Loop:
+    """Keeps the workers busy until all jobs are done."""
+
+    def __init__(
+        self,
+        run: CampaignRun,
+        store: CampaignStore,
+        workers: Workers,
+        progress: Progress,
+        report: Callable[[Progress], None],
+    ) -> None:
+        self._run, self._store, self._workers = run, store, workers
+        self._progress, self._report = progress, report
+        self._executor = workers.open()
+        self._under_way: dict[Future[FlightResult], FlightJob] = {}
+        self._tries: dict[str, int] = {}
+        self._sources_under_way: set[str] = set()
+
+    def fly(self, jobs: Iterator[FlightJob]) -> None:
+        """Submits and takes in until nothing is left."""
+        limit = self._workers.count * QUEUED_PER_WORKER
+        for job in jobs:
+            while len(self._under_way) >= limit or job.source in self._sources_under_way:
+                self._take_in()
+            self._submit(job)
+        while self._under_way:
+            self._take_in()
+
+    def _submit(self, job: FlightJob) -> None:
+        if job.source:
+            path = experience_path(self._run.folder, job.source)
+            if not path.exists():
+                self._fail(job, f"the flight it starts from left no experience: {job.source}")
+                return
+            job = job.with_experience(path.read_bytes())
+        if job.keep_experience:
+            self._sources_under_way.add(job.key)
+        self._tries[job.key] = self._tries.get(job.key, 0) + 1
+        try:
+            future = self._executor.submit(fly_job, job)
+        except (RuntimeError, OSError):  # a pool that broke takes nothing more
+            self._executor = self._workers.open()
+            future = self._executor.submit(fly_job, job)
+        self._under_way[future] = job
+
+    def _take_in(self) -> None:
+        done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
+        for future in done:
+            job = self._under_way.pop(future)
+            try:
+                result = future.result()
+            except Exception as error:  # the worker died, or its answer did not come through
+                self._again(job, f"the worker failed: {type(error).__name__}: {error}")
+            else:
+                self._keep(job, result)
+
+    def _again(self, job: FlightJob, reason: str) -> None:
+        if self._tries[job.key] < TRIES:
+            self._submit(job)
+        else:
+            self._fail(job, reason)
+
+    def _keep(self, job: FlightJob, result: FlightResult) -> None:
+        folder = self._run.folder
+        if result.trace is not None:
+            write_bytes_atomically(folder / "traces" / f"{job.file_stem}.npz", result.trace)
+            write_bytes_atomically(folder / "traces" / f"{job.file_stem}.yaml", result.config.encode())
+        if result.experience is not None:
+            write_bytes_atomically(experience_path(folder, job.key), result.experience)
+        self._finish(job, result.row | {"command": job.command(folder)})
+
+    def _fail(self, job: FlightJob, reason: str) -> None:
+        about: dict[str, Any] = {
+            "key": job.key,
+            "campaign": job.campaign,
+            "case": job.case,
+            "controller": job.controller,
+        }
+        about |= {"seed": job.seed, "point": json.dumps(dict(job.point)), "command": job.command(self._run.folder)}
+        self._finish(job, empty_row() | about | {"error": reason})
+
+    def _finish(self, job: FlightJob, row: dict[str, Any]) -> None:
+        self._store.append(row)
+        self._sources_under_way.discard(job.key)
+        self._tries.pop(job.key, None)
+        progress = self._progress
+        progress.done += 1
+        progress.flown += 1
+        progress.errors += bool(row["error"])
+        progress.lost += not row["survived"] and not row["error"]
+        self._report(progress)
+
+
+def experience_path(folder: Path, key: str) -> Path:
+    """Where what a flight learnt is kept."""
+    return folder / "experience" / f"{key.replace('/', '__')}.npz"
+
+
+@contextmanager
+def open_store(folder: Path) -> Iterator[CampaignStore]:
+    """The folder's rows. Raises ConfigError if another campaign is writing there."""
+    try:
+        store = CampaignStore(folder)
+    except BlockingIOError:
+        raise ConfigError(f"--out {folder}: another campaign is writing there") from None
+    try:
+        yield store
+    finally:
+        store.close()

@@ -1,0 +1,122 @@
+"""Where a campaign's rows are kept: one Parquet file, and a journal of what came in since it was last rewritten.
+
+Theory of operation. A Parquet file cannot be appended to, so each row first goes, flushed to the disk, as one line of
+JSON into flights.journal. Every so often the journal is folded into flights.parquet: a new file is written beside the
+old one and renamed over it, then the journal is emptied. Whenever the process dies, nothing that was reported is lost:
+a torn last line is a flight that was not reported; a row that is in both files (death between rename and emptying)
+is counted once, by its key.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from experiments.campaigns.flight_row import SCHEMA, Row
+
+PARQUET: Final = "flights.parquet"
+JOURNAL: Final = "flights.journal"
+FOLD_EVERY: Final = 500
+"""Rows in the journal before it is folded into the Parquet file."""
+
+
+class CampaignStore:
+    """Rows of one campaign folder. One process at a time: the folder is locked while it is open."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises BlockingIOError if another process has the folder open."""
+        import fcntl
+
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lock = (folder / ".lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._lock.close()
+            raise
+        self._folder = folder
+        self.done: set[str] = set()
+        """Keys of the flights that need not be flown again."""
+        self._fold()
+        self._journal = (folder / JOURNAL).open("ab")
+        self._waiting = 0
+
+    def append(self, row: Row) -> None:
+        """Keeps one row; it is on the disk when this returns."""
+        self._journal.write(json.dumps(row).encode() + b"\n")
+        self._journal.flush()
+        os.fsync(self._journal.fileno())
+        self.done.add(row["key"])
+        self._waiting += 1
+        if self._waiting >= FOLD_EVERY:
+            self._journal.close()
+            self._fold()
+            self._journal = (self._folder / JOURNAL).open("ab")
+            self._waiting = 0
+
+    def close(self) -> None:
+        """Folds the journal in and gives the folder free."""
+        self._journal.close()
+        self._fold()
+        self._lock.close()
+
+    def _fold(self) -> None:
+        rows = read_table(self._folder)
+        self.done = set(rows.column("key").to_pylist())
+        journal = self._folder / JOURNAL
+        if journal.exists() and journal.stat().st_size:
+            write_atomically(self._folder / PARQUET, rows)
+            journal.unlink()
+
+
+def read_table(folder: Path) -> pa.Table:
+    """All rows, those of the journal included, each key once (the newest counts)."""
+    parquet = folder / PARQUET
+    table = pq.read_table(parquet, schema=SCHEMA) if parquet.exists() else SCHEMA.empty_table()
+    fresh = {row["key"]: row for row in _journal_rows(folder / JOURNAL)}
+    if not fresh:
+        return table
+    old = pa.array([key not in fresh for key in table.column("key").to_pylist()], type=pa.bool_())
+    return pa.concat_tables([table.filter(old), pa.Table.from_pylist(list(fresh.values()), schema=SCHEMA)])
+
+
+def _journal_rows(path: Path) -> list[dict[str, Any]]:
+    if not path.exists():
+        return []
+    rows = []
+    for line in path.read_bytes().split(b"\n"):
+        try:
+            row = json.loads(line)
+        except ValueError:
+            continue  # torn by the death of the writer: that flight was not reported
+        if isinstance(row, dict) and set(SCHEMA.names) >= set(row) and "key" in row:
+            rows.append(row)
+    return rows
+
+
+def drop_rows(folder: Path, keys: set[str]) -> None:
+    """Forgets rows, so that their flights are flown again (`--retry-errors`)."""
+    table = read_table(folder)
+    keep = pa.array([key not in keys for key in table.column("key").to_pylist()], type=pa.bool_())
+    write_atomically(folder / PARQUET, table.filter(keep))
+    (folder / JOURNAL).unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, table: pa.Table) -> None:
+    """A Parquet file, complete or not at all."""
+    part = path.with_suffix(path.suffix + ".part")
+    pq.write_table(table, part, compression="zstd")
+    with part.open("rb+") as file:
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def write_bytes_atomically(path: Path, data: bytes) -> None:
+    """A file, complete or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(path.suffix + ".part")
+    part.write_bytes(data)
+    part.replace(path)

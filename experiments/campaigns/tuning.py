@@ -1,0 +1,257 @@
+"""Search of a controller's gains on training seeds: the same flights, parameters in common and budget for every one.
+
+The search is Optuna's tree-structured Parzen estimator. A trial flies every case of the tuning campaign once per seed;
+its value is the mean cost over those flights, where
+
+    cost = RMSE / reference of the case                  of a vehicle that survived, at most `crash_cost`,
+    cost = crash_cost (2 - share of the flight flown)    of one that was lost,
+
+so that a crash is never worth a good lap, and a late crash is better than an early one. RMSE is taken over the window
+the case names. The first trial is the file as it stands. A trial that does worse than the median of the others after a
+part of its seeds is given up (not before every case was flown once).
+
+A search is kept in a journal file and goes on where it stopped: trial n draws from a generator seeded with
+(seed, n), whenever it runs.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import optuna
+from pydantic import Field, model_validator
+
+from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, load, merge, read_tree
+from experiments.campaigns.campaign import CampaignConfig, Case, FlightJob, Seeds, flights_of_seed
+from experiments.campaigns.worker import FlightResult, fly_job
+from experiments.flights.scenario import named_file
+
+CONTROLLER_ROOT: Final = "onboard.controller."
+GUIDANCE_ROOT: Final = "onboard.guidance."
+TRAINING_SEEDS: Final = range(1000)
+"""Seeds from 1000 on are for evaluation."""
+
+
+class Parameter(Record):
+    """One dimension of the search; `paths` are in the controller file, such as settings.position.gains.damping."""
+
+    name: str
+    paths: tuple[str, ...] = Field(min_length=1)
+    """All of these get the value: settings..., or guidance... for the leads."""
+    low: float
+    high: float
+    log: bool = False
+
+    @model_validator(mode="after")
+    def _range(self) -> Self:
+        if not self.low < self.high or (self.log and self.low <= 0.0):
+            raise ValueError(f"{self.name}: low must be below high, and above 0 where log")
+        return self
+
+
+Window = Literal["settled_rmse_m", "position_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"]
+
+
+class TuneCase(Record):
+    """A case of the tuning campaign with what its error is measured against."""
+
+    case: Case
+    window: Window
+    reference_m: Annotated[float, Field(gt=0)]
+
+
+class TuneConfig(Record):
+    """A tuning campaign."""
+
+    description: str
+    cases: tuple[TuneCase, ...] = Field(min_length=1)
+    seeds: Seeds
+    crash_cost: Annotated[float, Field(gt=1)]
+    common: tuple[Parameter, ...]
+    """Searched for every controller, over the same ranges."""
+    own: dict[str, tuple[Parameter, ...]]
+    """By controller name: its own gains."""
+
+    @model_validator(mode="after")
+    def _training_seeds(self) -> Self:
+        if self.seeds.first + self.seeds.count - 1 not in TRAINING_SEEDS:
+            raise ValueError("seeds: tuning uses seeds below 1000, evaluation those above")
+        return self
+
+    def space(self, controller: str) -> tuple[Parameter, ...]:
+        """What is searched for a controller. Raises ConfigError for one that is not declared."""
+        name = Path(controller).stem
+        if name not in self.own:
+            raise ConfigError(f"no search space for controller {name!r}: declared are {', '.join(sorted(self.own))}")
+        return (*self.common, *self.own[name])
+
+
+@dataclass(frozen=True)
+class Search:
+    """One search: which controller, over what, with which budget."""
+
+    config: TuneConfig
+    name: str
+    """Of the campaign."""
+    controller: str
+    trials: int
+    seed: int = 0
+
+
+def load_tuning(path: Path) -> TuneConfig:
+    """A tuning campaign. Raises ConfigError."""
+    return load(TuneConfig, path)
+
+
+def cost(row: dict[str, Any], window: str, reference_m: float, crash_cost: float) -> float:
+    """Cost of one flight, see the theory of operation."""
+    if row["error"]:
+        return 2.0 * crash_cost
+    if not row["survived"]:
+        share = float(row["flown_s"]) / max(float(row["duration_s"]), 1e-9)
+        return crash_cost * (2.0 - min(share, 1.0))
+    error = float(row[window])
+    return min(error / reference_m, crash_cost) if math.isfinite(error) else crash_cost
+
+
+def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tuple[TuneCase, FlightJob]]:
+    """The flights of one seed (the number-th) with the gains given by parameter name."""
+    campaign = CampaignConfig(
+        description=search.config.description,
+        controllers=(search.controller,),
+        cases=tuple(tuned.case for tuned in search.config.cases),
+        seeds=search.config.seeds,
+    )
+    seed = search.config.seeds.first + number
+    gains = assignments(search.config.space(search.controller), values)
+    jobs = []
+    for tuned in search.config.cases:
+        case = tuned.case.model_copy(update={"set": gains | tuned.case.set})
+        jobs += [(tuned, job) for job in flights_of_seed(campaign, search.name, case, seed, number, False)]
+    return jobs
+
+
+def assignments(space: Sequence[Parameter], values: dict[str, float]) -> dict[str, float]:
+    """Values by path on the flight's resolved tree."""
+    return {_flight_path(path): values[one.name] for one in space for path in one.paths if one.name in values}
+
+
+def _flight_path(path: str) -> str:
+    if path.startswith("guidance."):
+        return GUIDANCE_ROOT + path.removeprefix("guidance.")
+    return CONTROLLER_ROOT + path
+
+
+def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
+    """What the file holds now (guidance.yaml for leads it does not name), within the ranges: where a search starts."""
+    tree = read_tree(named_file("controllers", controller))
+    tree["guidance"] = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), tree.get("guidance", {}))
+    values = {}
+    for parameter in space:
+        node: Any = tree
+        for key in parameter.paths[0].split("."):
+            if isinstance(node, list):
+                node = node[int(key)] if key.isdigit() and int(key) < len(node) else None
+            else:
+                node = node.get(key) if isinstance(node, dict) else None
+        if isinstance(node, int | float) and not isinstance(node, bool):
+            values[parameter.name] = min(max(float(node), parameter.low), parameter.high)
+    return values
+
+
+def fly_trial(
+    search: Search, values: dict[str, float], executor: Executor, after_seed: Callable[[int, float], bool]
+) -> float:
+    """Mean cost of one set of gains.
+
+    Parameters
+    ----------
+    after_seed: told the number of the seed and the mean so far; True gives the trial up.
+    """
+    costs: list[float] = []
+    for number in range(search.config.seeds.count):
+        flights = trial_jobs(search, values, number)
+        futures = [(tuned, executor.submit(fly_job, job)) for tuned, job in flights]
+        for tuned, future in futures:
+            result: FlightResult = future.result()
+            if result.row["error"]:  # a flight that could not be flown says nothing about the gains
+                raise ConfigError(f"{result.row['error']}\n  repeat with: {result.row['command']}")
+            costs.append(cost(result.row, tuned.window, tuned.reference_m, search.config.crash_cost))
+        mean = sum(costs) / len(costs)
+        if after_seed(number, mean):
+            raise optuna.TrialPruned()
+    return sum(costs) / len(costs)
+
+
+def open_study(search: Search, folder: Path) -> optuna.Study:
+    """The search's study, new or as it was left."""
+    folder.mkdir(parents=True, exist_ok=True)
+    backend = optuna.storages.journal.JournalFileBackend(str(folder / f"{Path(search.controller).stem}.journal"))
+    study = optuna.create_study(
+        study_name=f"{search.name}/{Path(search.controller).stem}",
+        storage=optuna.storages.JournalStorage(backend),
+        pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=0),
+        direction="minimize",
+        load_if_exists=True,
+    )
+    if not study.trials:
+        space = search.config.space(search.controller)
+        start = present_values(space, search.controller)
+        study.enqueue_trial(start, user_attrs={"origin": "as it stood"})
+    return study
+
+
+def run_search(
+    search: Search, study: optuna.Study, executor: Executor, report: Callable[[optuna.Study], None]
+) -> optuna.Study:
+    """Flies trials until the budget is spent; trials of an earlier run count."""
+    space = search.config.space(search.controller)
+    finished = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
+    while (done := len(study.get_trials(deepcopy=False, states=finished))) < search.trials:
+        study.sampler = optuna.samplers.TPESampler(
+            seed=search.seed * 100_003 + done, n_startup_trials=7, multivariate=True
+        )
+        trial = study.ask()
+        values = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in space}
+
+        def give_up(number: int, mean: float, trial: optuna.Trial = trial) -> bool:
+            trial.report(mean, number)
+            return trial.should_prune() and number + 1 < search.config.seeds.count
+
+        try:
+            value = fly_trial(search, values, executor, give_up)
+        except optuna.TrialPruned:
+            study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+        except BaseException:
+            study.tell(trial, state=optuna.trial.TrialState.FAIL)
+            study.enqueue_trial(values)  # to be flown first when the search goes on
+            raise
+        else:
+            study.tell(trial, value)
+        report(study)
+    return study
+
+
+def search_record(search: Search, study: optuna.Study) -> list[str]:
+    """Lines for the head of the controller file: what was searched, and what came of it."""
+    config = search.config
+    last = config.seeds.first + config.seeds.count - 1
+    first = next((trial.value for trial in study.trials if trial.number == 0 and trial.value is not None), None)
+    before = f", before {first:.4f}" if first is not None else ""
+    cases = ", ".join(one.case.name for one in config.cases)
+    count = len(config.space(search.controller))
+    return [
+        f"dmrac tune {search.name} --controller {Path(search.controller).stem} --trials {search.trials}",
+        f"cases {cases}; seeds {config.seeds.first} to {last}; {count} parameters; sampler seed {search.seed}",
+        f"best mean cost {study.best_value:.4f}{before}, trial {study.best_trial.number} "
+        "(cost: experiments/campaigns/tuning.py)",
+    ]
+
+
+def tuned_values(search: Search, study: optuna.Study) -> dict[str, float]:
+    """Best values by path in the controller file."""
+    best = study.best_params
+    return {path: best[one.name] for one in search.config.space(search.controller) for path in one.paths}

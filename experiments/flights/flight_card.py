@@ -1,0 +1,168 @@
+"""The flight card: summary.json and the table on the terminal, from a trace and the processes' summaries."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from experiments.flights.metrics import flight_metrics
+from experiments.flights.scenario import FlightConfig
+from experiments.flights.trace import FlightTrace
+
+
+def build_summary(
+    config: FlightConfig,
+    mode: str,
+    trace: FlightTrace | None,
+    crash_reason: str,
+    onboard: dict[str, Any],
+    radio: dict[str, dict[str, int]],
+    rejected: dict[str, int],
+) -> dict[str, Any]:
+    """The content of summary.json.
+
+    Parameters
+    ----------
+    mode: "realtime" or "lockstep".
+    trace: None if the flight left no usable log.
+    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, features.
+    radio: sent, delivered, lost by direction.
+    rejected: datagrams refused by either end, by reason.
+    """
+    metrics = flight_metrics(trace, config.onboard.guidance.trajectory) if trace is not None else None
+    summary: dict[str, Any] = {
+        "scenario": config.scenario,
+        "controller": config.controller,
+        "seed": config.seed,
+        "mode": mode,
+        "duration_s": round(float(trace.time_s[-1]), 3) if trace is not None else 0.0,
+        "survived": crash_reason == "",
+        "crash_reason": crash_reason,
+        "position_rmse_m": _number(metrics.position_rmse_m if metrics else math.nan),
+        "attitude_rmse_rad": _number(metrics.attitude_rmse_rad if metrics else math.nan),
+        "lap_rmse_m": [_number(value) for value in metrics.lap_rmse_m] if metrics else [],
+        "settled_rmse_m": _number(metrics.settled_rmse_m if metrics else math.nan),
+        "features": onboard.get("features", {}),
+        "link": {**radio, "rejected": rejected},
+        "onboard": {key: onboard[key] for key in ("ticks", "missed", "tick_us", "rss_mb") if key in onboard},
+    }
+    if trace is not None:
+        summary["live_bound_median"] = _bounds(trace)
+        age = trace.tick["feature_age"][trace.on_path & (trace.tick["feature_age"] >= 0.0)]
+        median = _number(float(np.median(age))) if age.size else None
+        summary["features"] = {**summary["features"], "age_s_median": median}
+    return summary
+
+
+def _bounds(trace: FlightTrace) -> dict[str, float | None]:
+    """Median of the live bound on norm(e) per channel, beside the median of norm(e) itself."""
+    medians: dict[str, float | None] = {}
+    adapting = trace.tick["adapting"] > 0.5
+    axes = {"position": ("ned", "ned"), "attitude": ("xyz", "pqr")}
+    for channel, (first, second) in axes.items():
+        error = np.hstack(
+            [trace.tick.vector(f"{channel}_error", first), trace.tick.vector(f"{channel}_error_rate", second)]
+        )
+        bound = trace.tick[f"{channel}_live_bound"]
+        known = adapting & (bound > 0.0)
+        medians[channel] = _number(float(np.median(bound[known]))) if known.any() else None
+        norm = np.linalg.norm(error[adapting], axis=1)
+        medians[f"{channel}_error"] = _number(float(np.median(norm))) if adapting.any() else None
+    return medians
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 5) if math.isfinite(value) else None
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """summary.json, complete or not at all."""
+    target = folder / "summary.json"
+    part = target.with_suffix(".json.part")
+    part.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    part.replace(target)
+
+
+def print_card(summary: dict[str, Any], folder: Path | None, console: Console | None = None) -> None:
+    """The short table at the end of a flight."""
+    table = Table(title=_title(summary), title_justify="left", show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for name, text in card_rows(summary):
+        table.add_row(name, text)
+    console = console or Console()
+    console.print(table)
+    if folder is not None:
+        console.print(f"record          {folder}", soft_wrap=True, highlight=False)
+
+
+def _title(summary: dict[str, Any]) -> str:
+    return f"{summary['scenario']} · {summary['controller']} · seed {summary['seed']} · {summary['mode']}"
+
+
+def card_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """The card line by line: name and text."""
+    fate = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
+    rows = [("flight", f"{summary['duration_s']:.1f} s, {fate}")]
+    rows.append(("position RMSE", _metres(summary["position_rmse_m"]) + _laps(summary)))
+    attitude = summary["attitude_rmse_rad"]
+    rows.append(("attitude RMSE", "-" if attitude is None else f"{math.degrees(attitude):.2f} deg"))
+    features = summary["features"]
+    if "version" in features:
+        age = features.get("age_s_median")
+        aged = "" if age is None else f", median age {age:.1f} s"
+        rows.append(
+            (
+                "features",
+                f"version {features['version']}, {features['swaps']} swaps, {features['refused']} refused{aged}",
+            )
+        )
+    bound = summary.get("live_bound_median") or {}
+    if bound.get("position") is not None:
+        rows.append(
+            (
+                "live bound",
+                f"position {bound['position']:.2f} (|e| {bound['position_error']:.3f}), "
+                f"attitude {bound['attitude']:.2f} (|e| {bound['attitude_error']:.3f}), medians",
+            )
+        )
+    rows.extend(_link_rows(summary["link"]))
+    onboard = summary["onboard"]
+    if "tick_us" in onboard:
+        tick = onboard["tick_us"]
+        rows.append(
+            (
+                "onboard",
+                f"{onboard['ticks']} ticks, {onboard['missed']} missed, step p50 {tick['p50']:.0f} us, "
+                f"p99 {tick['p99']:.0f} us, max {tick['max']:.0f} us, {onboard['rss_mb']:.0f} MB",
+            )
+        )
+    return rows
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f} m"
+
+
+def _laps(summary: dict[str, Any]) -> str:
+    laps = summary["lap_rmse_m"]
+    if not laps:
+        return ""
+    return f" (first lap {_metres(laps[0])}, settled {_metres(summary['settled_rmse_m'])}, {len(laps)} laps)"
+
+
+def _link_rows(link: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = []
+    for direction in ("up", "down"):
+        if direction in link:
+            counts = link[direction]
+            share = 100.0 * counts["lost"] / counts["sent"] if counts["sent"] else 0.0
+            rows.append((f"link {direction}", f"{counts['sent']} sent, {counts['lost']} lost ({share:.1f} %)"))
+    refused = {reason: count for reason, count in link.get("rejected", {}).items() if count}
+    if refused:
+        rows.append(("rejected", ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items()))))
+    return rows

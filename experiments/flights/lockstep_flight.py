@@ -1,0 +1,156 @@
+"""One flight in lockstep: builds the cores, runs them on one virtual clock, keeps the trace."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.flights.carried_experience import dump_learnt, read_experience, start_from
+from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
+from experiments.flights.scenario import FlightConfig
+from experiments.flights.trace import Columns, FlightTrace
+from flight_record.schema import RecordType
+from onboard.core import OnboardCore
+from onboard.supervisor import FlightMode
+from onboard.tick_record import OFFSET, TICK
+from protocol.keys import load_key
+from sim_vehicle.lockstep import Lockstep, TickResult
+from sim_vehicle.radio import DIRECTIONS, RADIO_STREAM, Direction, Fate, Radio, Recording
+from sim_vehicle.records import TRUTH
+from sim_vehicle.vehicle import SimVehicle
+
+Array = NDArray[np.float64]
+ONBOARD_SESSION = 1
+OFFBOARD_SESSION = 2
+_TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
+_MODE = OFFSET["mode"]
+_FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)
+
+Fates = Mapping[Direction, Sequence[Fate]]
+Observer = Callable[[TickResult], None]
+"""Called after every tick; what it is given is rewritten by the next tick."""
+
+
+@dataclass
+class LockstepOutcome:
+    """What a lockstep flight left behind."""
+
+    trace: FlightTrace
+    crash_reason: str
+    """Empty when the vehicle is alive."""
+    onboard: dict[str, Any]
+    """onboard.core.OnboardCore.summary()."""
+    offboard: dict[str, Any] | None
+    radio: dict[str, dict[str, int]]
+    trace_sha256: str
+    events: list[tuple[int, str, str]] = field(default_factory=list)
+    """(time_ns, process, text)."""
+    offboard_records: list[tuple[RecordType, int, Array]] = field(default_factory=list)
+    fates: Fates = field(default_factory=dict)
+    """What became of each datagram of the link, by direction."""
+    recordings: dict[Direction, Recording] = field(default_factory=dict)
+    """How far the recorded fates, if any, were dealt out."""
+    learnt: bytes = b""
+    """What another flight can start from (experiments.flights.carried_experience)."""
+
+
+def build(
+    config: FlightConfig, with_offboard: bool = True, recorded: Fates | None = None
+) -> tuple[Lockstep, OnboardCore, Any, Radio]:
+    """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio.
+
+    recorded: fates that the link's datagrams meet instead of the configured radio's.
+    """
+    vehicle = SimVehicle(config.vehicle, config.seed)
+    radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
+    onboard = OnboardCore(config.onboard, ONBOARD_SESSION, load_key(config.network.key_file))
+    offboard = build_offboard(config, OFFBOARD_SESSION) if with_offboard else None
+    training_ns = round(config.training_time_s * 1e9)
+    return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
+
+
+def build_offboard(config: FlightConfig, session: int) -> Any:
+    """The offboard core; torch is imported here and nowhere before."""
+    import torch
+
+    from offboard.core import OffboardCore
+
+    torch.set_num_threads(1)
+    return OffboardCore(config.offboard, session, load_key(config.network.key_file))
+
+
+def fly_lockstep(
+    config: FlightConfig,
+    observers: tuple[Observer, ...] = (),
+    with_offboard: bool = True,
+    experience: bytes | None = None,
+    recorded: Fates | None = None,
+) -> LockstepOutcome:
+    """Flies a scenario in virtual time, until its duration is over or the vehicle is lost.
+
+    Parameters
+    ----------
+    experience: what an earlier flight learnt (carried_experience); None: what the config names, if any.
+    recorded: fates of an earlier flight, by direction, for this one's datagrams (sim_vehicle.radio.Recording).
+
+    Raises
+    ------
+    ConfigError
+        If the experience cannot be read, or does not fit this flight.
+    """
+    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded)
+    experience = read_experience(config.experience) if experience is None else experience
+    if experience is not None:
+        start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")
+    period_s = config.onboard.period_ns * 1e-9
+    ticks_max = round(config.duration_s / period_s)
+    ticks: Array = np.zeros((ticks_max, len(TICK.fields)))
+    truths: Array = np.zeros((ticks_max, len(TRUTH.fields)))
+    events: list[tuple[int, str, str]] = []
+    records: list[tuple[RecordType, int, Array]] = []
+    crash, flown = "", 0
+    for index in range(ticks_max):
+        result = lockstep.step()
+        ticks[index], truths[index] = result.onboard.tick, result.truth
+        flown = index + 1
+        events += [(when, "onboard", text) for when, text in result.onboard.events]
+        if result.offboard is not None:
+            events += [(when, "offboard", text) for when, text in result.offboard.events]
+            records += result.offboard.records
+        for observe in observers:
+            observe(result)
+        crash = lockstep.crash_reason or _too_far(ticks[index], truths[index])
+        if crash:
+            events.append((result.now_ns, "sim_vehicle", f"vehicle lost: {crash}"))
+            break
+    time_s: Array = np.arange(flown, dtype=np.float64) * period_s
+    trace = FlightTrace(time_s, Columns(TICK, ticks[:flown]), Columns(TRUTH, truths[:flown]))
+    return LockstepOutcome(
+        trace,
+        crash,
+        onboard.summary(),
+        None if offboard is None else offboard.summary(),
+        {direction: _counts(radio, direction) for direction in DIRECTIONS},
+        lockstep.trace_sha256,
+        events,
+        records,
+        radio.fates,
+        {direction: radio.recording(direction) for direction in DIRECTIONS},
+        dump_learnt(onboard, offboard),
+    )
+
+
+def _too_far(tick: Array, truth: Array) -> str:
+    if int(tick[_MODE]) not in _FOLLOWING:
+        return ""
+    (north, east, down), (target_n, target_e, target_d) = truth[:3].tolist(), tick[_TARGET].tolist()
+    squared = (north - target_n) ** 2 + (east - target_e) ** 2 + (down - target_d) ** 2
+    far = squared > TARGET_DISTANCE_MAX_M**2
+    return f"more than {TARGET_DISTANCE_MAX_M} m from the target" if far else ""
+
+
+def _counts(radio: Radio, direction: Direction) -> dict[str, int]:
+    counts = radio.counts(direction)
+    return {"sent": counts.sent, "delivered": counts.delivered, "lost": counts.lost}

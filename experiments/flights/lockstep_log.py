@@ -1,0 +1,90 @@
+"""The flight log of a lockstep flight: the same files, topics and times as three processes would leave."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from experiments.flights.carried_experience import read_experience
+from experiments.flights.lockstep_flight import ONBOARD_SESSION
+from experiments.flights.scenario import FlightConfig
+from flight_record.writer import FlightLogWriter
+from onboard.tape import TOPIC, Entry, TapeWriter
+from onboard.tick_record import TICK
+from sim_vehicle.lockstep import TickResult
+from sim_vehicle.radio import DIRECTIONS, FATE, fate_vector
+from sim_vehicle.records import TRUTH
+
+PROCESSES = ("sim_vehicle", "onboard", "offboard")
+
+
+EXPERIENCE = "experience.npz"
+"""Attachment of onboard's log: what the flight started from, where it did."""
+
+
+class LockstepLog:
+    """Observer of a lockstep flight that logs each tick. A context manager.
+
+    Parameters
+    ----------
+    with_offboard: whether the flight has an offboard side, for a later replay.
+    experience: what the flight starts from; by default what the config names, if anything.
+    """
+
+    def __init__(
+        self, folder: Path, config: FlightConfig, with_offboard: bool = True, experience: bytes | None = None
+    ) -> None:
+        metadata = {"seed": str(config.seed), "scenario": config.scenario, "clock": "lockstep"}
+        metadata |= {"session": str(ONBOARD_SESSION), "keyed": "False", "with_offboard": str(with_offboard)}
+        attachments = {"config.yaml": config.to_yaml().encode()}
+        experience = read_experience(config.experience) if experience is None else experience
+        if experience is not None:
+            attachments[EXPERIENCE] = experience
+        self._logs = {
+            process: FlightLogWriter(folder / f"{process}.mcap", process, metadata, attachments, threaded=False)
+            for process in PROCESSES
+        }
+        self._tape = TapeWriter()
+        self._fates_logged = dict.fromkeys(DIRECTIONS, 0)
+
+    def __call__(self, result: TickResult) -> None:
+        """Logs one tick."""
+        now, onboard = result.now_ns, self._logs["onboard"]
+        self._logs["sim_vehicle"].write(TRUTH, now, result.truth)
+        self._record_fates(result)
+        onboard.write(TICK, now, result.onboard.tick)
+        onboard.write_bytes(TOPIC, now, self._taped(result))
+        if result.offboard is not None:
+            for record_type, when_ns, vector in result.offboard.records:
+                self._logs["offboard"].write(record_type, when_ns, vector)
+
+    def _taped(self, result: TickResult) -> bytes:
+        out = result.onboard
+        for kind, datagrams in (
+            (Entry.FROM_VEHICLE, result.from_vehicle),
+            (Entry.FROM_OFFBOARD, result.from_offboard),
+            (Entry.TO_VEHICLE, out.to_vehicle),
+            (Entry.TO_OFFBOARD, out.to_offboard),
+            (Entry.TO_GROUND, out.to_ground),
+        ):
+            for datagram in datagrams:
+                self._tape.put(kind, datagram)
+        return self._tape.end_tick(result.now_ns, missed_ticks=0)
+
+    def _record_fates(self, result: TickResult) -> None:
+        for direction, fates in result.radio.fates.items():
+            for fate in fates[self._fates_logged[direction] :]:
+                self._logs["sim_vehicle"].write(FATE, result.now_ns, fate_vector(direction, fate))
+            self._fates_logged[direction] = len(fates)
+
+    def event(self, process: str, time_ns: int, text: str) -> None:
+        """Logs something that happened, in words."""
+        self._logs[process].event(time_ns, text)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for log in self._logs.values():
+            log.close()

@@ -1,0 +1,126 @@
+"""The whole set of dropout traces flown in lockstep, one flight each, as rows of a table."""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from experiments.campaigns.runner import LocalPool
+from experiments.flights.lockstep_flight import fly_lockstep
+from experiments.flights.scenario import Choices, resolve
+from experiments.link.dropout_trace import load_trace
+from experiments.replays.replay import figures
+
+PERFECT: Final = "perfect"
+"""Name of the row without any dropout, for comparison."""
+HEADINGS: Final = (
+    "trace",
+    "lost up",
+    "lost down",
+    "longest gap up",
+    "longest gap down",
+    "RMSE",
+    "feature age, median",
+    "survived",
+)
+
+
+@dataclass(frozen=True)
+class DropoutFlight:
+    """What to fly."""
+
+    trace: str
+    """A name of configs/dropouts, a file, or PERFECT."""
+    scenario: str
+    controller: str | None
+    seed: int | None
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class DropoutRow:
+    """What came of it."""
+
+    trace: str
+    description: str
+    lost_up: float
+    """Share."""
+    lost_down: float
+    gap_up_s: float
+    gap_down_s: float
+    position_rmse_m: float
+    feature_age_s: float
+    """Median while the path was flown; NaN if no trained features flew."""
+    survived: bool
+    crash_reason: str
+
+    def cells(self) -> tuple[str, ...]:
+        """As text, in the order of HEADINGS."""
+        return (
+            self.trace,
+            f"{self.lost_up:.1%}",
+            f"{self.lost_down:.1%}",
+            f"{self.gap_up_s:.2f} s",
+            f"{self.gap_down_s:.2f} s",
+            f"{100 * self.position_rmse_m:.1f} cm",
+            "none" if math.isnan(self.feature_age_s) else f"{self.feature_age_s:.1f} s",
+            "yes" if self.survived else f"no: {self.crash_reason}",
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As a plain mapping."""
+        return asdict(self)
+
+
+def fly_one(job: DropoutFlight) -> DropoutRow:
+    """One flight with one trace. Raises ConfigError."""
+    config = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s))
+    if job.trace == PERFECT:
+        name, description, radio, fates = PERFECT, "Nothing is lost, nothing is late.", None, None
+    else:
+        trace = load_trace(job.trace)
+        name, description, radio, fates = trace.name, trace.description, trace.radio, trace.fates
+    config = config.model_copy(update={"radio": radio or type(config.radio)()})
+    outcome = fly_lockstep(config, recorded=fates)
+    found = figures(config, outcome.trace, outcome.crash_reason, outcome.fates)
+    up, down = found.link["up"], found.link["down"]
+    return DropoutRow(
+        name,
+        description,
+        up.lost_share,
+        down.lost_share,
+        up.longest_gap_s,
+        down.longest_gap_s,
+        found.position_rmse_m,
+        found.feature_age_median_s,
+        found.survived,
+        found.crash_reason,
+    )
+
+
+def fly_all(
+    jobs: Sequence[DropoutFlight], workers: int, report: Callable[[DropoutRow], None] = lambda row: None
+) -> list[DropoutRow]:
+    """All flights, side by side in processes of their own, in the order of `jobs`.
+
+    Parameters
+    ----------
+    report: called with each row as it comes.
+
+    Raises
+    ------
+    ConfigError
+        If a trace, the scenario or the controller cannot be used.
+    """
+    pool = LocalPool(workers)
+    try:
+        executor = pool.open()
+        futures = {executor.submit(fly_one, job): number for number, job in enumerate(jobs)}
+        rows: dict[int, DropoutRow] = {}
+        for future in as_completed(futures):
+            rows[futures[future]] = future.result()
+            report(rows[futures[future]])
+    finally:
+        pool.close()
+    return [rows[number] for number in range(len(jobs))]

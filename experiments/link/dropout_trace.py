@@ -1,0 +1,160 @@
+"""Traces of a link's dropouts, by name in configs/dropouts: recorded fates (.csv) or patterns (.yaml).
+
+A .csv file holds what became of each datagram of a flight, one a line:
+
+    # a line or more of description
+    direction,sent_ms,outcome,delay_ms,copy_delay_ms,flipped_bit
+    down,2015.004,delivered,8.317,,
+    up,2020.011,burst,,,
+
+`direction` is up (onboard to offboard) or down; `sent_ms` counts from the start of the flight and grows within a
+direction; `outcome` is delivered, loss, burst, blackout or queue; the delays, to microseconds, are empty where no such
+copy arrived; `flipped_bit` is the bit that was inverted, if any. Another flight's datagrams meet these fates by time
+(sim_vehicle.radio.Recording); past the end the `perfect` radio takes over.
+
+A .yaml file holds a `description`, a profile of configs/radio by name (`radio`, perfect unless given) and what is laid
+over it (`radio_values`), as a scenario does.
+"""
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import Field
+
+from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, load, merge, read_tree
+from experiments.flights.lockstep_flight import Fates
+from experiments.flights.scenario import named_file
+from sim_vehicle.radio import DIRECTIONS, OUTCOMES, Direction, Fate, RadioConfig
+
+FOLDER: Final = CONFIG_DIRECTORY / "dropouts"
+COLUMNS: Final = ("direction", "sent_ms", "outcome", "delay_ms", "copy_delay_ms", "flipped_bit")
+SIZE_UNKNOWN: Final = 0
+DELAY_MAX_MS: Final = 3_600_000.0
+
+
+class PatternFile(Record):
+    """A .yaml trace as written."""
+
+    description: str
+    radio: str = "perfect"
+    radio_values: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DropoutTrace:
+    """What the link is to do."""
+
+    name: str
+    description: str
+    radio: RadioConfig
+    fates: Fates = field(default_factory=dict)
+    """Recorded fates by direction; empty for a pattern."""
+
+
+def trace_names() -> list[str]:
+    """The traces that are shipped, by name."""
+    return sorted(path.stem for path in FOLDER.iterdir() if path.suffix in (".csv", ".yaml"))
+
+
+def load_trace(name: str) -> DropoutTrace:
+    """A trace by its name in configs/dropouts, or by its file.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file, the line and what is allowed.
+    """
+    path = _find(name)
+    if path.suffix == ".csv":
+        return _load_csv(path)
+    file = load(PatternFile, path)
+    tree = merge(read_tree(named_file("radio", file.radio)), file.radio_values)
+    return DropoutTrace(path.stem, file.description, fill(RadioConfig, tree, str(path), "radio."))
+
+
+def _find(name: str) -> Path:
+    candidates = (
+        [Path(name)] if name.endswith((".csv", ".yaml")) else [FOLDER / f"{name}{s}" for s in (".csv", ".yaml")]
+    )
+    path = next((path for path in candidates if path.is_file()), None)
+    if path is None:
+        known = ", ".join(trace_names())
+        raise ConfigError(f"unknown dropout trace {name!r}: allowed are {known}, or the path of a .csv or .yaml file")
+    return path
+
+
+def write_csv(path: Path, fates: Fates, description: str) -> None:
+    """Writes recorded fates. Raises ConfigError if the file cannot be written."""
+    rows = sorted(((fate, direction) for direction in DIRECTIONS for fate in fates.get(direction, ())), key=_by_time)
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            file.write(f"# {description}\n")
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for fate, direction in rows:
+                delays = (_written(fate.delay_ns), _written(fate.copy_delay_ns))
+                bit = fate.flipped_bit if fate.flipped_bit >= 0 else ""
+                writer.writerow((direction, _written(max(fate.sent_ns, 0)), fate.outcome, *delays, bit))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _by_time(row: tuple[Fate, Direction]) -> int:
+    return row[0].sent_ns
+
+
+def _written(time_ns: int) -> str:
+    return f"{time_ns * 1e-6:.3f}".rstrip("0").rstrip(".") if time_ns >= 0 else ""
+
+
+def _load_csv(path: Path) -> DropoutTrace:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
+    numbered = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
+    if not numbered or tuple(numbered[0][1].split(",")) != COLUMNS:
+        raise ConfigError(f"{path}: expected the head {','.join(COLUMNS)}")
+    fates: dict[Direction, list[Fate]] = {direction: [] for direction in DIRECTIONS}
+    for direction, fate in _rows(path, numbered[1:]):
+        before = fates[direction]
+        if before and fate.sent_ns < before[-1].sent_ns:
+            raise ConfigError(f"{path}: {direction} at {fate.sent_ns * 1e-6:.3f} ms: sent_ms does not grow")
+        before.append(fate)
+    return DropoutTrace(path.stem, " ".join(comments), RadioConfig(), fates)
+
+
+def _rows(path: Path, numbered: list[tuple[int, str]]) -> Iterator[tuple[Direction, Fate]]:
+    for number, line in numbered:
+        try:
+            yield _row(line.split(","))
+        except ValueError as error:
+            raise ConfigError(f"{path}: line {number}: {line!r}: {error}") from None
+
+
+def _row(cells: list[str]) -> tuple[Direction, Fate]:
+    if len(cells) != len(COLUMNS):
+        raise ValueError(f"{len(cells)} cells, expected {len(COLUMNS)}")
+    name, sent, outcome, delay, copy_delay, bit = cells
+    direction = next((known for known in DIRECTIONS if known == name), None)
+    if direction is None:
+        raise ValueError(f"direction {name!r}, allowed are {', '.join(DIRECTIONS)}")
+    if outcome not in OUTCOMES:
+        raise ValueError(f"outcome {outcome!r}, allowed are {', '.join(OUTCOMES)}")
+    if (outcome == "delivered") != bool(delay):
+        raise ValueError("a delay_ms belongs to what was delivered, and to nothing else")
+    fate = Fate(_read(sent), SIZE_UNKNOWN, outcome, _read(delay), _read(copy_delay), int(bit) if bit else -1)
+    return direction, fate
+
+
+def _read(text: str) -> int:
+    if not text:
+        return -1
+    value = float(text)
+    if not 0.0 <= value <= DELAY_MAX_MS:
+        raise ValueError(f"{text} ms, allowed are 0 to {DELAY_MAX_MS:.0f}")
+    return round(value * 1e6)

@@ -1,0 +1,85 @@
+"""A recorded flight as replays need it: its configuration, the fates of its link, its trace and its tape."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from configs.loader import ConfigError, fill, parse_yaml
+from experiments.flights.lockstep_flight import Fates
+from experiments.flights.lockstep_log import EXPERIENCE
+from experiments.flights.scenario import FlightConfig
+from experiments.flights.trace import FlightTrace, trace_of
+from flight_record.log_file import LogFile
+from flight_record.reader import Flight, FlightError, open_flight
+from sim_vehicle.radio import DIRECTIONS, FATE, Direction, Fate, fate_from_vector
+
+CONFIG_NAME: Final = "config.yaml"
+
+
+@dataclass(frozen=True)
+class RecordedFlight:
+    """What was read of a flight's folder."""
+
+    path: Path
+    config: FlightConfig
+    fates: Fates
+    """By direction; empty where the log holds none."""
+    trace: FlightTrace | None
+    """None if a log is missing or empty."""
+    summary: dict[str, Any]
+    """The flight card; empty where there is none."""
+    onboard_logs: Sequence[LogFile]
+    """One for each life of the onboard process, in their order."""
+    with_offboard: bool
+    lockstep: bool
+    experience: bytes | None
+    """What a lockstep flight started from, if anything."""
+
+
+def read_recorded(path: Path) -> RecordedFlight:
+    """Reads a flight's folder.
+
+    Raises
+    ------
+    ConfigError
+        If it is no flight of this project, or its configuration is not of this version. One line.
+    """
+    try:
+        flight = open_flight(path)
+        summary = flight.summary
+    except FlightError as error:
+        raise ConfigError(str(error)) from None
+    onboard = [log for log in flight.logs if log.process == "onboard"]
+    about = onboard[-1].metadata if onboard else {}
+    return RecordedFlight(
+        path=path,
+        config=_config(flight, path),
+        fates=read_fates(flight),
+        trace=trace_of(flight),
+        summary=summary,
+        onboard_logs=onboard,
+        with_offboard=about.get("with_offboard", "True") == "True",
+        lockstep=about.get("clock") == "lockstep",
+        experience=onboard[-1].attachments.get(EXPERIENCE) if onboard else None,
+    )
+
+
+def read_fates(flight: Flight) -> dict[Direction, list[Fate]]:
+    """The fates that the radio logged, by direction."""
+    fates: dict[Direction, list[Fate]] = {direction: [] for direction in DIRECTIONS}
+    table = flight.get(FATE.topic)
+    if table is not None and table.names == FATE.names:
+        for row in table.values:
+            direction, fate = fate_from_vector(row)
+            fates[direction].append(fate)
+    return fates
+
+
+def _config(flight: Flight, path: Path) -> FlightConfig:
+    for attachments in flight.attachments.values():
+        if CONFIG_NAME in attachments:
+            source = f"{path}: {CONFIG_NAME}"
+            tree = parse_yaml(attachments[CONFIG_NAME].decode(), source)
+            return fill(FlightConfig, tree, source)
+    raise ConfigError(f"{path}: its logs hold no {CONFIG_NAME}, so nobody knows how it was flown")

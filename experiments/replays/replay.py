@@ -1,0 +1,179 @@
+"""A recorded flight flown again in lockstep, with exactly the fates its link had; and the two compared."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.table import Table
+
+from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, merge, read_tree
+from experiments.flights.lockstep_flight import Fates, LockstepOutcome, fly_lockstep
+from experiments.flights.lockstep_log import LockstepLog
+from experiments.flights.metrics import flight_metrics, lost_target
+from experiments.flights.scenario import FlightConfig, complete, named_file
+from experiments.flights.trace import FlightTrace
+from experiments.replays.link_quality import LinkQuality, link_quality
+from experiments.replays.recorded_flight import RecordedFlight
+from onboard.controllers.interface import Learner
+from sim_vehicle.radio import DIRECTIONS, Direction
+
+NOTHING: Final = "-"
+SEED_MAX: Final = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class FlightFigures:
+    """What two flights are compared by."""
+
+    survived: bool
+    crash_reason: str
+    flown_s: float
+    position_rmse_m: float
+    settled_rmse_m: float
+    feature_age_median_s: float
+    """Of the trained features, while the path was flown; NaN if only the start features flew."""
+    feature_version: int
+    link: dict[Direction, LinkQuality]
+
+
+def figures(config: FlightConfig, trace: FlightTrace, crash_reason: str, fates: Fates) -> FlightFigures:
+    """The figures of a flight."""
+    metrics = flight_metrics(trace, config.onboard.guidance.trajectory)
+    age = trace.tick["feature_age"][trace.on_path]
+    age = age[age >= 0.0]
+    flown_s = float(trace.time_s[-1])
+    return FlightFigures(
+        survived=not crash_reason,
+        crash_reason=crash_reason,
+        flown_s=flown_s,
+        position_rmse_m=metrics.position_rmse_m,
+        settled_rmse_m=metrics.settled_rmse_m,
+        feature_age_median_s=float(np.median(age)) if age.size else math.nan,
+        feature_version=int(trace.tick["feature_version"][-1]),
+        link={direction: link_quality(fates.get(direction, ()), flown_s) for direction in DIRECTIONS},
+    )
+
+
+def figures_of_recorded(flight: RecordedFlight) -> FlightFigures:
+    """The figures of the flight as it was recorded. Raises ConfigError if its logs do not suffice."""
+    if flight.trace is None:
+        raise ConfigError(f"{flight.path}: the logs of onboard and vehicle are needed, and one is missing or empty")
+    crash = flight.summary.get("crash_reason", "") or lost_target(flight.trace)
+    return figures(flight.config, flight.trace, crash, flight.fates)
+
+
+def with_choices(config: FlightConfig, controller: str | None, seed: int | None) -> FlightConfig:
+    """The flight's configuration with another controller or seed; everything else as it was.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such controller, or the seed is out of range.
+    """
+    if controller is None and seed is None:
+        return config
+    tree: dict[str, Any] = config.model_dump(mode="json", by_alias=True)
+    if seed is not None:
+        if not 0 <= seed <= SEED_MAX:
+            raise ConfigError(f"--seed {seed}: allowed are 0 to {SEED_MAX}")
+        tree["seed"] = tree["onboard"]["seed"] = tree["offboard"]["seed"] = seed
+    if controller is None:
+        return fill(FlightConfig, tree, f"--seed {seed}")
+    path = named_file("controllers", controller)
+    law = read_tree(path)
+    leads = law.pop("guidance", {})
+    tree["controller"], tree["onboard"]["controller"] = controller, law
+    tree["onboard"]["guidance"] = merge(merge(tree["onboard"]["guidance"], _former_leads(config)), leads)
+    if not _learns(config):  # then nobody was taught, whatever the configuration of the teacher said
+        tree["offboard"]["experience"] = read_tree(CONFIG_DIRECTORY / "offboard.yaml")["experience"]
+    return complete(tree, str(path))
+
+
+def _former_leads(config: FlightConfig) -> dict[str, Any]:
+    """The usual values of what the recorded controller had brought along for guidance."""
+    try:
+        brought = read_tree(named_file("controllers", config.controller)).get("guidance", {})
+    except ConfigError:
+        return {}
+    usual = read_tree(CONFIG_DIRECTORY / "guidance.yaml")
+    return {key: usual[key] for key in brought if key in usual}
+
+
+def _learns(config: FlightConfig) -> bool:
+    controller = config.onboard.controller.build(config.onboard.airframe, config.seed)
+    return isinstance(controller, Learner) and controller.accepts_features
+
+
+def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> LockstepOutcome:
+    """Flies `config` in lockstep with the recorded fates, logged into `folder`.
+
+    Raises
+    ------
+    ConfigError
+        If the flight has no recorded fates.
+    """
+    if not any(flight.fates.values()):
+        raise ConfigError(f"{flight.path}: holds no radio/fate records, so there are no fates to fly again")
+    with LockstepLog(folder, config, flight.with_offboard, flight.experience) as log:
+        outcome = fly_lockstep(config, (log,), flight.with_offboard, flight.experience, flight.fates)
+        for when_ns, process, text in outcome.events:
+            log.event(process, when_ns, text)
+    return outcome
+
+
+def verdict(flight: RecordedFlight, config: FlightConfig, outcome: LockstepOutcome) -> list[str]:
+    """How faithful the replay was, a line each."""
+    lines = []
+    for direction, recording in outcome.recordings.items():
+        extra = len(outcome.fates[direction]) - recording.used - recording.repeated
+        said = f"{direction}: {recording.used} of {len(flight.fates[direction])} recorded fates met"
+        said += f", {recording.skipped} skipped" if recording.skipped else ""
+        said += f", {recording.repeated} datagrams shared one" if recording.repeated else ""
+        said += f", {extra} came after the record's end" if extra else ""
+        lines.append(said)
+    same = flight.lockstep and config == flight.config
+    if same and "trace_sha256" in flight.summary:
+        equal = flight.summary["trace_sha256"] == outcome.trace_sha256
+        lines.append(
+            "the same trace hash: the flights are equal bit for bit"
+            if equal
+            else "another trace hash: the code that flew has changed since"
+        )
+    return lines
+
+
+def comparison(original: FlightFigures, replay: FlightFigures, title: str) -> Table:
+    """The two side by side."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "original", "replay"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for row in rows(original, replay):
+        table.add_row(*row)
+    return table
+
+
+def rows(*flights: FlightFigures) -> list[tuple[str, ...]]:
+    """One row for each figure, one column for each flight."""
+    lines: list[tuple[str, ...]] = [
+        ("survived", *("yes" if flight.survived else f"no: {flight.crash_reason}" for flight in flights)),
+        ("flown", *(f"{flight.flown_s:.2f} s" for flight in flights)),
+        ("position RMSE", *(_number(flight.position_rmse_m, "m") for flight in flights)),
+        ("settled RMSE", *(_number(flight.settled_rmse_m, "m") for flight in flights)),
+        ("feature age, median", *(_number(flight.feature_age_median_s, "s", 2) for flight in flights)),
+        ("last feature version", *(str(flight.feature_version) for flight in flights)),
+    ]
+    for direction in DIRECTIONS:
+        links = [flight.link[direction] for flight in flights]
+        lines += [
+            (f"{direction}: sent", *(str(link.sent) for link in links)),
+            (f"{direction}: lost", *(f"{link.lost_share:.1%}" for link in links)),
+            (f"{direction}: longest gap", *(f"{link.longest_gap_s:.2f} s" for link in links)),
+            (f"{direction}: rate", *(f"{link.bytes_per_s / 1000:.1f} kB/s" for link in links)),
+        ]
+    return lines
+
+
+def _number(value: float, unit: str, digits: int = 4) -> str:
+    return NOTHING if math.isnan(value) else f"{value:.{digits}f} {unit}"

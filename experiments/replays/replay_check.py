@@ -1,0 +1,227 @@
+"""The golden replay: what onboard took in goes into a fresh core, and what comes out must be the same bit for bit.
+
+The tape in onboard's log holds every datagram with the tick that took it in, the tick's time and missed ticks, and
+every datagram given out. A core has no clock and no randomness of its own, so a fresh one with the same configuration,
+session number and key must answer alike: motor datagrams, datagrams to offboard and ground, and the record of the tick.
+The same machine, or one with the same numpy and processor family, is needed: other libraries round differently.
+"""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from configs.loader import ConfigError
+from experiments.flights.carried_experience import start_from
+from experiments.replays.recorded_flight import RecordedFlight
+from flight_record.log_file import LogFile
+from onboard.controllers.interface import Learner
+from onboard.core import OnboardCore, OnboardOutput
+from onboard.tape import TIME, TOPIC, Entry, TapeTick, read_tick
+from onboard.tick_record import TICK
+from protocol.keys import load_key
+
+OUTPUTS: Final = (
+    (Entry.TO_VEHICLE, "motor datagram", "to_vehicle"),
+    (Entry.TO_OFFBOARD, "datagram to offboard", "to_offboard"),
+    (Entry.TO_GROUND, "datagram to the ground station", "to_ground"),
+)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where the two part."""
+
+    tick: int
+    time_s: float
+    """Since the first tick of the log."""
+    field: str
+    logged: str
+    replayed: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"tick {self.tick} at {self.time_s:.3f} s: {self.field}: {self.logged} logged, {self.replayed} replayed"
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """The check of one life of the onboard process."""
+
+    name: str
+    ticks: int
+    """Compared, up to the first difference."""
+    rows: int
+    """Tick records among them."""
+    datagrams_in: int
+    datagrams_out: int
+    failed_steps: int
+    """Steps that raised, in the flight and here alike."""
+    difference: Difference | None
+    incomplete: str
+    """Why not all of the log could be checked; "" when it was."""
+
+
+def check_flight(flight: RecordedFlight, key_file: Path | None = None) -> list[CheckResult]:
+    """Checks every life of the onboard process of a flight.
+
+    Parameters
+    ----------
+    key_file: the link's key; by default what the flight's configuration names.
+
+    Raises
+    ------
+    ConfigError
+        If there is nothing to check, or the key is needed and not there.
+    """
+    if not flight.onboard_logs:
+        raise ConfigError(f"{flight.path}: holds no log of onboard")
+    return [check_log(flight, log, key_file) for log in flight.onboard_logs]
+
+
+def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> CheckResult:
+    """Checks one log. Raises ConfigError as `check_flight` does."""
+    if TOPIC not in log.raw:
+        raise ConfigError(f"{log.path}: holds no {TOPIC}, so there is nothing to compare with")
+    return _Check(log, _fresh_core(flight, log, key_file)).run()
+
+
+def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> OnboardCore:
+    session = log.metadata.get("session", "")
+    if not session.isdigit():
+        raise ConfigError(f"{log.path}: does not say which session it was")
+    key = None
+    if log.metadata.get("keyed") == "True":
+        named = str(key_file) if key_file is not None else flight.config.network.key_file
+        key = load_key(named)
+    core = OnboardCore(flight.config.onboard, int(session), key)
+    if flight.experience is not None:
+        learner = isinstance(core.controller, Learner) and core.controller.accepts_features
+        if not (learner and flight.with_offboard):  # a learner gets it from offboard, over the link
+            start_from(flight.experience, core, None)
+    return core
+
+
+class _Check:
+    """One pass over one tape."""
+
+    def __init__(self, log: LogFile, core: OnboardCore) -> None:
+        self._log = log
+        self._core = core
+        self._ticks = self._rows = self._in = self._out = self._failed = 0
+        self._start_ns = 0
+        self._incomplete = ""
+        self._row_of = self._rows_by_time()
+
+    def run(self) -> CheckResult:
+        difference = None
+        for tick in self._tape():
+            difference = self._compare(tick)
+            if difference is not None:
+                break
+        return CheckResult(
+            self._log.path.name,
+            self._ticks,
+            self._rows,
+            self._in,
+            self._out,
+            self._failed,
+            difference,
+            self._incomplete,
+        )
+
+    def _rows_by_time(self) -> dict[int, NDArray[np.float64]]:
+        topic = self._log.vectors.get(TICK.topic)
+        if topic is None:
+            return {}
+        if topic.record_type.names != TICK.names:
+            raise ConfigError(f"{self._log.path}: its tick records are those of another version of this project")
+        return dict(zip(topic.times_ns.tolist(), topic.values, strict=True))
+
+    def _tape(self) -> Iterator[TapeTick]:
+        for expected, (_, record) in enumerate(self._log.raw[TOPIC]):
+            try:
+                tick = read_tick(record)
+            except ValueError as error:
+                self._incomplete = str(error)
+                return
+            if tick.number != expected:
+                self._incomplete = f"the log lost the ticks {expected} to {tick.number - 1}"
+                return
+            if expected == 0:
+                self._start_ns = tick.now_ns
+            yield tick
+
+    def _compare(self, tick: TapeTick) -> Difference | None:
+        output, failed = self._step(tick)
+        self._ticks += 1
+        self._failed += failed
+        if failed != tick.failed:
+            return self._difference(tick, "step", *("raised" if it else "done" for it in (tick.failed, failed)))
+        row = self._row_of.get(tick.now_ns)
+        if row is not None:
+            self._rows += 1
+            found = self._first_field(tick, row, output.tick)
+            if found is not None:
+                return found
+        for kind, name, attribute in OUTPUTS:
+            found = self._first_datagram(tick, name, tick.of(kind), getattr(output, attribute))
+            if found is not None:
+                return found
+        return None
+
+    def _step(self, tick: TapeTick) -> tuple[OnboardOutput, bool]:
+        """As the process does it: take in, step; and the safe output when that raises."""
+        try:
+            for kind, data in tick.entries:
+                self._take_in(kind, data, tick.now_ns)
+            return self._core.step(tick.now_ns, missed_ticks=tick.missed_ticks), False
+        except Exception:
+            with contextlib.suppress(Exception):
+                return self._core.safe_output(tick.now_ns), True
+            return OnboardOutput(), True
+
+    def _take_in(self, kind: Entry, data: bytes, now_ns: int) -> None:
+        core = self._core
+        if kind is Entry.FROM_VEHICLE:
+            core.take_in_vehicle(data, now_ns)
+        elif kind is Entry.FROM_OFFBOARD:
+            core.take_in_offboard(data, now_ns)
+        elif kind is Entry.FROM_GROUND:
+            core.take_in_ground(data, now_ns)
+        elif kind is Entry.LAND_REQUEST:
+            core.request_land(TIME.unpack(data)[0])
+        else:
+            return
+        self._in += 1
+
+    def _first_field(
+        self, tick: TapeTick, logged: NDArray[np.float64], replayed: NDArray[np.float64]
+    ) -> Difference | None:
+        differs = np.flatnonzero(logged.view(np.int64) != replayed.view(np.int64))
+        if not differs.size:
+            return None
+        first = int(differs[0])
+        more = f" (and {differs.size - 1} more fields)" if differs.size > 1 else ""
+        name = f"{TICK.topic} {TICK.names[first]}"
+        return self._difference(tick, name, repr(float(logged[first])), repr(float(replayed[first])) + more)
+
+    def _first_datagram(
+        self, tick: TapeTick, name: str, logged: list[bytes], replayed: list[bytes]
+    ) -> Difference | None:
+        self._out += len(replayed)
+        if len(logged) != len(replayed):
+            return self._difference(tick, f"number of {name}s", str(len(logged)), str(len(replayed)))
+        for ours, theirs in zip(logged, replayed, strict=True):
+            if ours != theirs:
+                at = next((i for i, (a, b) in enumerate(zip(ours, theirs, strict=False)) if a != b), len(ours))
+                shown = (datagram[at : at + 8].hex() or "nothing" for datagram in (ours, theirs))
+                return self._difference(tick, f"{name}, byte {at}", *shown)
+        return None
+
+    def _difference(self, tick: TapeTick, field: str, logged: str, replayed: str) -> Difference:
+        return Difference(tick.number, (tick.now_ns - self._start_ns) * 1e-9, field, logged, replayed)

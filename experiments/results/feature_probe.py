@@ -1,0 +1,244 @@
+"""Do the learnt features tell flight regimes apart? Silhouette, a linear probe, t-SNE and PCA, before and after.
+
+"Before" is the network the trainer started from, "after" the last version it sent, "rbf" the radial basis functions of
+configs/controllers/mrac.yaml; all see the same flight. The regime of a sample is known from its time. The probe is
+trained and tested on blocks of time that are apart, so that it cannot profit from neighbouring samples.
+"""
+
+import io
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from configs.loader import ConfigError, fill, read_tree
+from experiments.campaigns.runner import experience_path
+from experiments.results.campaign_data import CampaignData, Trace
+from experiments.results.figure_style import Array, legend_below, new_figure
+from experiments.results.statistics import median
+from experiments.results.tables import Table
+from offboard.config import NetworkConfig
+from onboard.features import Features, NetworkFeatures, RadialFeatures
+from protocol.codec import decode_feature_set
+from protocol.feature_set import FeatureSet
+from protocol.signals import CHANNELS, SIGNAL_NAMES
+
+SAMPLES_MAX: Final = 700
+BLOCK_S: Final = 2.5
+PROBE_SEED: Final = 7
+KINDS: Final = ("before", "after", "rbf")
+KIND_LABELS: Final = {"before": "before training", "after": "after training", "rbf": "radial basis functions"}
+
+
+@dataclass(frozen=True)
+class Regimes:
+    """Samples of one flight with the regime each belongs to."""
+
+    signals: Array
+    """[n, SIGNAL_COUNT]."""
+    regime: Array
+    """[n], number of the regime."""
+    block: Array
+    """[n], number of the block of time."""
+    names: tuple[str, ...]
+
+
+def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]]) -> Regimes:
+    """Samples of a trace within the spans (s of flight time), thinned to about SAMPLES_MAX."""
+    time = trace.time_s
+    regime = np.full(time.size, -1)
+    for number, (start, end) in enumerate(spans.values()):
+        regime[(time >= start) & (time < end)] = number
+    rows = np.flatnonzero((regime >= 0) & (trace["truth_airborne"] > 0.5))
+    rows = rows[:: max(rows.size // SAMPLES_MAX, 1)]
+    return Regimes(signals_of(trace)[rows], regime[rows], np.floor(time[rows] / BLOCK_S), tuple(spans))
+
+
+def signals_of(trace: Trace) -> Array:
+    """[n, SIGNAL_COUNT]: the signal vectors, from the trace's columns."""
+    w, x, y, z = trace.vector("tick_quaternion", "wxyz").T
+    rotation = np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1),
+        ],
+        axis=1,
+    )
+    velocity = trace.vector("tick_velocity", "ned")
+    columns = {f"position_{axis}": trace[f"tick_position_{axis}"] for axis in "ned"}
+    columns |= {f"velocity_{axis}": trace[f"tick_velocity_{axis}"] for axis in "ned"}
+    columns |= {
+        "roll": np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        "pitch": np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
+        "yaw": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    }
+    columns |= {f"rate_{axis}": trace[f"tick_rates_{axis}"] for axis in "pqr"}
+    body = np.einsum("nij,ni->nj", rotation, velocity)
+    columns |= {f"body_velocity_{axis}": body[:, place] for place, axis in enumerate("xyz")}
+    columns |= {f"motor_thrust_{motor}": trace[f"tick_motor_thrust_{motor}"] for motor in "1234"}
+    columns |= {"battery_voltage": trace["tick_battery"], "vibration": trace["tick_vibration"]}
+    return np.stack([columns[name] for name in SIGNAL_NAMES], axis=1)
+
+
+@dataclass(frozen=True)
+class LearntFlight:
+    """What a flight's network was made from, and what it became."""
+
+    network: NetworkConfig
+    seed: int
+    """Of the offboard side."""
+    learnt: bytes
+
+
+def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
+    """The maps to compare, for channel 0 (position) or 1 (attitude).
+
+    Raises
+    ------
+    ConfigError
+        If the flight sent no features of that channel.
+    """
+    from offboard.network import InputPlan, feature_set, initial_state
+
+    start = initial_state(flight.network, np.random.default_rng([flight.seed, 1]))
+    before = feature_set(start, InputPlan.of(flight.network), 1, 0, 0)
+    with np.load(io.BytesIO(flight.learnt), allow_pickle=False) as archive:
+        if "features" not in archive.files:
+            raise ConfigError("the flight sent no features, there is nothing to probe")
+        after = decode_feature_set(archive["features"].tobytes())
+    return {"before": _of(before, channel), "after": _of(after, channel), "rbf": _rbf(channel)}
+
+
+def _of(features: FeatureSet, channel: int) -> Features:
+    one = (features.position, features.attitude)[channel]
+    if one is None:
+        raise ConfigError(f"the flight has no features of the {CHANNELS[channel]} channel")
+    return NetworkFeatures(one)
+
+
+def _rbf(channel: int) -> Features:
+    from configs.loader import CONFIG_DIRECTORY
+    from onboard.controllers.cascade import CascadeSettings
+
+    tree = read_tree(CONFIG_DIRECTORY / "controllers" / "mrac.yaml")
+    settings = fill(CascadeSettings, tree["settings"], "mrac.yaml", "settings.")
+    augmentation: Any = (settings.position, settings.attitude)[channel].augmentation
+    names = tuple(item.signal for item in augmentation.inputs)
+    offset = np.array([item.offset for item in augmentation.inputs])
+    scale = np.array([item.scale for item in augmentation.inputs])
+    return RadialFeatures(names, offset, scale, augmentation.rbf_width)
+
+
+def phi(features: Features, signals: Array) -> Array:
+    """[n, k - 1]: features of signal vectors, without the constant, standardised."""
+    values = features.evaluate(features.select(signals.T))[:-1].T
+    standard: Array = (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-9)
+    return standard
+
+
+def probe_accuracy(values: Array, samples: Regimes) -> float:
+    """Balanced accuracy of a linear probe (multinomial logistic regression), five folds over blocks of time."""
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.metrics import balanced_accuracy_score
+
+    predicted = np.full(samples.regime.size, -1)
+    fold = samples.block % 5
+    for number in range(5):
+        test = fold == number
+        probe = LogisticRegression(max_iter=2000, C=1.0, random_state=PROBE_SEED)
+        probe.fit(values[~test], samples.regime[~test])
+        predicted[test] = probe.predict(values[test])
+    return float(balanced_accuracy_score(samples.regime, predicted))
+
+
+def silhouette(values: Array, samples: Regimes) -> float:
+    """Mean silhouette of the regimes in feature space (-1 to 1)."""
+    from sklearn.metrics import silhouette_score
+
+    return float(silhouette_score(values, samples.regime))
+
+
+@lru_cache(maxsize=4)
+def _flights(data_folder: Path, keys: tuple[str, ...]) -> tuple[LearntFlight, ...]:
+    found = []
+    for key in keys:
+        stem = key.replace("/", "__")
+        offboard = read_tree(data_folder / "traces" / f"{stem}.yaml")["offboard"]
+        network = fill(NetworkConfig, offboard["network"], stem, "offboard.network.")
+        found.append(LearntFlight(network, offboard["seed"], experience_path(data_folder, key).read_bytes()))
+    return tuple(found)
+
+
+def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, float]]) -> Table:
+    """Silhouette and probe accuracy over the flights of a case, medians with intervals."""
+    traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
+    flights = _flights(data.folder, tuple(trace.row["key"] for trace in traces))
+    rows = []
+    for channel, name in enumerate(CHANNELS):
+        for kind in KINDS:
+            scores: list[tuple[float, float]] = []
+            for trace, flight in zip(traces, flights, strict=True):
+                samples = regimes_of(trace, spans)
+                values = phi(feature_maps(flight, channel)[kind], samples.signals)
+                scores.append((silhouette(values, samples), probe_accuracy(values, samples)))
+            cells = [_cell([score[which] for score in scores]) for which in (0, 1)]
+            rows.append((name, KIND_LABELS[kind], str(len(scores)), *cells))
+    chance = f"linear probe, balanced accuracy (chance {1 / len(spans):.2f})"
+    header = ("channel", "features", "flights", "silhouette", chance)
+    return Table(f"How well features tell {', '.join(spans)} apart", header, tuple(rows))
+
+
+def _cell(values: list[float]) -> str:
+    from experiments.results.tables import show
+
+    return show(median(values, np.random.default_rng(PROBE_SEED)), 2)
+
+
+def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, float]], channel: int) -> Any:
+    """t-SNE and PCA in three dimensions, before and after training and for radial basis functions; one flight."""
+    from sklearn.decomposition import PCA
+    from sklearn.manifold import TSNE
+
+    trace = next(trace for group in data.select(case, "dmrac") for trace in data.traces(group))
+    flight = _flights(data.folder, (trace.row["key"],))[0]
+    samples = regimes_of(trace, spans)
+    maps = feature_maps(flight, channel)
+    figure = new_figure(7.4, 10.5)
+    panels = []
+    for column, kind in enumerate(KINDS):
+        values = phi(maps[kind], samples.signals)
+        pca = PCA(3, random_state=PROBE_SEED).fit(values)
+        kept = 100.0 * float(pca.explained_variance_ratio_.sum())
+        tsne = TSNE(3, perplexity=30.0, init="pca", random_state=PROBE_SEED, n_jobs=1).fit_transform(values)
+        for row, (points, name) in enumerate(
+            ((tsne, "t-SNE"), (pca.transform(values), f"PCA ({kept:.0f} % of variance)"))
+        ):
+            panel = figure.add_subplot(2, 3, 3 * row + column + 1, projection="3d")
+            _scatter(panel, points, samples)
+            panel.set_title(f"{KIND_LABELS[kind]}\n{name}", fontsize=10)
+            panels.append(panel)
+    legend_below(figure, panels[:1])
+    return figure
+
+
+_LOOKS: Final = (
+    ("#56b4e9", "o"),
+    ("#009e73", "^"),
+    ("#000000", "s"),
+    ("#d55e00", "P"),
+    ("#e69f00", "D"),
+    ("#cc79a7", "v"),
+)
+
+
+def _scatter(panel: Any, points: Array, samples: Regimes) -> None:
+    for number, name in enumerate(samples.names):
+        colour, marker = _LOOKS[number % len(_LOOKS)]
+        chosen = points[samples.regime == number]
+        panel.scatter(*chosen.T, s=9, c=colour, marker=marker, alpha=0.6, linewidths=0, label=name, depthshade=False)
+    for axis in (panel.xaxis, panel.yaxis, panel.zaxis):
+        axis.set_ticklabels([])
+    panel.set_box_aspect(None, zoom=0.95)

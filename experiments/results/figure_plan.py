@@ -1,0 +1,132 @@
+"""Which figures a campaign gets: the `figures` entries of its file, each a kind with the options of its function."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from configs.loader import ConfigError
+from experiments.results import row_figures, trace_figures
+from experiments.results.campaign_data import CampaignData
+from experiments.results.figure_style import save
+from experiments.results.tables import Table, metric_name
+
+Drawer = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure."""
+
+    name: str
+    caption: str
+    png: Path
+    svg: Path
+
+
+BAND: Final = "Mean and standard deviation over the seeds kept; grey: onsets of the fault; dotted: vehicle lost."
+KINDS: Final[dict[str, tuple[Drawer, str]]] = {
+    "survival": (
+        row_figures.survival,
+        "Survival with 95 % Wilson intervals; lines: logistic fit through all flights.",
+    ),
+    "sweep": (row_figures.sweep_metric, "{metric}: median over survivors with bootstrap interval."),
+    "compare": (row_figures.compare, "{metric}: median over survivors with bootstrap interval; dots: flights."),
+    "cases": (row_figures.compare_cases, "{metric}: median over survivors with bootstrap interval; dots: flights."),
+    "laps": (row_figures.laps, "Position RMSE lap by lap, {case}: median and the middle half of the seeds."),
+    "age": (row_figures.age, "Settled RMSE against the age of the features."),
+    "swaps": (
+        row_figures.swaps,
+        "Jump of nu_ad at swaps against the bound that refuses them; live bound against norm(e).",
+    ),
+    "position": (trace_figures.position, "Position, {case}. " + BAND),
+    "attitude": (trace_figures.attitude, "Roll and pitch, {case}. " + BAND),
+    "torques": (trace_figures.torques, "Commands split into feedback, feed-forward and adaptive part, {case}."),
+    "path": (trace_figures.path, "Path in space, {case}."),
+    "training": (trace_figures.training, "Training, validation and test loss along a flight, {case}."),
+    "position_cases": (trace_figures.position_cases, "Distance to the target. " + BAND),
+}
+
+
+def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) -> tuple[list[Picture], list[Table]]:
+    """Draws what the campaign's file lists; a figure whose flights are missing is left out and reported.
+
+    Raises
+    ------
+    ConfigError
+        If an entry has an unknown kind, or options its function does not know.
+    """
+    pictures: list[Picture] = []
+    tables: list[Table] = []
+    for number, entry in enumerate(data.config.figures):
+        options = dict(entry)
+        kind = str(options.pop("kind", ""))
+        name = f"{data.name}_{number + 1:02d}_{kind}"
+        if kind == "features":
+            found = _draw_features(data, folder, name, options, report)
+            pictures += found[0]
+            tables += found[1]
+            continue
+        if kind not in KINDS:
+            raise ConfigError(
+                f"{data.name}: figures.{number}.kind: {kind!r}: allowed are {', '.join([*KINDS, 'features'])}"
+            )
+        drawer, caption = KINDS[kind]
+        if not _has_flights(data, kind, options):
+            report(f"{name}: left out, the flights it shows were not flown or kept no traces")
+            continue
+        try:
+            figure = drawer(data, **options)
+        except TypeError as error:
+            raise ConfigError(f"{data.name}: figures.{number}: {error}") from None
+        pictures.append(_picture(data, folder, name, caption, options, figure))
+        report(name)
+    return pictures, tables
+
+
+def _picture(
+    data: CampaignData, folder: Path, name: str, caption: str, options: dict[str, Any], figure: Any
+) -> Picture:
+    png, svg = save(figure, folder, name)
+    case = data.label(options["case"]) if "case" in options else ""
+    at = ", ".join(f"{key} {value}" for key, value in options.get("point", {}).items())
+    words = caption.format(metric=metric_name(options.get("metric", "")), case=f"{case}, {at}" if at else case)
+    return Picture(name, words[0].upper() + words[1:], png, svg)
+
+
+def _has_flights(data: CampaignData, kind: str, options: dict[str, Any]) -> bool:
+    cases = options.get("cases") or [options.get("case")]
+    controllers = options.get("controllers") or [None]
+    groups = [
+        group for case in cases for name in controllers for group in data.select(case, name, options.get("point"))
+    ]
+    if kind in ("position", "attitude", "torques", "path", "position_cases"):
+        return any(data.traces(group) for group in groups)
+    if kind == "training":
+        return any(trace["epochs"].size for group in groups for trace in data.traces(group)[:1])
+    metric = options.get("metric")
+    if kind == "swaps":
+        return any(row["swaps"] > 0 for row in data.rows if row["controller"] == "dmrac")
+    return any(metric is None or group.values(metric) for group in groups)
+
+
+def _draw_features(
+    data: CampaignData, folder: Path, name: str, options: dict[str, Any], report: Callable[[str], None]
+) -> tuple[list[Picture], list[Table]]:
+    from experiments.results.feature_probe import feature_figure, probe_table
+    from protocol.signals import CHANNELS
+
+    case = options["case"]
+    spans = {regime: (float(start), float(end)) for regime, (start, end) in options["regimes"].items()}
+    traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
+    if not traces or not all(math.isfinite(trace.row["flown_s"]) for trace in traces):
+        report(f"{name}: left out, no traces were kept")
+        return [], []
+    pictures = []
+    for channel, words in enumerate(CHANNELS):
+        figure = feature_figure(data, case, spans, channel)
+        caption = f"The {words} channel's features in {', '.join(spans)}: t-SNE and PCA."
+        pictures.append(_picture(data, folder, f"{name}_{words}", caption, {}, figure))
+        report(f"{name}_{words}")
+    return pictures, [probe_table(data, case, spans)]

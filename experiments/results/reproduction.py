@@ -1,0 +1,157 @@
+"""Every campaign from flights to docs/results.md: what `dmrac reproduce` does, step by step and resumable."""
+
+import math
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from experiments.campaigns.campaign import load_campaign
+from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
+from experiments.results.campaign_data import CampaignData, load_data
+from experiments.results.figure_plan import Picture, draw_all
+from experiments.results.page import machine, versions, write_page
+from experiments.results.tables import Table, first_paragraph, markdown_report, show, target_ratio
+
+CAMPAIGNS: Final = (
+    *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),
+    *("sim_to_real", "features", "dropouts", "paper_preset", "ablations"),
+)
+"""In the order of docs/results.md."""
+
+BEGIN_TARGETS: Final = "<!-- begin targets: written by dmrac reproduce -->"
+END_TARGETS: Final = "<!-- end targets -->"
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What to fly, and where to write."""
+
+    folder: Path
+    """Campaign folders go below it."""
+    page: Path
+    """docs/results.md, or a page elsewhere; pictures go beside it into pictures/results."""
+    quick: bool
+    seeds: int | None = None
+    """So many a point instead of the campaigns' own number."""
+    only: tuple[str, ...] = CAMPAIGNS
+
+    @property
+    def command(self) -> str:
+        """The command that makes the page again."""
+        words = ["dmrac reproduce"]
+        words += ["--quick"] if self.quick else []
+        words += [f"--seeds {self.seeds}"] if self.seeds is not None else []
+        return " ".join(words)
+
+    def run(self, name: str) -> CampaignRun:
+        """One campaign of it."""
+        campaign, _ = load_campaign(name)
+        seeds = campaign.quick_seeds if self.quick else self.seeds
+        return CampaignRun(campaign, name, self.folder / name, seeds)
+
+
+@dataclass(frozen=True)
+class Section:
+    """One campaign of the page."""
+
+    data: CampaignData
+    pictures: tuple[Picture, ...]
+    extra: tuple[Table, ...]
+
+
+def fly(
+    plan: Reproduction, name: str, open_workers: Callable[[], Workers], report: Callable[[Progress], None]
+) -> Progress:
+    """Flies what is missing of one campaign. Raises ConfigError if its folder holds flights of other settings."""
+    run = plan.run(name)
+    prepare_folder(run, resume=True)
+    with open_store(run.folder) as store:
+        return run_campaign(run, store, open_workers(), report)
+
+
+def draw(plan: Reproduction, name: str, report: Callable[[str], None]) -> Section:
+    """Figures and page of one campaign; the PNGs are copied to where results.md shows them."""
+    data = load_data(plan.folder / name)
+    out = plan.folder / name / "figures"
+    pictures, extra = draw_all(data, out, report)
+    write_page(out / "report.html", data, pictures, extra)
+    shown = picture_folder(plan)
+    shown.mkdir(parents=True, exist_ok=True)
+    for picture in pictures:
+        shutil.copyfile(picture.png, shown / picture.png.name)
+    return Section(data, tuple(pictures), tuple(extra))
+
+
+def picture_folder(plan: Reproduction) -> Path:
+    """Where the page's pictures lie."""
+    return plan.page.parent / "pictures" / "results"
+
+
+def write_results(plan: Reproduction, sections: Sequence[Section], seconds: float) -> None:
+    """Writes the page, complete or not at all."""
+    parts = ["# Results\n", _opening(sections), _provenance(plan, sections, seconds)]
+    targets = _targets(sections)
+    parts += [targets.markdown()] if targets.rows else []
+    for section in sections:
+        listed = [(Path("pictures/results") / one.png.name, one.caption) for one in section.pictures]
+        parts.append(markdown_report(section.data, listed, f"dmrac campaign {section.data.name}"))
+        parts += [table.markdown() for table in section.extra]
+    plan.page.parent.mkdir(parents=True, exist_ok=True)
+    part = plan.page.with_suffix(".md.part")
+    part.write_text("\n".join(parts), encoding="utf-8")
+    part.replace(plan.page)
+
+
+def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool:
+    """Rewrites the targets' table between its marks in another page; False if the page has no marks."""
+    if not path.exists():
+        return False
+    before, begin, rest = path.read_text(encoding="utf-8").partition(BEGIN_TARGETS)
+    _, end, after = rest.partition(END_TARGETS)
+    if not begin or not end:
+        return False
+    text = f"{before}{begin}\n`{command}`\n\n{_targets(sections).markdown()}\n{end}{after}"
+    part = path.with_suffix(".md.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+    return True
+
+
+def _opening(sections: Sequence[Section]) -> str:
+    """The first paragraph: where DMRAC loses, campaign by campaign."""
+    lines = []
+    for section in sections:
+        if "dmrac" in section.data.controllers and len(section.data.controllers) > 1:
+            title = section.data.config.title or section.data.name
+            lines.append(f"- {title}: {first_paragraph(section.data)}")
+    return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
+
+
+def _provenance(plan: Reproduction, sections: Sequence[Section], seconds: float) -> str:
+    flights = sum(len(section.data.rows) for section in sections)
+    failed = sum(len(section.data.failed) for section in sections)
+    used = [row["cpu_s"] for section in sections for row in section.data.rows if math.isfinite(row["cpu_s"])]
+    packages = ", ".join(f"{name} {number}" for name, number in versions().items())
+    return (
+        f"Made by `{plan.command}`, no number or picture is edited by hand. {machine()}. {packages}. "
+        f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; "
+        f"{seconds / 60.0:.0f} minutes for what was missing, {time.strftime('%Y-%m-%d')}. Medians are over survivors, "
+        "with 95 % bootstrap intervals (six flights at least); survival has Wilson intervals; ratios are paired by "
+        "seed. What each column means: [experiments.md](experiments.md).\n"
+    )
+
+
+def _targets(sections: Sequence[Section]) -> Table:
+    rows = []
+    for section in sections:
+        for target in section.data.config.targets:
+            ratio = target_ratio(section.data, target)
+            if ratio is not None:
+                met = "yes" if ratio.value <= target.at_most else "**no**"
+                place = section.data.config.title or section.data.name
+                rows.append((place, target.label, show(ratio, 2), str(ratio.count), f"≤ {target.at_most:.2f}", met))
+    header = ("campaign", "ratio", "reached", "pairs", "target", "met")
+    return Table("Targets", header, tuple(rows))

@@ -1,0 +1,254 @@
+"""Tables of a campaign, and the sentence that says first where DMRAC loses. Markdown and HTML from the same cells."""
+
+import html
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.campaigns.campaign import Flown, Target
+from experiments.results.campaign_data import CampaignData, Group, generator
+from experiments.results.statistics import INTERVAL_COUNT, Estimate, half_survival_point
+
+OURS = "dmrac"
+LOSSES_LISTED = 8
+ROWS_TO_JOIN = 3
+"""Cases with so few rows share one table."""
+UNITS = {"_m": "m", "_rad": "rad", "_s": "s", "_m_s2": "m/s²", "_rad_s2": "rad/s²"}
+METRIC_NAMES = {
+    "position_rmse_m": "position RMSE, whole path [m]",
+    "attitude_rmse_rad": "attitude RMSE [rad]",
+    "first_lap_rmse_m": "position RMSE, first lap [m]",
+    "settled_rmse_m": "position RMSE, settled [m]",
+    "before_onset_rmse_m": "position RMSE before the fault [m]",
+    "after_onset_rmse_m": "position RMSE, first 4 s after the onset [m]",
+    "settled_after_onset_rmse_m": "position RMSE from 10 s after the onset [m]",
+    "recovery_s": "recovery time [s]",
+    "worst_error_m": "largest distance to the target [m]",
+    "feature_age_median_s": "median age of the features [s]",
+    "position_swap_jump_max_m_s2": "largest jump of nu_ad at a swap [m/s²]",
+    "attitude_swap_jump_max_rad_s2": "largest jump of nu_ad at a swap [rad/s²]",
+    "down_bytes_s": "bytes per second down",
+    "up_bytes_s": "bytes per second up",
+}
+
+
+def metric_name(metric: str) -> str:
+    """A metric in words, with its unit."""
+    return METRIC_NAMES.get(metric, metric.replace("_", " "))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of text under a header."""
+
+    caption: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def markdown(self) -> str:
+        """As a GitHub table."""
+        lines = [f"**{self.caption}**", "", "| " + " | ".join(self.header) + " |", "|---" * len(self.header) + "|"]
+        lines += ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in self.rows]
+        return "\n".join(lines) + "\n"
+
+    def html(self) -> str:
+        """As an HTML table."""
+        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in self.header)
+        body = "".join("<tr>" + "".join(f"<td>{_strong(cell)}</td>" for cell in row) + "</tr>" for row in self.rows)
+        return (
+            f"<table><caption>{html.escape(self.caption)}</caption>"
+            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        )
+
+
+def _strong(cell: str) -> str:
+    text = html.escape(cell)
+    return f"<strong>{text.strip('*')}</strong>" if cell.startswith("**") and cell.endswith("**") else text
+
+
+def show(estimate: Estimate, digits: int = 3, percent: bool = False) -> str:
+    """`value [low, high]`, or a dash."""
+    if not math.isfinite(estimate.value):
+        return "–"
+    if percent:
+        return f"{100 * estimate.value:.0f} % [{100 * estimate.low:.0f}, {100 * estimate.high:.0f}]"
+    if not math.isfinite(estimate.low) and not math.isfinite(estimate.high):
+        return f"{estimate.value:.{digits}f}"
+    return f"{estimate.value:.{digits}f} [{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
+
+
+def tables(data: CampaignData) -> list[Table]:
+    """All tables of a campaign."""
+    cases = data.cases()
+    few = max(len(data.select(case)) for case in cases) <= ROWS_TO_JOIN
+    made = [_results(data, cases)] if few else [_results(data, [case]) for case in cases]
+    made += [_half_points(data)] if _numeric_sweep(data) else []
+    made += [_targets(data)] if data.config.targets else []
+    made += [_failures(data)] if data.failed else []
+    return made
+
+
+def _results(data: CampaignData, cases: Sequence[str]) -> Table:
+    """One table for a case, or for several whose cases are what is compared."""
+    metrics = data.config.metrics
+    groups = [group for case in cases for group in data.select(case)]
+    swept = list(dict.fromkeys(name for group in groups for name, _ in group.point))
+    joined = len(cases) > 1
+    header = (*(["case"] if joined else []), *swept, "controller", "flights", "survived")
+    rows = []
+    for group in groups:
+        base = _base(data, group)
+        rows.append(
+            (
+                *([data.label(group.case)] if joined else []),
+                *(str(dict(group.point).get(name, "–")) for name in swept),
+                f"**{group.controller}**" if group.controller == OURS else group.controller,
+                str(len(group.rows)),
+                show(group.survival, percent=True),
+                *(show(group.estimate(metric)) for metric in metrics),
+                show(group.ratio(base, _main(metrics)), 2) if base is not None else "1",
+            )
+        )
+    against = data.config.compare_to or data.config.controllers[-1]
+    header = (*header, *(metric_name(metric) for metric in metrics), f"ratio to {against}")
+    which = f"ratio: {metric_name(_main(metrics))}, paired by seed"
+    title = data.config.title if joined else data.label(cases[0])
+    return Table(f"{title}: medians of the survivors [95 % interval]; {which}", header, tuple(rows))
+
+
+def _main(metrics: Sequence[str]) -> str:
+    """The metric that ratios are formed of."""
+    return metrics[0] if len(metrics) == 1 else metrics[1]
+
+
+def _base(data: CampaignData, group: Group) -> Group | None:
+    """What a group is compared to: the named controller, else the named case, else the named point of the sweep."""
+    name = data.config.compare_to or data.config.controllers[-1]
+    point = dict(group.point)
+    candidates = data.select(group.case, name, point)
+    if not candidates and name in [case.name for case in data.config.cases]:
+        candidates = data.select(name, group.controller) or data.select(name)
+    if not candidates:
+        candidates = [
+            other for other in data.select(group.case, group.controller) if name in dict(other.point).values()
+        ]
+    return candidates[0] if candidates and candidates[0] != group else None
+
+
+def _numeric_sweep(data: CampaignData) -> str:
+    names = [sweep.name for sweep in data.config.sweeps if all(isinstance(v, int | float) for v in sweep.values)]
+    return names[0] if names and data.config.sweeps[0].values else ""
+
+
+def _half_points(data: CampaignData) -> Table:
+    sweep = _numeric_sweep(data)
+    rows = []
+    for case in data.cases():
+        for controller in data.controllers:
+            groups = [group for group in data.select(case, controller) if group.point]
+            x = [float(dict(group.point)[sweep]) for group in groups for _ in group.rows]
+            alive = [bool(row["survived"]) for group in groups for row in group.rows]
+            if x:
+                point = half_survival_point(x, alive, generator("half", case, controller))
+                rows.append((data.label(case), controller, str(len(x)), show(point), _band(data, case, controller)))
+    label = data.config.sweeps[0].label or sweep
+    header = ("case", "controller", "flights", label, "dmrac ≥ 95 % and this ≤ 50 % at")
+    return Table(f"Where half of the vehicles survive, by logistic fit: {label}", header, tuple(rows))
+
+
+def _band(data: CampaignData, case: str, controller: str) -> str:
+    """Values of the sweep where nearly all of ours survive and at most half of the other's."""
+    found = []
+    for ours in data.select(case, OURS):
+        for theirs in data.select(case, controller, dict(ours.point)):
+            if ours.survival.value >= 0.95 and theirs.survival.value <= 0.5:
+                found += [str(value) for _, value in ours.point]
+    return ", ".join(found) or "–"
+
+
+def _group(data: CampaignData, flown: Flown) -> Group | None:
+    found = data.select(flown.case, flown.controller, flown.point)
+    return found[0] if found else None
+
+
+def target_ratio(data: CampaignData, target: Target) -> Estimate | None:
+    """The ratio a target speaks of; None if its flights were not flown."""
+    ours, theirs = _group(data, target.ours), _group(data, target.theirs)
+    return ours.ratio(theirs, target.metric) if ours is not None and theirs is not None else None
+
+
+def _targets(data: CampaignData) -> Table:
+    rows = []
+    for target in data.config.targets:
+        ratio = target_ratio(data, target)
+        if ratio is None:
+            continue
+        met = "yes" if ratio.value <= target.at_most else "**no**"
+        rows.append((target.label, show(ratio, 2), str(ratio.count), f"≤ {target.at_most:.2f}", met))
+    return Table(
+        "Targets: medians of ratios paired by seed", ("ratio", "reached", "pairs", "target", "met"), tuple(rows)
+    )
+
+
+def _failures(data: CampaignData) -> Table:
+    rows = tuple((row["key"], row["error"], row["command"]) for row in data.failed[:20])
+    return Table(f"{len(data.failed)} flights failed and are in no number above", ("flight", "error", "command"), rows)
+
+
+def losses(data: CampaignData, certain: bool) -> list[str]:
+    """Where DMRAC is worse than another controller: RMSE of survivors, or survival.
+
+    certain: True for what lies beyond the 95 % intervals, False for what only the median or the count says.
+    """
+    return [sentence for sentence, sure in _comparisons(data) if sure is certain]
+
+
+def _comparisons(data: CampaignData) -> Iterator[tuple[str, bool]]:
+    metrics = [metric for metric in data.config.metrics if metric.endswith("rmse_m")]
+    for ours in data.select(controller=OURS):
+        place = ", ".join([data.label(ours.case), *(f"{name} {value}" for name, value in ours.point)])
+        for theirs in data.select(ours.case, point=dict(ours.point)):
+            if theirs.controller == OURS:
+                continue
+            if theirs.survival.value > ours.survival.value:
+                shares = (
+                    f"{show(theirs.survival, percent=True)} of its flights, dmrac {show(ours.survival, percent=True)}"
+                )
+                yield f"{place}: {theirs.controller} survives {shares}", theirs.survival.low > ours.survival.high
+            for metric in metrics:
+                ratio = ours.ratio(theirs, metric)
+                if ratio.value > 1.0:
+                    yield (
+                        f"{place}: {metric_name(metric)} {show(ratio, 2)} times that of {theirs.controller}",
+                        ratio.low > 1.0,
+                    )
+
+
+def first_paragraph(data: CampaignData) -> str:
+    """What a report begins with."""
+    seeds = sorted({row["seed"] for row in data.rows})
+    about = f"{len(data.rows)} flights, seeds {seeds[0]} to {seeds[-1]}, the same for every controller."
+    if OURS not in data.controllers or data.controllers == [OURS]:
+        return about
+    sure, unsure = losses(data, certain=True), losses(data, certain=False)
+    text = f"**DMRAC loses here:** {_listed(sure)}." if sure else "DMRAC loses nowhere beyond the 95 % intervals."
+    if len(seeds) < INTERVAL_COUNT:
+        text = f"Only {len(seeds)} seed{'s were' if len(seeds) > 1 else ' was'} flown, too few for intervals."
+    if unsure:
+        text += f" Behind by the median or the count, within the intervals: {_listed(unsure)}."
+    return f"{text} {about}"
+
+
+def _listed(sentences: Sequence[str]) -> str:
+    more = len(sentences) - LOSSES_LISTED
+    return "; ".join(sentences[:LOSSES_LISTED]) + (f"; and {more} more, see the tables" if more > 0 else "")
+
+
+def markdown_report(data: CampaignData, pictures: Sequence[tuple[Path, str]], command: str) -> str:
+    """A campaign's section of docs/results.md. pictures: (path relative to the page, caption)."""
+    title = data.config.title or data.name
+    parts = [f"## {title}\n", first_paragraph(data) + "\n", data.config.description + "\n", f"`{command}`\n"]
+    parts += [table.markdown() for table in tables(data)]
+    parts += [f"![{caption}]({path.as_posix()})\n\n*{caption}*\n" for path, caption in pictures]
+    return "\n".join(parts)

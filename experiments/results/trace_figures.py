@@ -1,0 +1,268 @@
+"""Figures from kept traces, in the paper's form: means with variance bands over the seeds, faults marked."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.results.campaign_data import CampaignData, Group, Trace
+from experiments.results.figure_style import Array, finish, legend_below, new_figure, style
+
+DEG = 180.0 / np.pi
+FLOWN = "flown: mean, ± standard deviation"
+FLYING_MODES = (4.0, 5.0)
+
+
+def _groups(
+    data: CampaignData, case: str, controllers: Sequence[str] | None, point: dict[str, Any] | None
+) -> list[Group]:
+    chosen = controllers or data.controllers
+    return [group for name in chosen for group in data.select(case, name, point) if data.traces(group)]
+
+
+def _band(panel: Any, traces: list[Trace], columns: list[Array], colour: str, line: Any, label: str) -> None:
+    """Mean and one standard deviation over the flights that are still in the air."""
+    longest = max((trace.time_s for trace in traces), key=len)
+    stacked = np.full((len(traces), longest.size), np.nan)
+    for row, column in enumerate(columns):
+        stacked[row, : column.size] = column
+    alive = np.isfinite(stacked).any(axis=0)
+    time, stacked = longest[alive], stacked[:, alive]
+    mean = np.nanmean(stacked, axis=0)
+    spread = np.nanstd(stacked, axis=0)
+    panel.plot(time, mean, color=colour, linestyle=line, linewidth=1.1, label=label)
+    panel.fill_between(time, mean - spread, mean + spread, color=colour, alpha=0.18, linewidth=0)
+
+
+def _mark(panel: Any, traces: list[Trace]) -> None:
+    """Onset of the fault in each flight, and where vehicles were lost."""
+    onsets = [float(onset) for trace in traces for onset in trace["onsets_s"]]
+    if len(traces) == 1:
+        for onset in onsets:
+            panel.axvline(onset, color="0.6", linewidth=1.6, zorder=0)
+    elif onsets:
+        panel.axvspan(min(onsets), max(max(onsets), min(onsets) + 0.05), color="0.8", zorder=0, linewidth=0)
+    for trace in traces:
+        if not trace.row["survived"]:
+            panel.axvline(float(trace.time_s[-1]), color="k", linestyle=":", linewidth=0.9)
+
+
+def _columns_of_panels(figure: Any, rows: int, groups: list[Group]) -> list[list[Any]]:
+    """[row][group], sharing axes along a row."""
+    panels: list[list[Any]] = []
+    for row in range(rows):
+        line: list[Any] = []
+        for column in range(len(groups)):
+            shared = {"sharey": line[0]} if line else {}
+            line.append(figure.add_subplot(rows, len(groups), row * len(groups) + column + 1, **shared))
+            if column:
+                line[-1].tick_params(labelleft=False)
+        panels.append(line)
+    return panels
+
+
+def _title(group: Group, traces: list[Trace]) -> str:
+    lost = sum(not trace.row["survived"] for trace in traces)
+    return f"{group.controller} ({len(traces)} flights{f', {lost} lost' if lost else ''})"
+
+
+def position(
+    data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
+) -> Any:
+    """North, east, height against time: target, mean and standard deviation over the seeds."""
+    groups = _groups(data, case, controllers, point)
+    figure = new_figure(6.2, 2.2 + 2.9 * len(groups))
+    panels = _columns_of_panels(figure, 3, groups)
+    for column, group in enumerate(groups):
+        traces = data.traces(group)
+        look = style(group.controller)
+        for row, (axis, sign, name) in enumerate(
+            (("n", 1.0, "north [m]"), ("e", 1.0, "east [m]"), ("d", -1.0, "height [m]"))
+        ):
+            panel = panels[row][column]
+            longest = max(traces, key=lambda trace: trace.time_s.size)
+            panel.plot(
+                longest.time_s,
+                sign * longest[f"tick_target_{axis}"],
+                color="0.45",
+                linewidth=1.0,
+                linestyle="--",
+                label="target",
+            )
+            flown = [sign * trace[f"truth_position_{axis}"] for trace in traces]
+            _band(panel, traces, flown, look.colour, "-", FLOWN)
+            _mark(panel, traces)
+            low, high = panel.get_ylim()
+            panel.set_ylim(max(low, -2.6), min(high, 2.6))
+            finish(
+                panel,
+                "time [s]" if row == 2 else "",
+                name if column == 0 else "",
+                _title(group, traces) if row == 0 else "",
+            )
+    legend_below(figure, panels[0][:1], neutral=FLOWN)
+    return figure
+
+
+def _angles(trace: Trace, name: str) -> Array:
+    w, x, y, z = trace.vector(f"tick_{name}", "wxyz").T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    return np.stack([roll, pitch], axis=1) * DEG
+
+
+def attitude(
+    data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
+) -> Any:
+    """Roll and pitch against time: commanded and flown, mean and standard deviation."""
+    groups = _groups(data, case, controllers, point)
+    figure = new_figure(4.6, 2.2 + 2.9 * len(groups))
+    panels = _columns_of_panels(figure, 2, groups)
+    for column, group in enumerate(groups):
+        traces = data.traces(group)
+        for row, name in enumerate(("roll [deg]", "pitch [deg]")):
+            panel = panels[row][column]
+            commanded = [_angles(trace, "commanded_quaternion")[:, row] for trace in traces]
+            flown = [_angles(trace, "quaternion")[:, row] for trace in traces]
+            _band(panel, traces, commanded, "0.45", "--", "commanded")
+            _band(panel, traces, flown, style(group.controller).colour, "-", FLOWN)
+            _mark(panel, traces)
+            low, high = panel.get_ylim()
+            panel.set_ylim(max(low, -45.0), min(high, 45.0))
+            finish(panel, "time [s]" if row else "", name if column == 0 else "", "" if row else _title(group, traces))
+    legend_below(figure, panels[0][:1], neutral=FLOWN)
+    return figure
+
+
+def torques(
+    data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
+) -> Any:
+    """Commands split into feedback, feed-forward and adaptive part: roll, pitch and east, one flight."""
+    groups = _groups(data, case, controllers, point)
+    figure = new_figure(6.4, 2.2 + 2.9 * len(groups))
+    panels = _columns_of_panels(figure, 3, groups)
+    rows = (("attitude", "x", "roll [rad/s²]"), ("attitude", "y", "pitch [rad/s²]"), ("position", "e", "east [m/s²]"))
+    for column, group in enumerate(groups):
+        trace = data.traces(group)[0]
+        on_path = np.isin(trace["tick_mode"], FLYING_MODES)
+        for row, (channel, axis, name) in enumerate(rows):
+            panel = panels[row][column]
+            parts = _parts(trace, channel, axis)
+            for (label, values), (colour, line) in zip(parts.items(), _PART_STYLES, strict=True):
+                smooth = _smooth(np.where(on_path, values, 0.0))
+                panel.plot(
+                    trace.time_s,
+                    np.where(on_path, smooth, np.nan),
+                    color=colour,
+                    linestyle=line,
+                    linewidth=0.9,
+                    label=label,
+                )
+            _mark(panel, [trace])
+            title = f"{group.controller}, seed {group.rows[0]['seed']}" if row == 0 else ""
+            finish(panel, "time [s]" if row == 2 else "", name if column == 0 else "", title)
+            _limit(panel, [values[on_path] for values in parts.values()])
+    legend_below(figure, [panels[2][0]])
+    return figure
+
+
+_PART_STYLES = (("#0072b2", "-"), ("0.35", ":"), ("#d55e00", "--"))
+
+
+def _parts(trace: Trace, channel: str, axis: str) -> dict[str, Array]:
+    """U = feedback + feed-forward - nu_ad; the attitude channel has no feed-forward."""
+    demand, nu = trace[f"tick_{channel}_demand_{axis}"], trace[f"tick_{channel}_adaptive_{axis}"]
+    forward = trace[f"tick_feed_forward_{axis}"] if channel == "position" else np.zeros_like(demand)
+    return {"feedback": demand - forward + nu, "feed-forward": forward, "adaptive (-nu_ad)": -nu}
+
+
+def _smooth(values: Array, window: int = 9) -> Array:
+    smoothed: Array = np.convolve(values, np.ones(window) / window, mode="same")
+    return smoothed
+
+
+def _limit(panel: Any, parts: list[Array]) -> None:
+    values = np.abs(np.concatenate(parts))
+    if values.size:
+        most = max(
+            float(np.quantile(values, 0.985)) * 1.3, panel.get_ylim()[1] if panel.get_shared_y_axes() else 0.1, 0.1
+        )
+        most = min(most, float(np.quantile(values, 0.985)) * 2.5 + 0.1)
+        panel.set_ylim(-most, most)
+
+
+def path(
+    data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
+) -> Any:
+    """The path in space: target and one flight of each controller."""
+    groups = _groups(data, case, controllers, point)
+    figure = new_figure(3.9, 3.4 * len(groups))
+    panels = []
+    for column, group in enumerate(groups):
+        trace = data.traces(group)[0]
+        on_path = np.isin(trace["tick_mode"], FLYING_MODES)
+        panel = figure.add_subplot(1, len(groups), column + 1, projection="3d")
+        target, flown = trace.vector("tick_target", "ned")[on_path], trace.vector("truth_position", "ned")[on_path]
+        panel.plot(
+            target[:, 1], target[:, 0], -target[:, 2], color="0.5", linestyle="--", linewidth=1.2, label="target"
+        )
+        panel.plot(
+            flown[:, 1], flown[:, 0], -flown[:, 2], color=style(group.controller).colour, linewidth=0.6, label="flown"
+        )
+        panel.set_xlabel("east [m]")
+        panel.set_ylabel("north [m]")
+        panel.set_zlabel("height [m]")
+        panel.set_zlim(0.6, 1.4)
+        for axis, values in ((panel.xaxis, flown[:, 1]), (panel.yaxis, flown[:, 0])):
+            most = np.ceil(2.0 * np.abs(values).max()) / 2.0
+            axis.set_ticks([-most, 0.0, most])
+        panel.zaxis.set_ticks([0.6, 1.0, 1.4])
+        panel.tick_params(labelsize=8, pad=1)
+        panel.set_box_aspect((1.0, 1.6, 0.8), zoom=0.9)
+        panel.set_title(f"{group.controller}, seed {group.rows[0]['seed']}", fontsize=10, y=0.98)
+        panels.append(panel)
+    legend_below(figure, panels[:1], neutral="flown")
+    return figure
+
+
+def training(data: CampaignData, case: str, controllers: Sequence[str] | None = None) -> Any:
+    """Training, validation and test loss of both channels over the flight."""
+    groups = [group for group in _groups(data, case, controllers, None) if data.traces(group)[0]["epochs"].size]
+    figure = new_figure(3.8)
+    panels = [figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)]
+    trace = data.traces(groups[0])[0]
+    time, epochs = trace["epoch_time_s"], trace["epochs"]
+    looks = (("training", "#0072b2", "-"), ("validation", "#d55e00", "--"), ("test", "#009e73", ":"))
+    for channel, (panel, unit) in enumerate(zip(panels, ("(m/s²)²", "(rad/s²)²"), strict=True)):
+        for kind, (label, colour, line) in enumerate(looks):
+            panel.plot(
+                time, epochs[:, 2 + 2 * kind + channel], color=colour, linestyle=line, linewidth=1.0, label=label
+            )
+        panel.set_yscale("log")
+        _mark(panel, [trace])
+        finish(
+            panel, "flight time [s]", f"mean squared error [{unit}]", ("position channel", "attitude channel")[channel]
+        )
+    legend_below(figure, panels)
+    return figure
+
+
+def position_cases(data: CampaignData, cases: Sequence[str], controllers: Sequence[str] | None = None) -> Any:
+    """Distance to the target against time for several cases of one controller: mean and standard deviation."""
+    figure = new_figure(3.8)
+    panel = figure.add_subplot()
+    looks = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", ":"), ("0.3", "-."))
+    for (colour, line), case in zip(looks, cases, strict=False):
+        for group in _groups(data, case, controllers, None):
+            traces = data.traces(group)
+            distance = []
+            for trace in traces:
+                error = np.linalg.norm(
+                    trace.vector("truth_position", "ned") - trace.vector("tick_target", "ned"), axis=1
+                )
+                distance.append(np.where(np.isin(trace["tick_mode"], FLYING_MODES), error, np.nan))
+            _band(panel, traces, distance, colour, line, data.label(case))
+    panel.set_ylim(bottom=0.0)
+    finish(panel, "flight time [s]", "distance to the target [m]", "mean and standard deviation over the seeds")
+    legend_below(figure, [panel])
+    return figure

@@ -1,0 +1,1 @@
+"""How long an onboard step takes, block by block."""

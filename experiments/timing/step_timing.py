@@ -1,0 +1,177 @@
+"""The onboard step under stopwatches: a recorded flight replayed into a fresh core, block by block, hot or paced."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from experiments.flights.lockstep_flight import ONBOARD_SESSION, build
+from experiments.flights.scenario import FlightConfig
+from onboard.core import OnboardCore, OnboardOutput
+from onboard.realtime import PaceKeeper
+
+STEP: Final = "whole tick"
+BLOCKS: Final = (
+    ("MAVLink, estimator", "take_in_vehicle"),
+    ("msgpack in, pose", "take_in_offboard"),
+    ("supervisor", "_supervise"),
+    ("guidance", "_guide"),
+    ("inputs", "_sense"),
+    ("feature swap", "_swap_features"),
+    ("controller", "_control"),
+    ("mixer, motors out", "_mix"),
+    ("samples out", "_sample"),
+    ("status, ground", "_report"),
+    ("tick record", "_record"),
+)
+"""Name and method of onboard.core.OnboardCore."""
+LAW: Final = "adaptive law"
+"""Both channels' augmentations, features and adaptation; a part of the controller."""
+TURN_S: Final = 2.5
+"""The loop and the bare loop beside it take turns of this length."""
+
+
+@dataclass(slots=True)
+class Recording:
+    """What came to onboard in each tick of a flight."""
+
+    now_ns: list[int] = field(default_factory=list)
+    vehicle: list[list[bytes]] = field(default_factory=list)
+    offboard: list[list[bytes]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Stopwatch:
+    """Time spent in wrapped methods, summed over each tick."""
+
+    now: dict[str, int] = field(default_factory=dict)
+    ticks: dict[str, list[int]] = field(default_factory=dict)
+
+    def expect(self, name: str) -> None:
+        """From now on a tick has a sum of this name."""
+        self.now[name] = 0
+        self.ticks[name] = []
+
+    def wrap(self, owner: object, method: str, name: str) -> None:
+        """Time every call of `owner.method`, on this one object."""
+        inner: Callable[..., Any] = getattr(owner, method)
+        clock, spent = time.perf_counter_ns, self.now
+        self.expect(name)
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            start = clock()
+            try:
+                return inner(*arguments, **named)
+            finally:
+                spent[name] += clock() - start
+
+        setattr(owner, method, timed)
+
+    def end_tick(self) -> None:
+        """Closes a tick's sums."""
+        for name, spent in self.now.items():
+            self.ticks[name].append(spent)
+            self.now[name] = 0
+
+    def quantiles_us(self, name: str) -> tuple[float, float, float]:
+        """p50, p99 and max of a tick's sum, us."""
+        return quantiles_us(self.ticks[name])
+
+
+def quantiles_us(durations_ns: Iterable[int]) -> tuple[float, float, float]:
+    """p50, p99 and max, us."""
+    p50, p99, highest = np.quantile(np.fromiter(durations_ns, dtype=np.float64), (0.5, 0.99, 1.0)) * 1e-3
+    return float(p50), float(p99), float(highest)
+
+
+Observer = Callable[[OnboardOutput], None]
+
+
+def record_flight(config: FlightConfig, seconds: float, observe: Observer = lambda output: None) -> Recording:
+    """The datagrams that reach onboard in the first `seconds` of a lockstep flight, offboard included.
+
+    `observe` is called with onboard's output of each tick.
+    """
+    lockstep, onboard, _, _ = build(config)
+    recording = Recording()
+    for method, into in (("take_in_vehicle", recording.vehicle), ("take_in_offboard", recording.offboard)):
+        setattr(onboard, method, _copying(getattr(onboard, method), into))
+    for _ in range(round(seconds * 1e9 / config.onboard.period_ns)):
+        recording.vehicle.append([])
+        recording.offboard.append([])
+        result = lockstep.step()
+        recording.now_ns.append(result.now_ns)
+        observe(result.onboard)
+    return recording
+
+
+def _copying(take_in: Callable[[bytes, int], None], into: list[list[bytes]]) -> Callable[[bytes, int], None]:
+    def take_in_and_copy(datagram: bytes, now_ns: int) -> None:
+        into[-1].append(datagram)
+        take_in(datagram, now_ns)
+
+    return take_in_and_copy
+
+
+class Replay:
+    """A fresh onboard core that flies a recording again, tick by tick, under stopwatches."""
+
+    def __init__(self, config: FlightConfig, recording: Recording, blocks: bool) -> None:
+        self._core = OnboardCore(config.onboard, ONBOARD_SESSION, None)
+        self._recording = recording
+        self._next = 0
+        self.observe: Observer | None = None
+        """Called with the output of each tick."""
+        self.watch = Stopwatch()
+        if blocks:
+            for name, method in BLOCKS:
+                self.watch.wrap(self._core, method, name)
+            self.watch.expect(LAW)  # a controller of another build may have none
+            for augmentation in getattr(self._core.controller, "augmentations", ()):
+                self.watch.wrap(augmentation, "step", LAW)
+        self.watch.wrap(self, "tick", STEP)
+
+    @property
+    def left(self) -> int:
+        """Ticks not flown yet."""
+        return len(self._recording.now_ns) - self._next
+
+    def tick(self) -> None:
+        """One tick as the process does it, sockets and log left out."""
+        now, index = self._recording.now_ns[self._next], self._next
+        for datagram in self._recording.vehicle[index]:
+            self._core.take_in_vehicle(datagram, now)
+        for datagram in self._recording.offboard[index]:
+            self._core.take_in_offboard(datagram, now)
+        output = self._core.step(now)
+        if self.observe is not None:
+            self.observe(output)
+        self._next += 1
+
+
+def run_hot(replay: Replay) -> None:
+    """All ticks back to back."""
+    while replay.left:
+        replay.tick()
+        replay.watch.end_tick()
+
+
+def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], list[int]]:
+    """All ticks at the loop's pace, in turns with a loop that does nothing; lateness of both, ns."""
+    ours: list[int] = []
+    bare: list[int] = []
+    turn = round(TURN_S * 1e9 / period_ns)
+    while replay.left:
+        pace = PaceKeeper(period_ns, spin_ns, time.monotonic_ns() + period_ns)
+        for _ in range(min(turn, replay.left)):
+            pace.wait()
+            replay.tick()
+            replay.watch.end_tick()
+            ours.append(pace.lateness_ns)
+        pace = PaceKeeper(period_ns, spin_ns, time.monotonic_ns() + period_ns)
+        for _ in range(turn):
+            pace.wait()
+            bare.append(pace.lateness_ns)
+    return ours, bare

@@ -1,0 +1,144 @@
+"""The gain search: costs, starting point, resuming, and the file it writes."""
+
+import math
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pytest
+
+import experiments.campaigns.tuning as tuning
+from configs.loader import CONFIG_DIRECTORY, ConfigError, parse_yaml, read_tree
+from experiments.campaigns.controller_file import tuned_text
+from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.tuning import (
+    Search,
+    cost,
+    load_tuning,
+    open_study,
+    present_values,
+    run_search,
+    search_record,
+)
+from experiments.campaigns.worker import FlightResult
+
+TUNE = CONFIG_DIRECTORY / "campaigns" / "tune.yaml"
+ALIVE = empty_row() | {"survived": True, "duration_s": 20.0, "flown_s": 20.0}
+
+
+class Inline(Executor):
+    """Runs a job at once; `fly` answers it."""
+
+    def __init__(self, fly: Any) -> None:
+        self._fly = fly
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        future.set_result(self._fly(*args))
+        return future
+
+
+def bowl(job: Any) -> FlightResult:
+    """A flight whose error is smallest at a lead of 0.12 s and a position frequency of 5."""
+    given = dict(item.split("=", 1) for item in job.assignments)
+    lead = float(given["onboard.guidance.feed_forward_lead_s"])
+    frequency = float(given["onboard.controller.settings.position.gains.natural_frequency_rad_s.0"])
+    error = 0.02 * math.exp(100.0 * (lead - 0.12) ** 2 + 2.0 * math.log(frequency / 5.0) ** 2)
+    row = ALIVE | {"settled_rmse_m": error, "after_onset_rmse_m": error}
+    return FlightResult(job.key, row)
+
+
+def test_a_crash_is_never_worth_a_good_lap() -> None:
+    good = cost(ALIVE | {"settled_rmse_m": 0.02}, "settled_rmse_m", 0.02, 5.0)
+    awful = cost(ALIVE | {"settled_rmse_m": 2.0}, "settled_rmse_m", 0.02, 5.0)
+    lost = {"survived": False, "settled_rmse_m": 0.001}
+    late = cost(ALIVE | lost | {"flown_s": 19.0}, "settled_rmse_m", 0.02, 5.0)
+    early = cost(ALIVE | lost | {"flown_s": 2.0}, "settled_rmse_m", 0.02, 5.0)
+    broken = cost(ALIVE | {"error": "boom"}, "settled_rmse_m", 0.02, 5.0)
+    assert good == 1.0
+    assert good < awful == 5.0 < late < early < broken == 10.0
+    assert cost(ALIVE, "settled_rmse_m", 0.02, 5.0) == 5.0  # no whole lap: no credit
+
+
+def test_every_shipped_controller_has_a_space_that_fits_its_file() -> None:
+    config = load_tuning(TUNE)
+    for controller in config.own:
+        space = config.space(controller)
+        names = [one.name for one in space]
+        assert len(set(names)) == len(names)
+        assert set(present_values(space, controller)) == set(names)
+        text = (CONFIG_DIRECTORY / "controllers" / f"{controller}.yaml").read_text()
+        values = {path: one.low for one in space for path in one.paths}
+        assert tuned_text(text, values, ["x"], controller)
+
+
+def test_common_parameters_come_first_and_are_the_same_for_all() -> None:
+    config = load_tuning(TUNE)
+    for controller in config.own:
+        assert config.space(controller)[: len(config.common)] == config.common
+    with pytest.raises(ConfigError, match="declared are bias, dmrac"):
+        config.space("unheard_of")
+
+
+def test_tuning_refuses_evaluation_seeds() -> None:
+    tree = read_tree(TUNE) | {"seeds": {"first": 999, "count": 2}}
+    with pytest.raises(ValueError, match="seeds below 1000"):
+        tuning.TuneConfig.model_validate_json(__import__("json").dumps(tree), strict=False)
+
+
+def search(trials: int) -> Search:
+    return Search(load_tuning(TUNE), "tune", "pid", trials, seed=3)
+
+
+def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    whole = run_search(search(24), open_study(search(24), tmp_path / "whole"), Inline(bowl), lambda study: None)
+    first = whole.trials[0].value
+    assert first is not None
+    assert whole.best_value < first
+    run_search(search(9), open_study(search(9), tmp_path / "parts"), Inline(bowl), lambda study: None)
+    parts = run_search(search(24), open_study(search(24), tmp_path / "parts"), Inline(bowl), lambda study: None)
+    assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
+    record = search_record(search(24), parts)
+    assert "--trials 24" in record[0]
+    assert "seeds 0 to 0" in record[1]
+
+
+def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
+    def interrupted(job: Any) -> FlightResult:
+        raise KeyboardInterrupt
+
+    study = open_study(search(2), tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        run_search(search(2), study, Inline(interrupted), lambda study: None)
+    study = run_search(search(2), open_study(search(2), tmp_path), Inline(bowl), lambda study: None)
+    states = [trial.state for trial in study.trials]
+    assert states.count(optuna.trial.TrialState.FAIL) == 1
+    assert len(states) == 3
+    assert study.trials[1].params == study.trials[0].params
+
+
+def test_a_wrong_path_ends_the_search_with_its_command(tmp_path: Path) -> None:
+    def wrong(job: Any) -> FlightResult:
+        row = empty_row() | {"error": "configs.loader.ConfigError: no such key", "command": "dmrac fly x"}
+        return FlightResult(job.key, row)
+
+    with pytest.raises(ConfigError, match="repeat with: dmrac fly x"):
+        run_search(search(1), open_study(search(1), tmp_path), Inline(wrong), lambda study: None)
+
+
+def test_file_keeps_comments_anchors_and_layout() -> None:
+    text = (
+        "# What this is.\n# Tuned: an older search\nsettings:\n  a: {x: 1.0, y: [2.0, 3.0]}  # why\n"
+        "  b: &same\n    - {signal: p, scale: 1.0}\n  c: *same\n"
+    )
+    changed = tuned_text(text, {"settings.a.x": 0.5, "settings.a.y.1": 12.0, "guidance.lead": 0.1}, ["new"], "file")
+    assert changed == (
+        "# What this is.\n# Tuned: new\nsettings:\n  a: {x: 0.5, y: [2.0, 12.0]}  # why\n"
+        "  b: &same\n    - {signal: p, scale: 1.0}\n  c: *same\nguidance:\n  lead: 0.1\n"
+    )
+    again = tuned_text(changed, {"guidance.lead": 0.2, "guidance.other": 1e-5}, ["newer"], "file")
+    assert parse_yaml(again, "file")["guidance"] == {"lead": 0.2, "other": 1e-5}
+    with pytest.raises(ConfigError, match=r"settings\.z\.q"):
+        tuned_text(text, {"settings.z.q": 1.0}, [], "file")

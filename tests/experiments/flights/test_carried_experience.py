@@ -1,0 +1,55 @@
+"""What one lockstep flight hands to another."""
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+
+from configs.loader import ConfigError
+from experiments.flights.carried_experience import dump_learnt, read_experience, start_from
+from experiments.flights.lockstep_flight import build
+from experiments.flights.scenario import Choices, resolve
+from onboard.core import OnboardCore
+
+
+def cores(controller: str) -> tuple[OnboardCore, Any]:
+    _, onboard, offboard, _ = build(resolve("figure8_wind", Choices(controller)))
+    return onboard, offboard
+
+
+def test_last_layers_of_a_controller_with_fixed_features() -> None:
+    onboard, offboard = cores("mrac")
+    start: Any = onboard.controller
+    W = np.random.default_rng(0).normal(size=start.last_layers()[0].shape)
+    start.start_from((W, None))
+    again, offboard_again = cores("mrac")
+    start_from(dump_learnt(onboard, offboard), again, offboard_again, frozen=False)
+    other: Any = again.controller
+    np.testing.assert_array_equal(other.last_layers()[0], W)
+    np.testing.assert_array_equal(other.last_layers()[1], start.last_layers()[1])
+
+
+def test_a_controller_that_keeps_nothing_takes_and_gives_an_empty_file() -> None:
+    onboard, offboard = cores("pid")
+    data = dump_learnt(onboard, offboard)
+    with np.load(io.BytesIO(data)) as archive:
+        assert archive.files == ["position_last_layer", "attitude_last_layer"] or archive.files == []
+    start_from(data, onboard, offboard, frozen=True)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    mrac, offboard = cores("mrac")
+    data = dump_learnt(mrac, offboard)
+    bias, offboard_bias = cores("bias")
+    with pytest.raises(ConfigError, match="last layer of shape"):
+        start_from(data, bias, offboard_bias, frozen=False)
+    dmrac, trainer = cores("dmrac")
+    for frozen in (True, False):
+        with pytest.raises(ConfigError, match="experience"):
+            start_from(data, dmrac, trainer, frozen)  # an MRAC's last layers hold no features
+        with pytest.raises(ConfigError, match="experience"):
+            start_from(b"rubbish", dmrac, trainer, frozen)
+    with pytest.raises(ConfigError, match="rubbish"):
+        read_experience("/no/such/rubbish")
+    assert read_experience("") is None

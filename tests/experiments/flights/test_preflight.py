@@ -1,0 +1,208 @@
+"""The preflight check, a vehicle in a person's hands: a sound one passes, and each mistake is found and named."""
+
+import pytest
+
+from experiments import command_line
+from experiments.commands.preflight import PersonAtTerminal, table_of, verdict
+from experiments.flights.preflight_session import PreflightSession
+from onboard.preflight import MotorAnswer, PreflightConfig, Result, Step, check_still
+from onboard.preflight_motion import check_motion
+from onboard.preflight_recording import Recorder
+from onboard.vehicle_link import VehicleLinkConfig
+from shell.errors import StartError
+from tests.experiments.flights.preflight_vehicle import HeldVehicle
+
+
+def checked(*mistakes, with_pose=True, motion=True, motors=True, consent=True):
+    vehicle = HeldVehicle(mistakes, consent)
+    recorder = Recorder(VehicleLinkConfig())
+    session = PreflightSession(vehicle, vehicle, recorder, PreflightConfig(), with_pose)
+    return session.run(motion, motors), vehicle
+
+
+def rows_of(step, *mistakes):
+    """The rows of one step alone."""
+    vehicle, config = HeldVehicle(mistakes), PreflightConfig()
+    recording = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), config, True)._record(step, 6.0)
+    return check_still(recording, config, True) if step is Step.STILL else check_motion(step, recording, config, True)
+
+
+def step_of(row):
+    name = row.partition(":")[0].upper().replace(" ", "_").replace("RIGHT_SIDE", "RIGHT")
+    return Step[name] if name in Step.__members__ else Step.STILL
+
+
+def motor_rows(*mistakes):
+    vehicle = HeldVehicle(mistakes)
+    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    return session._spin_motors()
+
+
+def failures(checks):
+    return {check.name: check.hint for check in checks if check.result is Result.FAIL}
+
+
+def test_a_sound_vehicle_passes_everything():
+    checks, vehicle = checked()
+    assert failures(checks) == {}
+    assert {check.result for check in checks} == {Result.PASS}
+    assert verdict(checks) == "All checks passed."
+    assert vehicle.told == checks
+    assert table_of(checks).row_count == len(checks) == 31
+
+
+def test_without_motion_capture_its_rows_are_left_out():
+    checks, _ = checked(with_pose=False, motion=False, motors=False)
+    assert failures(checks) == {}
+    assert not any("pose" in check.name for check in checks)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "row", "hint"),
+    [
+        ("half rate", "IMU rate", "lost"),
+        ("one way jitter", "IMU jitter", "radio or a busy bridge"),
+        ("time in milliseconds", "time base", "milliseconds"),
+        ("time in nanoseconds", "time base", "nanoseconds"),
+        ("two vehicles", "one vehicle", "two vehicles"),
+        ("acceleration in g", "accelerometer at rest", "in g"),
+        ("acceleration in milli-g", "accelerometer at rest", "milli-g"),
+        ("gravity instead of specific force", "accelerometer at rest", "sign of z"),
+        ("forward left up", "accelerometer at rest", "sign of z"),
+        ("gyro stuck", "gyroscope at rest", "stuck"),
+        ("pressure in Pa", "pressure", "hPa"),
+        ("battery low", "battery", "charge"),
+        ("battery in centivolts", "battery", "mV"),
+        ("no motion capture", "pose rate", "no ODOMETRY"),
+        ("accelerometer x turned round", "nose down: accelerometer", "sign of accelerometer x"),
+        ("x is to the right", "nose down: accelerometer", "exchanged"),
+        ("x is to the right", "right side down: gyroscope", "exchanged"),
+        ("turned by 45 degrees", "nose down: accelerometer", "45 deg about z"),
+        ("nobody moves it", "right side down: accelerometer", "hardly tilted"),
+        ("gyro in degrees", "nose down: gyroscope", "degrees per second"),
+        ("gyro z turned round", "turn right: gyroscope", "sign of gyroscope z"),
+        ("flow's gyro turned round", "nose down: flow's gyro", "sign"),
+        ("range in millimetres", "lift: range", "cm"),
+        ("range looks forward", "lift: range", "25"),
+        ("position in millimetres", "lift: pose", "mm"),
+        ("pose in ENU", "lift: pose", "third axis is up"),
+        ("pose in ENU", "nose down: pose", "turned round"),
+        ("quaternion world to body", "right side down: pose", "world to body"),
+        ("quaternion x y z w", "nose down: pose", "x, y, z, w"),
+        ("position turned by 90 degrees", "forward: pose", "not in one frame"),
+        ("motors in the Mambo's order", "motor 1", "Mambo's own order"),
+        ("two motors exchanged", "motor 3", "motor order"),
+        ("propeller turns the other way", "motor 2", "other way"),
+        ("motor dead", "motor 4", "did not turn"),
+        ("motors do not stop", "motors stop by themselves", "100 ms"),
+    ],
+)
+def test_each_mistake_of_a_bridge_is_found_and_named(mistake, row, hint):
+    checks = motor_rows(mistake) if row.startswith("motor") else rows_of(step_of(row), mistake)
+    found = failures(checks)
+    assert row in found, found
+    assert hint in found[row]
+    assert "failed: do not fly" in verdict(checks)
+
+
+def test_without_a_typed_yes_no_motor_ever_turns():
+    checks, vehicle = checked(consent=False, motion=False)
+    assert vehicle.asked == ["consent"]
+    assert not any(armed or any(fractions) for fractions, armed in vehicle.commands)
+    assert checks[-1].result is Result.SKIPPED
+    assert "not ready to fly" in verdict(checks)
+
+
+def test_motors_turn_one_at_a_time_weakly_and_stop():
+    _, vehicle = checked(motion=False)
+    spinning = [fractions for fractions, armed in vehicle.commands if armed]
+    assert {sum(f > 0.0 for f in fractions) for fractions in spinning} == {1}
+    assert max(map(max, spinning)) <= 0.3
+    assert vehicle.last_command == ((0.0,) * 4, False)
+
+
+def test_a_vehicle_that_falls_silent_while_a_motor_turns_is_told_to_stop():
+    vehicle = HeldVehicle()
+    frames = vehicle.frames
+    vehicle.frames = lambda: [] if vehicle.commands[-1][1] else frames()
+    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    checks = session.run(motion=False, motors=True)
+    assert "fell silent" in checks[-1].hint
+    assert sum(armed for _, armed in vehicle.commands) < 60
+    assert vehicle.last_command == ((0.0,) * 4, False)
+
+
+def test_whatever_fails_while_a_motor_turns_stops_it():
+    vehicle = HeldVehicle()
+
+    def broken():
+        if vehicle.commands and vehicle.commands[-1][1]:
+            vehicle.frames = list
+            raise KeyboardInterrupt
+        return []
+
+    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    vehicle.frames = broken
+    with pytest.raises(KeyboardInterrupt):
+        session._spin(1)
+    assert vehicle.last_command == ((0.0,) * 4, False)
+
+
+def test_a_silent_vehicle_ends_it_at_once():
+    vehicle = HeldVehicle()
+    vehicle.frames = list
+    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    checks = session.run(True, True)
+    assert [check.name for check in checks] == ["vehicle heard"]
+    assert "wrong address" in checks[0].hint
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--vehicle", "http://a:1"), "serial:///dev/DEVICE"),
+        (("--vehicle", "udp://127.0.0.1:24099"), "reserved by the Mambo"),
+        (("--vehicle", "serial:///dev/does-not-exist"), "cannot be opened"),
+        (("--vehicle", "serial:///dev/null?baud=12345"), "no speed of 12345 baud"),
+        (("--vehicle", "serial:///dev/null"), "no serial line"),
+    ],
+)
+def test_bad_addresses_are_usage(options, said, capsys):
+    assert command_line.main(["preflight", *options, "--listen-only"]) == 2
+    assert said in capsys.readouterr().err
+
+
+class Typist:
+    """A console whose keyboard is a list."""
+
+    def __init__(self, *lines):
+        self.lines, self.printed = list(lines), []
+
+    def input(self, question, markup):
+        if not self.lines:
+            raise EOFError
+        return self.lines.pop(0)
+
+    def print(self, text, **_):
+        self.printed.append(text)
+
+
+@pytest.mark.parametrize(
+    ("typed", "consent"), [("yes", True), (" yes ", True), ("y", False), ("", False), ("YES!", False), ("no", False)]
+)
+def test_only_the_typed_word_is_consent(typed, consent):
+    assert PersonAtTerminal(Typist(typed)).consents() is consent
+
+
+def test_an_answer_is_asked_for_until_it_is_understood():
+    assert PersonAtTerminal(Typist("left", "FR", "?", "ccw")).saw(1) == MotorAnswer("front right", "ccw")
+    assert PersonAtTerminal(Typist("none")).saw(2) == MotorAnswer("none", "")
+    assert PersonAtTerminal(Typist("yes")).saw_it_stop()
+    typist = Typist("")
+    PersonAtTerminal(typist).ready(Step.LIFT, 8.0)
+    assert "LIFT" in typist.printed[0]
+
+
+def test_without_a_terminal_nothing_is_taken_for_an_answer():
+    with pytest.raises(StartError, match="needs a terminal"):
+        PersonAtTerminal(Typist()).consents()

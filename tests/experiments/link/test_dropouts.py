@@ -1,0 +1,130 @@
+"""The shipped dropout traces, their two formats, and flights with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from configs.loader import ConfigError
+from experiments.command_line import main
+from experiments.link.dropout_flights import HEADINGS, DropoutFlight, fly_one
+from experiments.link.dropout_trace import COLUMNS, FOLDER, load_trace, trace_names, write_csv
+from experiments.replays.link_quality import link_quality
+from sim_vehicle.radio import Fate, Radio, RadioConfig
+
+MS = 1_000_000
+S = 1_000_000_000
+HEAD = ",".join(COLUMNS) + "\n"
+
+
+def fates(count: int = 300) -> Radio:
+    config = RadioConfig.model_validate(
+        {"up": {"loss": 0.2, "delay_s": 0.01}, "down": {"duplication": 0.2, "corruption": 0.2, "jitter_s": 0.01}}
+    )
+    radio = Radio(config, np.random.default_rng(3))
+    for index in range(count):
+        for direction in ("up", "down"):
+            radio.send(direction, bytes(100), index * 10 * MS)
+    return radio
+
+
+@pytest.mark.parametrize("name", trace_names())
+def test_every_shipped_trace_loads_and_does_something(name: str) -> None:
+    trace = load_trace(name)
+    assert trace.description
+    assert trace.radio != RadioConfig() or any(trace.fates.values())
+    assert (FOLDER / f"{name}.csv").exists() == bool(trace.fates)
+
+
+def test_recorded_traces_hold_what_their_radio_does() -> None:
+    quality = {name: link_quality(load_trace(f"recorded_{name}").fates["down"], 30.0) for name in ("medium", "bad")}
+    assert 0.02 < quality["medium"].lost_share < 0.09
+    assert 0.15 < quality["bad"].lost_share < 0.35
+    bluetooth = link_quality(load_trace("recorded_bluetooth").fates["down"], 30.0)
+    assert bluetooth.delay_median_s == pytest.approx(0.0135, abs=0.003), "8 ms, jitter, and waiting for one's turn"
+
+
+def test_fates_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
+    radio = fates()
+    path = tmp_path / "mine.csv"
+    write_csv(path, radio.fates, "Made up.")
+    trace = load_trace(str(path))
+    assert trace.description == "Made up."
+    for direction, written in radio.fates.items():
+        for before, after in zip(written, trace.fates[direction], strict=True):
+            assert (before.outcome, before.flipped_bit) == (after.outcome, after.flipped_bit)
+            for name in ("sent_ns", "delay_ns", "copy_delay_ns"):
+                assert getattr(after, name) == pytest.approx(getattr(before, name), abs=501)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "expected the head"),
+        ("up,1,loss,,,\n", "expected the head"),
+        (HEAD + "up,1,loss\n", "line 2: 'up,1,loss': 3 cells, expected 6"),
+        (HEAD + "sideways,1,loss,,,\n", "direction 'sideways', allowed are up, down"),
+        (HEAD + "up,1,eaten,,,\n", "outcome 'eaten', allowed are delivered, loss"),
+        (HEAD + "up,1,delivered,,,\n", "a delay_ms belongs to what was delivered"),
+        (HEAD + "up,1,loss,3,,\n", "a delay_ms belongs to what was delivered"),
+        (HEAD + "up,one,loss,,,\n", "could not convert string to float: 'one'"),
+        (HEAD + "up,nan,loss,,,\n", "nan ms, allowed are 0 to"),
+        (HEAD + "up,-3,loss,,,\n", "-3 ms, allowed are 0 to"),
+        (HEAD + "up,1,delivered,3,,x\n", "invalid literal for int"),
+        (HEAD + "up,2,loss,,,\ndown,1,loss,,,\nup,1,loss,,,\n", "up at 1.000 ms: sent_ms does not grow"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as error:
+        load_trace(str(path))
+    assert said in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_a_pattern_with_an_unknown_key_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text("description: x\nradio_values: {up: {los: 0.3}}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"wrong.yaml: radio.up.los: unknown key"):
+        load_trace(str(path))
+
+
+def test_an_unknown_trace_is_told_before_anything_is_flown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dropouts", "blackout_1s", "no_such"]) == 2
+    error = capsys.readouterr().err
+    assert "unknown dropout trace 'no_such': allowed are blackout_10s, " in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_the_quality_of_a_link() -> None:
+    def sent(at_ms: int, delay_ms: int) -> Fate:
+        return Fate(at_ms * MS, 50, "delivered" if delay_ms >= 0 else "loss", delay_ms * MS, -1, -1)
+
+    quality = link_quality([sent(100, 10), sent(200, -1), sent(300, -1), sent(400, 20), sent(500, -1)], 1.0)
+    assert (quality.sent, quality.lost, quality.longest_burst) == (5, 3, 2)
+    assert quality.longest_gap_s == pytest.approx(0.58), "the end of the flight ends the last silence"
+    assert quality.bytes_per_s == pytest.approx(250.0)
+    assert quality.delay_median_s == pytest.approx(0.015)
+    nothing = link_quality([], 2.0)
+    assert (nothing.lost_share, nothing.longest_gap_s, nothing.longest_burst) == (0.0, 2.0, 0)
+
+
+def test_flights_meet_their_traces() -> None:
+    """Even a link that is dead from the first moment does not cost the vehicle."""
+    dead = fly_one(DropoutFlight("dead", "hover", "pid", 1, 9.5))
+    bad = fly_one(DropoutFlight("recorded_bad", "hover", "pid", 1, 7.0))
+    assert (dead.lost_up, dead.lost_down) == (1.0, 1.0)
+    assert dead.gap_down_s == pytest.approx(9.5, abs=0.01)
+    assert 0.1 < bad.lost_down < 0.4
+    for row in (dead, bad):
+        assert row.survived
+        assert row.position_rmse_m < 0.5
+        assert len(row.cells()) == len(HEADINGS)
+        assert row.cells()[6] == "none"
+
+
+@pytest.mark.full
+def test_the_whole_set_survives(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dropouts"]) == 0
+    assert capsys.readouterr().out.count(" yes ") == len(trace_names()) + 1

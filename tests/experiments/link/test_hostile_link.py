@@ -1,0 +1,415 @@
+"""What a bad peer, a bad network or an attacker may do to the link, and that it costs no tick and no vehicle.
+
+Whole flights in lockstep with the real cores of both sides; the sockets' share is in tests/onboard/test_process.py.
+"""
+
+import hashlib
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+
+from experiments.flights.lockstep_flight import build, build_offboard
+from experiments.flights.scenario import Choices, FlightConfig, resolve
+from onboard.config import OnboardConfig
+from onboard.core import OnboardCore
+from onboard.features import random_channel
+from onboard.flight_modes import FlightMode
+from onboard.process import OnboardProcess
+from onboard.sampler import NETWORK_BYTES
+from onboard.tick_record import OFFSET
+from protocol.codec import HEADER, encode_feature_set
+from protocol.endpoint import DATAGRAMS_PER_STEP_MAX, Endpoint
+from protocol.feature_set import FeatureSet
+from protocol.messages import FeatureChunk, Pose, SampleBatch, TimeSyncReply, TimeSyncRequest
+from protocol.session import session_number
+from protocol.transfer import split
+
+MS = 1_000_000
+S = 1_000_000_000
+KEY = bytes(range(32))
+UP_FOR_NS = 3_000 * S
+"""Offboard's clock is so much ahead of onboard's."""
+LEARNING = (
+    "offboard.trainer.minimum_samples=16",
+    "offboard.trainer.batches=20",
+    "offboard.gate.minimum_validation=2",
+    "offboard.gate.trigger_unexplained=0.0",
+    "offboard.gate.margin=0.0",
+    "offboard.gate.significance=0.0",
+    "offboard.network.channels=[position]",
+    "onboard.guidance.trajectory.settle_s=0.0",
+    "onboard.guidance.land_after_s=60.0",
+)
+
+
+class Shifted:
+    """A core on a clock of its own, which jumps: (when, by how much), ns."""
+
+    def __init__(self, core: Any, ahead_ns: int, *jumps: tuple[int, int]) -> None:
+        self.core, self.ahead_ns, self.jumps = core, ahead_ns, jumps
+
+    def at(self, now_ns: int) -> int:
+        return now_ns + self.ahead_ns + sum(by for when, by in self.jumps if now_ns >= when)
+
+    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
+        self.core.take_in_vehicle(datagram, self.at(now_ns))
+
+    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
+        self.core.take_in_offboard(datagram, self.at(now_ns))
+
+    def take_in(self, datagram: bytes, now_ns: int) -> None:
+        self.core.take_in(datagram, self.at(now_ns))
+
+    def take_in_motion_capture(self, datagram: bytes, now_ns: int) -> None:
+        self.core.take_in_motion_capture(datagram, self.at(now_ns))
+
+    def take_in_training(self, result: Any, now_ns: int) -> None:
+        self.core.take_in_training(result, self.at(now_ns))
+
+    def step(self, now_ns: int) -> Any:
+        return self.core.step(self.at(now_ns))
+
+
+class Flight:
+    """A lockstep flight whose parts a test may exchange in the air."""
+
+    def __init__(self, controller: str = "dmrac", seed: int = 11, assignments: tuple[str, ...] = LEARNING) -> None:
+        self.config: FlightConfig = resolve("figure8_wind", Choices(controller, seed, None, assignments))
+        self.lockstep, self.onboard, self.offboard, self.radio = build(self.config)
+        self.events: list[str] = []
+        self.rows: list[np.ndarray] = []
+        self.errors_m: list[float] = []
+        self.up: list[tuple[int, int]] = []
+
+    def with_key(self) -> "Flight":
+        """The same flight over a protected link; before its first tick."""
+        self.onboard = self.lockstep._onboard = OnboardCore(self.config.onboard, 1, KEY)
+        self.offboard = _Side(self.config, 2).core
+        self.lockstep.attach_offboard(self.offboard)
+        return self
+
+    def fly(self, seconds: float) -> "Flight":
+        for _ in range(round(seconds * 200)):
+            result = self.lockstep.step()
+            row = result.onboard.tick.copy()
+            self.rows.append(row)
+            self.events += [text for _, text in result.onboard.events]
+            if result.offboard is not None:
+                self.events += [text for _, text in result.offboard.events]
+            target = row[OFFSET["target_n"] : OFFSET["target_n"] + 3]
+            self.errors_m.append(float(np.linalg.norm(result.truth[:3] - target)))
+            self.up += [(result.now_ns, len(datagram) + NETWORK_BYTES) for datagram in result.onboard.to_offboard]
+            assert self.lockstep.crash_reason == ""
+        return self
+
+    def last(self, name: str) -> float:
+        return float(self.rows[-1][OFFSET[name]])
+
+    @property
+    def mode(self) -> FlightMode:
+        return FlightMode(int(self.last("mode")))
+
+    def said(self, words: str) -> list[str]:
+        return [event for event in self.events if words in event]
+
+
+# --- restarts and clocks ---------------------------------------------------------------------------------------------
+
+
+def test_a_trainer_killed_and_restarted_again_and_again_costs_nothing() -> None:
+    flight = Flight().fly(4.0)
+    checkpoint = None
+    for life in range(3):
+        checkpoint = flight.offboard.final_checkpoint() or checkpoint
+        flight.lockstep.remove_offboard()
+        flight.fly(0.3)
+        flight.offboard = build_offboard(flight.config, 10 + life)
+        if checkpoint is not None and life % 2:
+            flight.offboard.resume(checkpoint)
+        flight.lockstep.attach_offboard(flight.offboard)
+        flight.fly(0.7)
+    assert checkpoint is not None, "it is meant to have trained"
+    assert len(flight.said("offboard restarted")) == 3
+    assert flight.mode is FlightMode.FLYING
+    assert max(flight.errors_m[-200:]) < 0.3
+    assert flight.last("pose_age") < 0.1
+    assert flight.offboard.learner.samples >= 5, "the last one is heard and taught, too"
+
+
+def test_both_sides_restarted_with_the_wall_clock_set_back_find_each_other_again() -> None:
+    key = KEY
+    config = Flight("pid", assignments=()).config
+    today, yesterday = (session_number(day * 86_400 * S, 5) for day in (20_000, 19_999))
+    offboard = _Side(config, today)
+    first = _Wire(OnboardCore(config.onboard, today, key), offboard, key)
+    first.run(0, 1.0)
+    assert offboard.core.endpoint.peer_session == today
+    recording = list(first.heard_up)
+    second = _Wire(OnboardCore(config.onboard, yesterday, key), offboard, key)
+    second.run(1 * S, 0.9)
+    assert offboard.core.endpoint.peer_session == today, "the silence is still too short"
+    second.run(round(1.9 * S), 1.0)
+    assert offboard.core.endpoint.peer_session == yesterday
+    received = offboard.core.endpoint.statistics.received
+    for datagram in recording:  # and the old one does not come back
+        offboard.core.take_in(datagram, UP_FOR_NS + 60 * S)
+    assert offboard.core.endpoint.statistics.received == received
+    assert offboard.core.endpoint.peer_session == yesterday
+
+
+class _Side:
+    """The offboard core, keyed, on its own clock."""
+
+    def __init__(self, config: FlightConfig, session: int) -> None:
+        from offboard.core import OffboardCore
+
+        self.core = OffboardCore(config.offboard, session, KEY)
+
+
+class _Wire:
+    """Onboard's core on the ground joined to offboard's by a wire that loses nothing and records all that goes up."""
+
+    def __init__(self, onboard: OnboardCore, offboard: _Side, key: bytes) -> None:
+        self.onboard, self.offboard = onboard, offboard
+        self.heard_up: list[bytes] = []
+        self.down: list[bytes] = []
+
+    def run(self, start_ns: int, seconds: float) -> None:
+        for now_ns in range(start_ns, start_ns + round(seconds * S), 5 * MS):
+            for datagram in self.down:
+                self.onboard.take_in_offboard(datagram, now_ns)
+            for datagram in self.onboard.step(now_ns).to_offboard:
+                self.heard_up.append(datagram)
+                self.offboard.core.take_in(datagram, now_ns + UP_FOR_NS)
+            self.down = self.offboard.core.step(now_ns + UP_FOR_NS).to_onboard
+
+
+@pytest.mark.parametrize("jump_s", [0.3, -3600, pytest.param(3600, marks=pytest.mark.full)])
+def test_offboards_clock_jumps(jump_s: float) -> None:
+    flight = Flight("mrac")
+    flight.lockstep.attach_offboard(Shifted(flight.offboard, UP_FOR_NS * 2, (4 * S, round(jump_s * S))))
+    flight.fly(4.0)
+    flight.errors_m.clear()
+    flight.fly(3.0)
+    assert flight.mode is FlightMode.FLYING
+    assert max(flight.errors_m) < 0.3
+    assert flight.last("pose_age") < 0.1, "poses are used again"
+
+
+def test_onboards_clock_is_set_back() -> None:
+    flight = Flight("mrac")
+    shifted: Any = Shifted(flight.onboard, UP_FOR_NS, (4 * S, -1000 * S))
+    flight.lockstep._onboard = shifted
+    flight.fly(4.0)
+    flight.errors_m.clear()
+    flight.fly(3.0)
+    assert flight.mode is FlightMode.FLYING
+    assert max(flight.errors_m) < 0.3
+    assert 0.0 <= flight.last("pose_age") < 0.1
+
+
+def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
+    """Over a link that loses nine of ten, a request a second would be answered after a hundred seconds."""
+    config = resolve("hover", Choices("pid", 3)).onboard
+    onboard, offboard = OnboardCore(config, 5, None), Endpoint("offboard", 7, None)
+    asked: list[int] = []
+    for now_ns in range(0, 6 * S, 5 * MS):
+        for datagram in onboard.step(now_ns).to_offboard:
+            message = offboard.decode(datagram, now_ns)
+            if isinstance(message, TimeSyncRequest):
+                asked.append(now_ns)
+                if now_ns >= 2 * S:
+                    reply = TimeSyncReply(message.origin_ns, now_ns, now_ns)
+                    onboard.take_in_offboard(offboard.encode(reply, now_ns), now_ns)
+    unanswered = [now_ns for now_ns in asked if now_ns < 2 * S]
+    assert len(unanswered) == pytest.approx(2.0 / config.status_period_s, abs=2)
+    assert len(asked) - len(unanswered) == pytest.approx(4.0 / config.time_sync_period_s, abs=2)
+
+
+# --- an attacker with and without the key ----------------------------------------------------------------------------
+
+
+def sealed(message_type: int, body: bytes, session: int, sequence: int, key: bytes | None = KEY) -> bytes:
+    """A datagram to onboard made by hand, so that it may say what no message of ours can."""
+    signed = HEADER.pack(1, message_type, 1, session, sequence, 0) + body
+    return signed + hashlib.blake2b(signed, digest_size=16, key=key or b"", person=b"async-dmrac down").digest()
+
+
+def feature_bytes(change: Callable[[list[Any]], None]) -> bytes:
+    """An encoded feature set with something in it changed."""
+    fields = msgpack.unpackb(encode_feature_set(features(), "float32"))
+    change(fields[5])
+    return bytes(msgpack.packb(fields))
+
+
+def features(gain: float = 1.0, last_layer: float = 0.0, version: int = 1) -> FeatureSet:
+    start = random_channel(("position_n", "velocity_n"), np.zeros(2), np.ones(2), (8, 5), np.random.default_rng(1))
+    weights = tuple(gain * W for W in start.weights)
+    channel = replace(start, weights=weights, last_layer=np.full((6, 3), last_layer))
+    return FeatureSet(version, 0, 100, channel, None)
+
+
+def put_float(value: float) -> Callable[[list[Any]], None]:
+    def change(channel: list[Any]) -> None:
+        channel[4] = struct.pack("<f", value) + channel[4][4:]
+
+    return change
+
+
+def put(index: int, value: Any) -> Callable[[list[Any]], None]:
+    def change(channel: list[Any]) -> None:
+        channel[index] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (feature_bytes(put_float(float("nan"))), "not_finite"),
+        (feature_bytes(put_float(float("inf"))), "not_finite"),
+        (feature_bytes(put(0, ["position_n", "altitude"])), "inputs"),
+        (feature_bytes(put(3, [8, 6])), "undecodable"),
+        (feature_bytes(put(3, [8, 5, 5, 5, 5])), "undecodable"),
+        (b"\xc1" * 900, "undecodable"),
+        (encode_feature_set(features(gain=1e4), "float32"), "lipschitz"),
+        (encode_feature_set(features(last_layer=1e4), "float32"), "weight_norm"),
+    ],
+)
+def test_who_has_the_key_and_lies_is_refused_and_offboard_is_told_why(data: bytes, reason: str) -> None:
+    """The refusal travels: onboard's status, offboard's event, and the sender goes on to the next version."""
+    config = resolve("hover", Choices("dmrac", 3))
+    offboard = _Side(config, 7)
+    wire = _Wire(OnboardCore(config.onboard, 5, KEY), offboard, KEY)
+    wire.run(0, 0.2)
+    sequence = 1_000
+    for chunk in split(data, 1, 1000):
+        body = msgpack.packb((chunk.version, chunk.index, chunk.count, chunk.digest, chunk.data))
+        wire.onboard.take_in_offboard(sealed(65, body, 7, sequence), 200 * MS)
+        sequence += 1
+    told: list[str] = []
+    for now_ns in range(200 * MS, 500 * MS, 5 * MS):
+        out = wire.onboard.step(now_ns)
+        for datagram in out.to_offboard:
+            offboard.core.take_in(datagram, now_ns + UP_FOR_NS)
+        told += [text for _, text in offboard.core.step(now_ns + UP_FOR_NS).events]
+    assert told[-1] == f"version 1 refused: {reason}"
+    assert wire.onboard.summary()["features"]["version"] == 0
+
+
+def rubbish(rng: np.random.Generator, genuine: list[bytes]) -> Iterator[bytes]:
+    """Everything bad but the key: noise, truncated, oversized, another session, version, key, and old recordings."""
+    while True:
+        old = genuine[int(rng.integers(len(genuine)))]
+        yield rng.bytes(int(rng.integers(0, 2048)))
+        yield old
+        yield old[: int(rng.integers(len(old)))]
+        yield old + bytes(1300)
+        yield sealed(66, old[28:-16], int(rng.integers(2**62)), 1, key=bytes(32))
+        yield sealed(66, old[28:-16], 99, 1, key=None)
+        yield bytes([9]) + old[1:]
+
+
+def test_a_flood_of_5000_a_second_costs_no_tick_and_no_pose() -> None:
+    """25 bad datagrams in each tick, as many as 5,000/s bring, with the real core in flight."""
+    flight = Flight("mrac").with_key().fly(3.0)
+    rng = np.random.default_rng(4)
+    peer = Endpoint("offboard", 2, None)
+    pose = Pose(0, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
+    flood = rubbish(rng, [peer.encode(pose, i) for i in range(50)])
+    durations = []
+    for _ in range(400):
+        bad = [next(flood) for _ in range(25)]
+        start = time.perf_counter()
+        for datagram in bad:
+            flight.onboard.take_in_offboard(datagram, flight.lockstep.result.now_ns)
+        durations.append(time.perf_counter() - start)
+        flight.fly(0.005)
+    assert flight.mode is FlightMode.FLYING
+    assert flight.last("pose_age") < 0.1
+    assert max(flight.errors_m[-200:]) < 0.3
+    assert sum(flight.onboard.summary()["rejected"].values()) > 0.6 * 400 * 25
+    assert float(np.median(durations)) < 0.5e-3, "a tenth of the period, on a machine that does other things too"
+
+
+def test_what_a_tick_takes_in_is_bounded() -> None:
+    """However much waits in the sockets, the loop takes so much and steps."""
+    taken: list[int] = []
+    core = SimpleNamespace(
+        take_in_vehicle=lambda datagram, now: None,
+        take_in_offboard=lambda datagram, now: taken.append(1),
+        take_in_ground=lambda datagram, now: None,
+    )
+    asked: list[int] = []
+
+    def receive(limit: int) -> list[bytes]:
+        asked.append(limit)
+        return [b"rubbish"] * limit
+
+    socket = SimpleNamespace(receive=receive, send=lambda datagram: None)
+    make: Any = OnboardProcess
+    realtime = resolve("hover").onboard.realtime
+    sockets = SimpleNamespace(vehicle=socket, offboard=socket, ground=socket)
+    process = make(core, realtime, 5 * MS, sockets, None, None, SimpleNamespace(count=0))
+    process._take_in(0)
+    assert len(taken) == DATAGRAMS_PER_STEP_MAX == 64
+    assert max(asked) <= DATAGRAMS_PER_STEP_MAX
+    assert DATAGRAMS_PER_STEP_MAX * 200 > 2 * 5_000, "a flood of 5,000/s leaves no queue behind which a pose waits"
+
+
+# --- the budget of the up link ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("budget", "status_s"), [(1_500.0, 0.2), (6_000.0, 0.1)])
+def test_the_up_link_stays_within_its_budget(budget: float, status_s: float) -> None:
+    """Samples, status and time sync with all headers, over every window; the newest samples go, gaps are marked."""
+    narrow = (
+        *LEARNING,
+        f"onboard.samples.budget_bytes_s={budget}",
+        f"onboard.status_period_s={status_s}",
+        "onboard.samples.rate_hz=100.0",
+    )
+    flight = Flight("mrac", assignments=narrow)
+    listener = Endpoint("offboard", 9, None)
+    batches: list[tuple[int, SampleBatch]] = []
+    step = flight.onboard.step
+
+    def overheard(now_ns: int, missed_ticks: int = 0) -> Any:
+        out = step(now_ns, missed_ticks)
+        messages = (listener.decode(datagram, now_ns) for datagram in out.to_offboard)
+        batches.extend((now_ns, message) for message in messages if isinstance(message, SampleBatch))
+        return out
+
+    flight.onboard.step = overheard  # type: ignore[method-assign]
+    flight.fly(6.0)
+    times, sizes = (np.array(column) for column in zip(*flight.up, strict=True))
+    total = np.concatenate([[0], np.cumsum(sizes)])
+    burst = 2 * 1200 + 300
+    for first in range(len(times)):
+        spans_s = (times[first:] - times[first]) * 1e-9
+        assert (total[first + 1 :] - total[first] <= burst + budget * spans_s).all()
+    assert total[-1] > 0.8 * budget * 3.0, "and what there is is used"
+    assert flight.onboard.summary()["samples"]["dropped"] > 0
+    ages_s = [(now_ns - batch.time_ns) * 1e-9 for now_ns, batch in batches[3:]]
+    assert max(ages_s) < 0.3, "the newest samples are kept"
+    jumps = [later.first_index - sooner.first_index for (_, sooner), (_, later) in pairwise(batches[3:])]
+    assert min(jumps) >= 1
+    assert max(jumps) > batches[-1][1].signals.shape[0], "what is missing shows as a jump of the index"
+
+
+def test_chunks_are_what_they_are() -> None:
+    """The hand-made datagrams above are like ours where nothing is wrong: else those tests would test nothing."""
+    onboard = Endpoint("onboard", 5, KEY)
+    chunk = split(encode_feature_set(features(), "float32"), 1, 1000)[0]
+    body = msgpack.packb((chunk.version, chunk.index, chunk.count, chunk.digest, chunk.data))
+    assert onboard.decode(sealed(65, body, 7, 3), 0) == chunk
+    assert isinstance(chunk, FeatureChunk)
+    assert OnboardConfig.model_fields["samples"]

@@ -1,0 +1,234 @@
+"""Tables, figures and pages from made-up flights whose outcome is known."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from configs.loader import ConfigError, fill, parse_yaml
+from experiments.campaigns.campaign import CampaignConfig, FlightJob, unfold
+from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.runner import CampaignRun, prepare_folder
+from experiments.campaigns.store import CampaignStore, write_bytes_atomically
+from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
+from experiments.results.campaign_data import Trace, load_data
+from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
+from experiments.results.figure_plan import KINDS, draw_all
+from experiments.results.page import write_page
+from experiments.results.reproduction import (
+    BEGIN_TARGETS,
+    END_TARGETS,
+    Reproduction,
+    Section,
+    write_results,
+    write_targets,
+)
+from experiments.results.tables import first_paragraph, losses, tables, target_ratio
+from protocol.signals import SIGNAL_INDEX
+
+TEXT = """
+title: Made up
+description: Nothing was flown.
+controllers: [pid, mrac, dmrac]
+compare_to: pid
+seeds: {first: 1000, count: 12}
+traces: 2
+metrics: [first_lap_rmse_m, settled_rmse_m]
+cases: [{name: chip, label: a chip, scenario: rotor_chip}]
+sweeps: [{name: factor, label: thrust left, path: vehicle.disturbances.0.thrust_factor, values: [0.6, 0.7, 0.9]}]
+targets:
+  - {label: dmrac / mrac, ours: {case: chip, controller: dmrac, point: {factor: 0.9}},
+     theirs: {case: chip, controller: mrac, point: {factor: 0.9}}, metric: settled_rmse_m, at_most: 0.75}
+figures:
+  - {kind: survival, sweep: factor}
+  - {kind: sweep, sweep: factor, metric: settled_rmse_m}
+  - {kind: compare, metric: settled_rmse_m}
+  - {kind: cases, metric: settled_rmse_m}
+  - {kind: laps, case: chip}
+  - {kind: age, controllers: [dmrac]}
+  - {kind: swaps}
+  - {kind: position, case: chip, point: {factor: 0.7}, controllers: [pid, dmrac]}
+  - {kind: attitude, case: chip, point: {factor: 0.7}, controllers: [pid, dmrac]}
+  - {kind: torques, case: chip, point: {factor: 0.7}, controllers: [pid, dmrac]}
+  - {kind: path, case: chip, point: {factor: 0.9}, controllers: [dmrac]}
+  - {kind: training, case: chip, controllers: [dmrac]}
+  - {kind: position_cases, cases: [chip], controllers: [dmrac]}
+"""
+SURVIVES = {"pid": (0.1, 0.5, 1.0), "mrac": (0.1, 0.6, 1.0), "dmrac": (0.0, 0.0, 1.0)}
+RMSE = {"pid": 0.10, "mrac": 0.05, "dmrac": 0.02}
+
+
+def made_up_row(job: FlightJob) -> dict[str, Any]:
+    rng = np.random.default_rng([job.seed, 5])
+    luck, spread = rng.random(), float(np.exp(rng.normal(0.0, 0.5)))
+    factor = dict(job.point)["factor"]
+    alive = luck < SURVIVES[job.controller][(0.6, 0.7, 0.9).index(factor)]
+    error = RMSE[job.controller] * spread
+    return empty_row() | {
+        "key": job.key,
+        "case": job.case,
+        "controller": job.controller,
+        "seed": job.seed,
+        "point": json.dumps(dict(job.point)),
+        "survived": alive,
+        "crash_reason": "" if alive else "hit the floor",
+        "settled_rmse_m": error,
+        "first_lap_rmse_m": 1.5 * error,
+        "lap_rmse_m": [1.5 * error, error, error],
+        "swaps": 3,
+        "feature_age_median_s": spread,
+        "position_swap_jump_max_m_s2": 0.5 * spread,
+        "attitude_swap_jump_max_rad_s2": 5.0 * spread,
+        **{f"{channel}_{kind}": 0.1 * spread for channel in ("position", "attitude")
+           for kind in ("bound_median", "error_norm_median")},
+    }  # fmt: skip
+
+
+def made_up_trace() -> bytes:
+    import io
+
+    time = np.arange(0.0, 20.0, 0.02)
+    arrays: dict[str, Any] = {f"tick_{name}": np.sin(time) for name in TRACE_COLUMNS}
+    arrays |= {f"truth_{name}": np.sin(time) + 0.02 for name in TRUTH_COLUMNS}
+    arrays |= {"tick_mode": np.full(time.size, 4.0), "truth_airborne": np.ones(time.size), "time_s": time}
+    for name in ("quaternion", "commanded_quaternion"):
+        arrays |= {f"tick_{name}_w": np.cos(0.1 * np.sin(time)), f"tick_{name}_x": np.sin(0.1 * np.sin(time))}
+        arrays |= {f"tick_{name}_{axis}": np.zeros(time.size) for axis in "yz"}
+    arrays |= {"onsets_s": np.array([8.0]), "epoch_time_s": np.arange(5.0), "epochs": np.full((5, 8), 0.1)}
+    out = io.BytesIO()
+    np.savez(out, allow_pickle=False, **arrays)
+    return out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("campaign")
+    config = fill(CampaignConfig, parse_yaml(TEXT, "test"), "test")
+    prepare_folder(CampaignRun(config, "made_up", folder), resume=False)
+    store = CampaignStore(folder)
+    for job in unfold(config, "made_up"):
+        store.append(made_up_row(job))
+        if job.keep_trace:
+            write_bytes_atomically(folder / "traces" / f"{job.file_stem}.npz", made_up_trace())
+    store.append(empty_row() | {"key": "broken", "error": "a worker died", "command": "dmrac fly x"})
+    store.close()
+    return folder
+
+
+def test_a_loss_is_said_first(folder: Path) -> None:
+    data = load_data(folder)
+    sure = losses(data, certain=True)
+    assert any(sentence.startswith("a chip, factor 0.7: mrac survives") for sentence in sure)
+    assert not any("factor 0.9" in sentence for sentence in sure)
+    assert first_paragraph(data).startswith("**DMRAC loses here:** a chip, factor 0.7")
+
+
+def test_survivors_and_crashes_are_apart(folder: Path) -> None:
+    data = load_data(folder)
+    rows = {(row[0], row[1].strip("*")): row for row in tables(data)[0].rows}
+    assert rows["0.7", "dmrac"][3].startswith("0 %")
+    assert rows["0.7", "dmrac"][5] == "–"
+    assert rows["0.9", "dmrac"][3] == "100 % [76, 100]"
+    assert float(rows["0.9", "dmrac"][5].split()[0]) == pytest.approx(0.02, rel=0.5)
+    assert rows["0.9", "dmrac"][6] == "0.20 [0.20, 0.20]"
+
+
+def test_targets_and_failures_are_in_the_tables(folder: Path) -> None:
+    data = load_data(folder)
+    found = {table.caption: table for table in tables(data)}
+    target = found["Targets: medians of ratios paired by seed"]
+    assert target.rows == (("dmrac / mrac", "0.40 [0.40, 0.40]", "12", "≤ 0.75", "yes"),)
+    assert target_ratio(data, data.config.targets[0]) is not None
+    failures = next(table for caption, table in found.items() if caption.startswith("1 flights failed"))
+    assert failures.rows[0][2] == "dmrac fly x"
+    half = next(table for caption, table in found.items() if caption.startswith("Where half"))
+    assert 0.7 < float(half.rows[2][3].split()[0]) < 0.9
+
+
+def test_every_kind_of_figure_is_drawn(folder: Path, tmp_path: Path) -> None:
+    data = load_data(folder)
+    left_out: list[str] = []
+    pictures, _ = draw_all(data, tmp_path, lambda text: left_out.append(text) if "left out" in text else None)
+    assert {picture.name.split("_", 3)[3] for picture in pictures} == set(KINDS)
+    assert not left_out
+    for picture in pictures:
+        assert picture.png.stat().st_size > 5_000
+        assert "<dc:date>" not in picture.svg.read_text()
+        assert "{" not in picture.caption
+    write_page(tmp_path / "report.html", data, pictures, [])
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == len(pictures)
+    assert page.index("DMRAC loses here") < page.index("<table>")
+    assert 'src="http' not in page
+    assert "thrust_factor" in page  # the configuration
+
+
+def test_unknown_figures_and_options_are_named(folder: Path, tmp_path: Path) -> None:
+    data = load_data(folder)
+    for entry, words in (({"kind": "pie"}, "allowed are survival"), ({"kind": "laps", "colour": 1}, "figures.0")):
+        config = data.config.model_copy(update={"figures": (entry,)})
+        wrong = type(data)(data.folder, data.name, config, data.rows)
+        with pytest.raises(ConfigError, match=words):
+            draw_all(wrong, tmp_path, lambda text: None)
+
+
+def test_targets_are_written_between_their_marks(folder: Path, tmp_path: Path) -> None:
+    page = tmp_path / "control.md"
+    sections = [Section(load_data(folder), (), ())]
+    assert not write_targets(page, sections, "dmrac reproduce")
+    page.write_text(f"before\n{BEGIN_TARGETS}\nold\n{END_TARGETS}\nafter\n")
+    assert write_targets(page, sections, "dmrac reproduce")
+    first = page.read_text()
+    assert first.startswith("before\n")
+    assert first.endswith("after\n")
+    assert "old" not in first
+    assert "0.40 [0.40, 0.40]" in first
+    write_targets(page, sections, "dmrac reproduce")
+    assert page.read_text() == first
+
+
+def test_results_page_begins_with_the_losses(folder: Path, tmp_path: Path) -> None:
+    plan = Reproduction(folder.parent, tmp_path / "results.md", quick=True)
+    write_results(plan, [Section(load_data(folder), (), ())], 60.0)
+    text = plan.page.read_text()
+    assert text.split("\n")[2].startswith("- Made up: **DMRAC loses here:**")
+    assert "`dmrac reproduce --quick`" in text
+    assert "numpy" in text
+
+
+def test_a_folder_without_flights_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="not a campaign's folder"):
+        load_data(tmp_path)
+
+
+def test_signals_are_those_of_the_sample() -> None:
+    import io
+
+    with np.load(io.BytesIO(made_up_trace())) as archive:
+        trace = Trace(empty_row(), {name: archive[name] for name in archive.files})
+    signals = signals_of(trace)
+    roll = 2.0 * 0.1 * np.sin(trace.time_s)
+    np.testing.assert_allclose(signals[:, SIGNAL_INDEX["roll"]], roll, atol=1e-12)
+    np.testing.assert_allclose(signals[:, SIGNAL_INDEX["pitch"]], 0.0, atol=1e-12)
+    v = np.sin(trace.time_s)
+    body_y = np.cos(roll) * v + np.sin(roll) * v
+    np.testing.assert_allclose(signals[:, SIGNAL_INDEX["body_velocity_y"]], body_y, atol=1e-12)
+
+
+def test_probe_finds_what_is_there_and_nothing_else() -> None:
+    import io
+
+    with np.load(io.BytesIO(made_up_trace())) as archive:
+        trace = Trace(empty_row(), {name: archive[name] for name in archive.files})
+    samples = regimes_of(trace, {"one": (0.0, 10.0), "two": (10.0, 20.0)})
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(samples.regime.size, 4))
+    apart = noise + 8.0 * samples.regime[:, None]
+    assert probe_accuracy(apart, samples) > 0.99
+    assert silhouette(apart, samples) > 0.7
+    assert abs(probe_accuracy(noise, samples) - 0.5) < 0.15
+    assert abs(silhouette(noise, samples)) < 0.05
+    assert not math.isnan(samples.signals.sum())

@@ -1,0 +1,114 @@
+"""Statistics against scipy, scikit-learn, and values published elsewhere."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments.results.statistics import (
+    LogisticFit,
+    half_survival_point,
+    logistic_fit,
+    median,
+    paired_ratio,
+    wilson,
+)
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 2), (2, 2), (4, 8), (8, 8), (37, 100), (99, 100)])
+def test_wilson_equals_scipy(successes: int, trials: int) -> None:
+    ours = wilson(successes, trials)
+    theirs = stats.binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    assert ours.low == pytest.approx(theirs.low, abs=1e-9)
+    assert ours.high == pytest.approx(theirs.high, abs=1e-9)
+
+
+def test_wilson_published_values() -> None:
+    """Newcombe 1998, table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29."""
+    for successes, trials, low, high in ((81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (1, 29, 0.0061, 0.1718)):
+        estimate = wilson(successes, trials)
+        assert (round(estimate.low, 4), round(estimate.high, 4)) == (low, high)
+    assert wilson(0, 20).high == pytest.approx(0.1611, abs=5e-5)
+    assert wilson(0, 0).count == 0
+
+
+def test_wilson_refuses_impossible_counts() -> None:
+    with pytest.raises(ValueError, match="3 successes in 2"):
+        wilson(3, 2)
+
+
+def test_median_interval_agrees_with_scipy_bootstrap() -> None:
+    values = np.random.default_rng(0).lognormal(size=60)
+    ours = median(list(values), np.random.default_rng(1))
+    theirs = stats.bootstrap(
+        (values,), np.median, method="percentile", n_resamples=4000, rng=np.random.default_rng(2)
+    ).confidence_interval
+    assert ours.value == np.median(values)
+    assert ours.low == pytest.approx(theirs.low, rel=0.05)
+    assert ours.high == pytest.approx(theirs.high, rel=0.05)
+
+
+def test_median_interval_covers_the_truth() -> None:
+    rng = np.random.default_rng(3)
+    covered = 0
+    for _ in range(200):
+        estimate = median(list(rng.normal(size=25)), rng, 400)
+        covered += estimate.low <= 0.0 <= estimate.high
+    assert 0.90 <= covered / 200 <= 0.99
+
+
+def test_median_leaves_out_what_is_not_a_number() -> None:
+    estimate = median([1.0, math.nan, 3.0, math.inf, 2.0], np.random.default_rng(0))
+    assert (estimate.value, estimate.count) == (2.0, 3)
+    assert math.isnan(median([], np.random.default_rng(0)).value)
+    assert math.isnan(median([1.0], np.random.default_rng(0)).low)
+
+
+def test_ratio_is_paired_by_seed() -> None:
+    """Seeds differ a hundredfold, yet ours is half of theirs for each: pairing finds it exactly."""
+    theirs = {seed: 10.0**seed for seed in range(-3, 4)}
+    ours = {seed: 0.5 * value for seed, value in theirs.items()} | {99: 1.0}
+    estimate = paired_ratio(ours, theirs, np.random.default_rng(0))
+    assert (estimate.value, estimate.low, estimate.high, estimate.count) == pytest.approx((0.5, 0.5, 0.5, 7))
+
+
+def test_logistic_fit_equals_unpenalised_likelihood() -> None:
+    from scipy.optimize import minimize
+
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.5, 0.95, 400)
+    y = rng.random(400) < LogisticFit(-14.0, 20.0).probability(x)
+    fit = logistic_fit(list(x), list(y))
+
+    def loss(beta: np.ndarray) -> float:
+        z = beta[0] + beta[1] * (x - 0.7)
+        return float(np.logaddexp(0.0, np.where(y, -z, z)).sum())
+
+    best = minimize(loss, np.zeros(2), method="BFGS").x
+    assert fit.slope == pytest.approx(best[1], rel=1e-3)
+    assert fit.half_point == pytest.approx(0.7 - best[0] / best[1], abs=1e-4)
+
+
+def test_logistic_fit_published_example() -> None:
+    """Hours of study and passing an exam, a standard example: intercept -4.0777, slope 1.5046, half point 2.71 h."""
+    hours = [0.5, 0.75, 1, 1.25, 1.5, 1.75, 1.75, 2, 2.25, 2.5, 2.75, 3, 3.25, 3.5, 4, 4.25, 4.5, 4.75, 5, 5.5]
+    passed = [0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 1, 0, 1, 0, 1, 1, 1, 1, 1, 1]
+    fit = logistic_fit(hours, [bool(one) for one in passed])
+    assert (round(fit.intercept, 4), round(fit.slope, 4)) == (-4.0777, 1.5046)
+
+
+def test_half_survival_point_and_its_interval() -> None:
+    rng = np.random.default_rng(5)
+    x = np.repeat([0.5, 0.6, 0.65, 0.7, 0.8, 0.9], 40)
+    y = rng.random(x.size) < LogisticFit(-28.0, 40.0).probability(x)
+    estimate = half_survival_point(list(x), list(y), rng, 300)
+    assert estimate.low < 0.7 < estimate.high
+    assert estimate.high - estimate.low < 0.04
+
+
+def test_half_survival_point_of_a_perfect_threshold_is_finite() -> None:
+    x = [0.6] * 10 + [0.7] * 10
+    estimate = half_survival_point(x, [False] * 10 + [True] * 10, np.random.default_rng(0), 200)
+    assert 0.6 < estimate.value < 0.7
+    assert math.isnan(half_survival_point(x, [True] * 20, np.random.default_rng(0)).value)

@@ -1,0 +1,70 @@
+"""The instruments of `dmrac bench`."""
+
+import pytest
+
+from experiments.commands import bench
+from experiments.flights.scenario import Choices, resolve
+from experiments.timing.step_timing import (
+    BLOCKS,
+    STEP,
+    Replay,
+    Stopwatch,
+    quantiles_us,
+    record_flight,
+    run_hot,
+    run_paced,
+)
+
+CONFIG = resolve("hover", Choices(duration_s=5.0))
+
+
+def test_a_replayed_flight_sends_the_same_motor_commands() -> None:
+    flown: list[list[bytes]] = []
+    recording = record_flight(CONFIG, 3.0, lambda output: flown.append(list(output.to_vehicle)))
+    replay = Replay(CONFIG, recording, blocks=True)
+    again: list[list[bytes]] = []
+    replay.observe = lambda output: again.append(list(output.to_vehicle))
+    run_hot(replay)
+    assert len(flown) == len(again) == 600
+    assert flown == again
+    assert len({frames[0] for frames in flown}) > 300, "a flight, not a vehicle at rest"
+    for name in (STEP, *(name for name, _ in BLOCKS)):
+        p50, p99, highest = replay.watch.quantiles_us(name)
+        assert 0.0 <= p50 <= p99 <= highest
+    blocks_us = sum(replay.watch.quantiles_us(name)[0] for name, _ in BLOCKS)
+    assert blocks_us < replay.watch.quantiles_us(STEP)[0]
+
+
+def test_the_paced_loop_and_the_bare_loop_take_turns() -> None:
+    replay = Replay(CONFIG, record_flight(CONFIG, 0.5), blocks=False)
+    ours, bare = run_paced(replay, 2_000_000, 0)
+    assert len(ours) == 100
+    assert bare
+    assert min(*ours, *bare) >= 0
+
+
+def test_a_stopwatch_adds_up_the_calls_of_a_tick() -> None:
+    class Owner:
+        def work(self, amount: int) -> int:
+            return 2 * amount
+
+    owner, watch = Owner(), Stopwatch()
+    watch.wrap(owner, "work", "work")
+    assert [owner.work(3), owner.work(4)] == [6, 8]
+    watch.end_tick()
+    watch.end_tick()
+    assert watch.ticks["work"][0] > 0
+    assert watch.ticks["work"][1] == 0
+
+
+def test_quantiles_are_in_microseconds() -> None:
+    assert quantiles_us(range(0, 101_000, 1000)) == (50.0, 99.0, 100.0)
+
+
+def test_bad_options_end_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = bench.argparse.ArgumentParser()
+    bench.add_arguments(parser)
+    assert bench.run(parser.parse_args(["--seconds", "0"])) == 2
+    assert capsys.readouterr().err == "--seconds 0: allowed are 2 to 600\n"
+    assert bench.run(parser.parse_args(["no_such_scenario"])) == 2
+    assert "no_such_scenario" in capsys.readouterr().err
