@@ -23,6 +23,17 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "shell": ("configs",),
     "experiments": PACKAGES,
 }
+MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
+    "flights": (),
+    "replays": ("flights",),
+    "timing": ("flights",),
+    "campaigns": ("flights",),
+    "results": ("campaigns",),
+    "link": ("flights", "replays", "campaigns", "results"),
+    "commands": ("flights", "replays", "timing", "campaigns", "results", "link"),
+    "command_line": (),
+}
+"""The rooms of `experiments`, each with the rooms before it that it uses; the command line names its commands as text."""
 FOR_EVERYONE = ("configs.loader", "flight_record.schema")
 MAY_NOT_USE: dict[str, set[str]] = {
     "configs": HEAVY,
@@ -86,6 +97,18 @@ def border_faults(module: str, tree: ast.AST) -> Iterator[str]:
             yield f"{module} imports {name}"
 
 
+def room_faults(module: str, tree: ast.AST) -> Iterator[str]:
+    """Imports of a room of `experiments` from another than the ones it may use."""
+    room = module.split(".")[1]
+    if room not in MAY_IMPORT_ROOM:
+        yield f"{module} stands in no room of experiments"
+        return
+    for name in imports(tree):
+        top, other = name.split(".")[:2] if "." in name else (name, "")
+        if top == "experiments" and other != room and other not in MAY_IMPORT_ROOM[room]:
+            yield f"{module} imports {name}"
+
+
 def core_faults(module: str, tree: ast.AST) -> Iterator[str]:
     """What touches the world from a module that must not: imports, clocks, environment, global random state."""
     for name in imports(tree):
@@ -114,6 +137,8 @@ def faults(module: str, source: str) -> list[str]:
     found = list(border_faults(module, tree))
     if module.startswith(tuple(f"{package}." for package in WITH_CORES)) and not is_shell(module):
         found += core_faults(module, tree)
+    if module.startswith("experiments."):
+        found += room_faults(module, tree)
     return found
 
 
@@ -146,6 +171,11 @@ def test_every_module_keeps_the_rules() -> None:
         ("sim_vehicle.world", "import numpy as np\nnp.random.normal()"),
         ("sim_vehicle.world", "import numpy as np\nrng = np.random.default_rng()"),
         ("flight_record.writer", "import torch"),
+        ("experiments.flights.trace", "from experiments.campaigns.campaign import load_campaign"),
+        ("experiments.campaigns.worker", "def f():\n    from experiments.results import tables"),
+        ("experiments.link.page", "from experiments.command_line import main"),
+        ("experiments.command_line", "import experiments.commands.fly"),
+        ("experiments.helpers", "import math"),
     ],
 )
 def test_the_rules_catch(module: str, source: str) -> None:
@@ -160,7 +190,7 @@ def test_the_rules_catch(module: str, source: str) -> None:
         ("onboard.process", "from shell.sockets import DatagramSocket"),
         ("onboard.records", "from flight_record.schema import RecordType"),
         ("sim_vehicle.world", "import numpy as np\nrng = np.random.default_rng([seed, 3])"),
-        ("experiments.fly", "from onboard.core import OnboardCore\nimport offboard.core, time"),
+        ("experiments.commands.fly", "from onboard.core import OnboardCore\nimport offboard.core, time"),
     ],
 )
 def test_the_rules_allow(module: str, source: str) -> None:
