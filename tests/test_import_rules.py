@@ -33,7 +33,7 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "commands": ("flights", "replays", "timing", "campaigns", "results", "link"),
     "command_line": (),
 }
-"""The rooms of `experiments`, each with the rooms before it that it uses; the command line names its commands as text."""
+"""The rooms of `experiments`, each with the rooms it uses; the command line names its commands as text."""
 FOR_EVERYONE = ("configs.loader", "flight_record.schema")
 MAY_NOT_USE: dict[str, set[str]] = {
     "configs": HEAVY,
