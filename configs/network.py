@@ -100,6 +100,12 @@ class NetworkConfig(Record):
         default=None,
         description="file with the key shared by onboard and offboard, made by dmrac keygen, not in the log",
     )
+    vehicle_key_file: str | None = Field(
+        default=None, description="file with the key of the vehicle's MAVLink: sign, and take signed frames only"
+    )
+    ground_key_file: str | None = Field(
+        default=None, description="file with the key of the ground station's MAVLink: sign, take signed frames only"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -67,17 +67,28 @@ class OnboardCore:
     ----------
     session: number of this run, larger at each start (protocol.session).
     key: shared with offboard; None between loopback addresses only.
+    vehicle_key, ground_key: of the MAVLink to vehicle and ground station; None: unsigned.
+    arming_bar: what stands against arming as long as this core lives, such as a missing preflight; "" for nothing.
     """
 
-    def __init__(self, config: OnboardConfig, session: int, key: bytes | None) -> None:
+    def __init__(
+        self,
+        config: OnboardConfig,
+        session: int,
+        key: bytes | None,
+        vehicle_key: bytes | None = None,
+        ground_key: bytes | None = None,
+        arming_bar: str = "",
+    ) -> None:
         self._config = config
+        self._arming_bar = arming_bar
         self._dt = config.period_ns * 1e-9
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
-        self._vehicle_link = VehicleLink(config.vehicle_link, signing_clock=SigningClock(utc_at_first_use_ns=utc_ns))
+        self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
-        self._ground_link = GroundLink(config.ground_link, signing_clock=SigningClock(utc_at_first_use_ns=utc_ns))
+        self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._guidance = Guidance(config.guidance)
         self.controller = config.controller.build(config.airframe, config.seed)
         self._mixer = Mixer(config.airframe)
@@ -235,6 +246,8 @@ class OnboardCore:
             return "two vehicles speak with one system id"
         if self._vehicle_link.health.fault:
             return self._vehicle_link.health.fault
+        if self._arming_bar:
+            return self._arming_bar
         waiting = not self._posed and (now_ns - self._started_ns) * 1e-9 < self._config.pose_wait_s
         return "waiting for the first pose" if waiting else ""
 

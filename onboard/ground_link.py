@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from configs.loader import Record
 from onboard.flight_modes import SPINNING, Command, FlightMode
 from onboard.records import NEVER_NS, BatteryReading, VehicleState
-from protocol.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
+from protocol.mavlink_frames import Frame, FrameReader, FrameWriter, SigningClock
 
 HEARTBEAT: Final[int] = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 COMMAND_LONG: Final[int] = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
@@ -73,9 +73,6 @@ class GroundLinkConfig(Record):
 
     system: int = Field(default=1, ge=1, le=255, description="MAVLink system id of this vehicle")
     component: int = Field(default=1, ge=1, le=255, description="MAVLink component id: autopilot")
-    signing_key: str | None = Field(
-        default=None, pattern=SIGNING_KEY_PATTERN, description="32 bytes in hex: sign, and take signed frames only"
-    )
     attitude_hz: float = Field(default=10.0, gt=0, le=50, description="Hz")
     position_hz: float = Field(default=10.0, gt=0, le=50, description="Hz")
     heartbeat_hz: float = Field(default=1.0, gt=0, le=10, description="Hz")
@@ -100,14 +97,13 @@ class GroundLink:
     def __init__(
         self, config: GroundLinkConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
     ) -> None:
-        """`key` (or the one of the config): only signed frames count, and ours are signed.
+        """With a `key` only signed frames count, and ours are signed.
 
         Raises ValueError if it is not 32 bytes long.
         """
         self._config = config
         ids = (HEARTBEAT, COMMAND_LONG, FILE_TRANSFER, PARAM_REQUEST_LIST, PARAM_REQUEST_READ, MISSION_REQUEST_LIST)
         clock = signing_clock or SigningClock()
-        key = key or key_from_hex(config.signing_key)
         self._reader = FrameReader(ids, key, clock)
         self._writer = FrameWriter(config.system, config.component, key, clock)
         self._waiting: deque[tuple[Any, tuple[Any, ...]]] = deque(maxlen=QUEUE_MAX)

@@ -30,7 +30,7 @@ from onboard.realtime import DurationStatistics, PaceKeeper
 from onboard.tape import TOPIC, Entry, TapeWriter
 from onboard.tick_record import TICK
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
-from protocol.keys import load_key
+from protocol.keys import load_keys
 from protocol.session import session_number
 from shell.errors import StartError
 from shell.files import make_folder, write_json
@@ -237,6 +237,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own address towards the vehicle")
     parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards offboard")
     parser.add_argument("--key-file", metavar="FILE", help="key shared with offboard")
+    parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink: sign it")
+    parser.add_argument("--ground-key-file", metavar="FILE", help="key of the ground station's MAVLink: sign it")
     parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
 
 
@@ -247,16 +249,16 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         config = load_section(OnboardConfig, arguments.config, "onboard")
         network = load_network(arguments.config, _addresses(arguments))
-        key = load_key(network.key_file)
+        keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
         session = session_number(time.time_ns(), secrets.randbits(20))
-        core = OnboardCore(config, session, key)
+        core = OnboardCore(config, session, keys.offboard, keys.vehicle, keys.ground)
         make_folder(arguments.out)
         sockets = Sockets(network)
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
     attachments = {"config.yaml": arguments.config.read_bytes()}
-    about = {"seed": str(config.seed), "session": str(session), "keyed": str(key is not None)}
+    about = {"seed": str(config.seed), "session": str(session), "keyed": str(keys.any)}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
         status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
@@ -279,6 +281,8 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
         "onboard_vehicle": arguments.bind_vehicle,
         "onboard_link": arguments.bind_link,
         "key_file": arguments.key_file,
+        "vehicle_key_file": arguments.vehicle_key_file,
+        "ground_key_file": arguments.ground_key_file,
     }
 
 

@@ -25,7 +25,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from configs.loader import Record
 from onboard.link_health import LinkHealth, LinkHealthConfig
 from onboard.records import NEVER_NS, Array, BatteryReading, FlowReading, ImuReading, RangeReading, Reading
-from protocol.mavlink_frames import SIGNING_KEY_PATTERN, Frame, FrameReader, FrameWriter, SigningClock, key_from_hex
+from protocol.mavlink_frames import Frame, FrameReader, FrameWriter, SigningClock
 
 HIL_SENSOR: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_SENSOR
 FLOWS: Final = (mavlink.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD)
@@ -68,9 +68,6 @@ class VehicleLinkConfig(Record):
     clock_restart_s: float = Field(default=0.5, gt=0, description="s; a step back of more is a restarted vehicle")
     late_max_s: float = Field(default=0.5, gt=0, description="s; slow sensors' time stamps further off are replaced")
     release_s: float = Field(default=10.0, gt=0, description="s of silence after which another vehicle is heard")
-    signing_key: str | None = Field(
-        default=None, pattern=SIGNING_KEY_PATTERN, description="32 bytes in hex: sign, and take signed frames only"
-    )
     signing_tolerance_s: float = Field(default=60.0, gt=0, description="s; vehicle's signing clock against ours")
     health: LinkHealthConfig = LinkHealthConfig()
 
@@ -144,13 +141,12 @@ class VehicleLink:
     def __init__(
         self, config: VehicleLinkConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
     ) -> None:
-        """`key` (or the one of the config): only signed frames count, and motor commands are signed.
+        """With a `key` only signed frames count, and motor commands are signed.
 
         Raises ValueError if it is not 32 bytes long.
         """
         self._config = config
         clock = signing_clock or SigningClock()
-        key = key or key_from_hex(config.signing_key)
         ids = (HIL_SENSOR, *FLOWS, DISTANCE_SENSOR, BATTERY_STATUS, SYS_STATUS, HEARTBEAT)
         self._reader = FrameReader(ids, key, clock, config.signing_tolerance_s)
         self._writer = FrameWriter(config.own_system, config.own_component, key, clock)

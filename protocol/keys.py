@@ -3,12 +3,13 @@
 A key file holds 64 hexadecimal digits (32 bytes) and belongs to its owner alone, like a private SSH key.
 """
 
+import hashlib
 import os
 import re
 import secrets
 import stat
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 from configs.loader import ConfigError
 from protocol.authentication import KEY_BYTES
@@ -20,8 +21,34 @@ class KeyFileError(ConfigError):
     """A key file that cannot be used. The message names the file and what to do, never what stands in it."""
 
 
-def write_key(path: Path) -> None:
-    """Makes a new random key in a file that only its owner can read; an existing file is never replaced.
+class LinkKeys(NamedTuple):
+    """The keys of onboard's three links; None: that link has none."""
+
+    offboard: bytes | None
+    """Shared with offboard: every datagram carries a MAC."""
+    vehicle: bytes | None
+    """Shared with the vehicle's bridge: MAVLink 2 signing."""
+    ground: bytes | None
+    """Shared with the ground station: MAVLink 2 signing."""
+
+    @property
+    def any(self) -> bool:
+        """Whether there is one at all."""
+        return any(key is not None for key in self)
+
+
+def load_keys(offboard: str | None, vehicle: str | None, ground: str | None) -> LinkKeys:
+    """The keys in the files that the configuration names. Raises KeyFileError."""
+    return LinkKeys(load_key(offboard), load_key(vehicle), load_key(ground))
+
+
+def key_of_passphrase(passphrase: str) -> bytes:
+    """The key that MAVLink ground stations make of a passphrase: its SHA-256."""
+    return hashlib.sha256(passphrase.encode()).digest()
+
+
+def write_key(path: Path, key: bytes | None = None) -> None:
+    """Puts a key (by default a new random one) in a file that only its owner can read; none is ever replaced.
 
     Raises
     ------
@@ -35,7 +62,7 @@ def write_key(path: Path) -> None:
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(secrets.token_hex(KEY_BYTES) + "\n")
+        file.write((secrets.token_bytes(KEY_BYTES) if key is None else key).hex() + "\n")
 
 
 def load_key(key_file: str | None) -> bytes | None:

@@ -79,14 +79,6 @@ def signature(key: bytes, frame: bytes) -> bytes:
     return hashlib.sha256(key + frame).digest()[:6]
 
 
-SIGNING_KEY_PATTERN: Final = r"^[0-9a-f]{64}$"
-
-
-def key_from_hex(text: str | None) -> bytes | None:
-    """The key that a configuration gives as 64 hexadecimal digits, or none."""
-    return None if text is None else bytes.fromhex(text)
-
-
 def check_key(key: bytes | None) -> bytes | None:
     """`key`, if it is one.
 

@@ -37,8 +37,15 @@ LARGEST_DATAGRAM: Final = 1500
 class VehicleCodec:
     """Frames out, motor commands in, for one vehicle and its motion capture."""
 
-    def __init__(self, config: LinkConfig, ultrasonic: UltrasonicConfig, capture: MotionCaptureConfig) -> None:
-        self._key = None if config.signing_key is None else bytes.fromhex(config.signing_key)
+    def __init__(
+        self,
+        config: LinkConfig,
+        ultrasonic: UltrasonicConfig,
+        capture: MotionCaptureConfig,
+        key: bytes | None = None,
+    ) -> None:
+        """With a `key` (32 bytes) what goes out is signed, and only signed commands count."""
+        self._key = key
         self._clocks = (SigningClock(), SigningClock())
         self._sensors = FrameWriter(config.system_id, config.component_id, self._key, self._clocks[0])
         self._capture = FrameWriter(config.system_id, MOTION_CAPTURE_COMPONENT, self._key, self._clocks[1])

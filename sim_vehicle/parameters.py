@@ -169,9 +169,6 @@ class LinkConfig(Record):
 
     system_id: int = Field(ge=1, le=255)
     component_id: int = Field(ge=1, le=255)
-    signing_key: str | None = Field(
-        default=None, pattern=r"^[0-9a-f]{64}$", description="32 bytes in hex: sign, and take signed frames only"
-    )
     clock_offset_s: float = Field(ge=0.0, description="s on the vehicle's clock when the simulation starts")
 
 

@@ -19,6 +19,7 @@ from configs.loader import ConfigError, load_section, read_tree
 from configs.network import NetworkConfig, load_network, serial_line
 from flight_record.schema import RecordType
 from flight_record.writer import FlightLogWriter
+from protocol.keys import load_key
 from shell.errors import StartError
 from shell.files import make_folder, write_json
 from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
@@ -237,6 +238,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own MAVLink address")
     parser.add_argument("--bind-radio-onboard", metavar="HOST:PORT", help="own radio address towards onboard")
     parser.add_argument("--bind-radio-offboard", metavar="HOST:PORT", help="own radio address towards offboard")
+    parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the MAVLink to onboard: sign it")
     parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
 
 
@@ -249,6 +251,7 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_section(SimVehicleConfig, arguments.config, "vehicle")
         radio_config = load_section(RadioConfig, arguments.config, "radio")
         network = load_network(arguments.config, _addresses(arguments))
+        key = load_key(network.vehicle_key_file)
         if serial_line(network.vehicle) is not None:
             raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle speaks UDP only")
         make_folder(arguments.out)
@@ -256,7 +259,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(error, file=sys.stderr)
         return 2
     _compile(config, seed)
-    vehicle = SimVehicle(config, seed)
+    vehicle = SimVehicle(config, seed, key)
     radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
     attachments = {"config.yaml": arguments.config.read_bytes()}
     log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", {"seed": str(seed)}, attachments)
@@ -285,6 +288,7 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
         "vehicle": arguments.bind_vehicle,
         "radio_onboard": arguments.bind_radio_onboard,
         "radio_offboard": arguments.bind_radio_offboard,
+        "vehicle_key_file": arguments.vehicle_key_file,
     }
 
 

@@ -42,9 +42,9 @@ LONGEST_RUN: Final = 400
 
 
 class SimVehicle:
-    """One Mambo in its world."""
+    """One Mambo in its world. `key`: of its MAVLink, if that is to be signed."""
 
-    def __init__(self, config: SimVehicleConfig, seed: int) -> None:
+    def __init__(self, config: SimVehicleConfig, seed: int, key: bytes | None = None) -> None:
         self._config = config
         self._world = World(config, seed)
         self._world.apply(0)
@@ -62,7 +62,7 @@ class SimVehicle:
         self._capture = MotionCapture(sensors.motion_capture, seed, CAPTURE_STREAM)
         self._battery_noise = Normals(np.random.default_rng([seed, BATTERY_STREAM]))
         self._each_second = Schedule(1.0)
-        self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture)
+        self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key)
         self._faults = SensorFaults(self._world)
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
         self._wire: Radio | None = None

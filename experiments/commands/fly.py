@@ -20,7 +20,7 @@ from experiments.flights.flight_card import build_summary, print_card, write_sum
 from experiments.flights.realtime_flight import require_free_ports
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.flights.trace import FlightTrace
-from protocol.keys import load_key
+from protocol.keys import load_keys
 from shell.signals import die_with_parent
 
 Array = NDArray[np.float64]
@@ -67,7 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
         _require_viewer()
     if not arguments.lockstep:
         require_free_ports(config.network)
-    load_key(config.network.key_file)  # a key that cannot be used is said before anything starts
+    network = config.network
+    load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)  # bad ones are said before the start
     folder = make_folder(arguments.out, config.scenario)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     console = Console()

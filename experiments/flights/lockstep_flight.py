@@ -15,7 +15,7 @@ from flight_record.schema import RecordType
 from onboard.core import OnboardCore
 from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET, TICK
-from protocol.keys import load_key
+from protocol.keys import load_key, load_keys
 from sim_vehicle.lockstep import Lockstep, TickResult
 from sim_vehicle.radio import DIRECTIONS, RADIO_STREAM, Direction, Fate, Radio, Recording
 from sim_vehicle.records import TRUTH
@@ -63,9 +63,11 @@ def build(
 
     recorded: fates that the link's datagrams meet instead of the configured radio's.
     """
-    vehicle = SimVehicle(config.vehicle, config.seed)
+    network = config.network
+    keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
+    vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle)
     radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
-    onboard = OnboardCore(config.onboard, ONBOARD_SESSION, load_key(config.network.key_file))
+    onboard = OnboardCore(config.onboard, ONBOARD_SESSION, keys.offboard, keys.vehicle, keys.ground)
     offboard = build_offboard(config, OFFBOARD_SESSION) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
     return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio

@@ -33,8 +33,10 @@ class LockstepLog:
     def __init__(
         self, folder: Path, config: FlightConfig, with_offboard: bool = True, experience: bytes | None = None
     ) -> None:
+        given = {name for name, value in config.network if value is not None}
         metadata = {"seed": str(config.seed), "scenario": config.scenario, "clock": "lockstep"}
-        metadata |= {"session": str(ONBOARD_SESSION), "keyed": "False", "with_offboard": str(with_offboard)}
+        metadata |= {"session": str(ONBOARD_SESSION), "with_offboard": str(with_offboard)}
+        metadata |= {"keyed": str(bool({"key_file", "vehicle_key_file", "ground_key_file"} & given))}
         attachments = {"config.yaml": config.to_yaml().encode()}
         experience = read_experience(config.experience) if experience is None else experience
         if experience is not None:

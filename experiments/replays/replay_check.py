@@ -23,7 +23,7 @@ from onboard.controllers.interface import Learner
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.tape import TIME, TOPIC, Entry, TapeTick, read_tick
 from onboard.tick_record import TICK
-from protocol.keys import load_key
+from protocol.keys import LinkKeys, load_keys
 
 OUTPUTS: Final = (
     (Entry.TO_VEHICLE, "motor datagram", "to_vehicle"),
@@ -94,11 +94,13 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> 
     session = log.metadata.get("session", "")
     if not session.isdigit():
         raise ConfigError(f"{log.path}: does not say which session it was")
-    key = None
+    keys = LinkKeys(None, None, None)
     if log.metadata.get("keyed") == "True":
-        named = str(key_file) if key_file is not None else flight.config.network.key_file
-        key = load_key(named)
-    core = OnboardCore(flight.config.onboard, int(session), key)
+        network = flight.config.network
+        named = str(key_file) if key_file is not None else network.key_file
+        keys = load_keys(named, network.vehicle_key_file, network.ground_key_file)
+    bar = log.metadata.get("arming_bar", "")
+    core = OnboardCore(flight.config.onboard, int(session), keys.offboard, keys.vehicle, keys.ground, bar)
     if flight.experience is not None:
         learner = isinstance(core.controller, Learner) and core.controller.accepts_features
         if not (learner and flight.with_offboard):  # a learner gets it from offboard, over the link

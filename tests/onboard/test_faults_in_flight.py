@@ -44,10 +44,11 @@ class FaultyVehicle:
 class FlightTest:
     """Flies and keeps position errors, modes and words."""
 
-    def __init__(self, scenario="hover", fault=None, assignments=(), change=None, session=1):
+    def __init__(self, scenario="hover", fault=None, assignments=(), change=None, session=1, keys=(None, None)):
+        """`keys`: of onboard's end of the vehicle's link, and of the vehicle's."""
         config = resolve(scenario, Choices(controller="pid", seed=3, assignments=assignments))
-        vehicle = SimVehicle(config.vehicle, config.seed)
-        self.core = OnboardCore(config.onboard, session, None)
+        vehicle = SimVehicle(config.vehicle, config.seed, keys[1])
+        self.core = OnboardCore(config.onboard, session, None, keys[0])
         if change is not None:
             change(self.core)
         faulty = FaultyVehicle(vehicle, fault or (lambda t, datagrams: datagrams))
@@ -199,8 +200,7 @@ def test_a_second_vehicle_on_the_port_changes_nothing_but_words():
 @pytest.mark.parametrize("utc_ns", [0, 1_763_800_000 * 10**9])
 def test_a_signed_link_flies_whatever_clock_the_vehicle_has(utc_ns):
     """The simulated vehicle has no wall clock; it takes over the time in our signatures, as MAVLink wants it."""
-    keys = [f"{where}.signing_key={'ab' * 32}" for where in ("onboard.vehicle_link", "vehicle.link")]
-    flight = FlightTest(assignments=tuple(keys), session=session_number(utc_ns, 1)).fly(8.0)
+    flight = FlightTest(keys=(b"k" * 32, b"k" * 32), session=session_number(utc_ns, 1)).fly(8.0)
     assert flight.modes[-1] is FlightMode.FLYING
     rejected = flight.core._vehicle_link.rejected
     assert set(rejected) <= {"signature_too_old"}
@@ -208,8 +208,7 @@ def test_a_signed_link_flies_whatever_clock_the_vehicle_has(utc_ns):
 
 
 def test_a_vehicle_with_another_key_is_not_flown():
-    keys = (f"onboard.vehicle_link.signing_key={'ab' * 32}", f"vehicle.link.signing_key={'cd' * 32}")
-    flight = FlightTest(assignments=keys).fly(6.0)
+    flight = FlightTest(keys=(b"k" * 32, b"l" * 32)).fly(6.0)
     assert set(flight.modes) == {FlightMode.BOOT}
     assert flight.core._vehicle_link.rejected["signature"] > 1000
 

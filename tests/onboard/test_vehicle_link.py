@@ -313,9 +313,9 @@ def test_messages_that_pymavlink_would_let_past_the_signature_are_refused():
     assert link.rejected["message_not_allowed"] == 1
 
 
-def test_the_key_may_come_from_the_config_and_the_clock_from_the_first_use():
+def test_the_signing_clock_may_start_at_its_first_use():
     clock = SigningClock(utc_at_first_use_ns=(1_420_070_400 + 77) * 10**9)
-    link = Link(now_ns=10**12, signing_clock=clock, signing_key=KEY.hex())
+    link = Link(KEY, now_ns=10**12, signing_clock=clock)
     assert int.from_bytes(link.encode_motors((0, 0, 0, 0), False, 10**12)[-12:-6], "little") == 77 * 10**5
     assert int.from_bytes(link.encode_motors((0, 0, 0, 0), False, 10**12 + 10**9)[-12:-6], "little") == 78 * 10**5
     vehicle = Vehicle(key=KEY)

@@ -17,8 +17,7 @@ KEY = bytes(range(32))
 
 
 def codec(key=None):
-    link = CONFIG.link.model_copy(update={"signing_key": None if key is None else key.hex()})
-    return VehicleCodec(link, CONFIG.sensors.ultrasonic, CONFIG.sensors.motion_capture)
+    return VehicleCodec(CONFIG.link, CONFIG.sensors.ultrasonic, CONFIG.sensors.motion_capture, key)
 
 
 def signed(frame_maker, stamp, key=KEY, link_id=0):
