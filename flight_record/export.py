@@ -30,6 +30,7 @@ CSV_ROWS_AT_ONCE: Final = 10_000
 def export_csv(flight: Flight, folder: Path) -> list[Path]:
     """One CSV file a topic, `onboard_tick.csv`, and `events.csv`; the head names columns and units.
 
+    Times are in s since the flight's t = 0.
     Raises OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -62,9 +63,11 @@ def _write_csv(table: Table, start_ns: int, path: Path) -> None:
 def export_npz(flight: Flight, path: Path) -> None:
     """One NumPy file: `onboard/tick.time_ns` and `onboard/tick.position_n` and so on, [n] each; units as `.units`.
 
+    `start_ns` is the time of the flight's t = 0.
+
     Raises OSError.
     """
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = {"start_ns": np.int64(flight.start_ns)}
     for table in flight:
         arrays[f"{table.topic}.time_ns"] = table.time_ns
         arrays[f"{table.topic}.units"] = np.array([table.units[name] for name in table.names])
@@ -113,7 +116,7 @@ def _time_slices(flight: Flight, file: McapFile) -> Iterator[list[Block]]:
     ]
     messages = [(file.add_channel(topic, definition), found) for topic, definition, found in _messages(flight)]
     done_rows, done_messages = [0] * len(tables), [0] * len(messages)
-    edge = min([flight.start_ns, *(found[0][0] for _, found in messages)])
+    edge = min([flight.first_ns, *(found[0][0] for _, found in messages)])
     while edge <= max([flight.end_ns, *(found[-1][0] for _, found in messages)]):
         edge += MERGED_CHUNK_NS
         blocks = []

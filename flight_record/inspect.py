@@ -2,14 +2,14 @@
 
 import json
 
-from flight_record.reader import Flight
+from flight_record.reader import TICK_TOPIC, Flight
 
 EVENTS_SHOWN_MAX = 30
 
 
 def describe(flight: Flight) -> list[str]:
     """The logs, topics and last events of a flight."""
-    lines = [f"{flight.path}: {flight.duration_s:.1f} s, {', '.join(flight.processes)}", "", "logs"]
+    lines = [f"{flight.path}: {flight.duration_s:.1f} s, {', '.join(flight.processes)}", _zero(flight), "", "logs"]
     for log in flight.logs:
         state = "whole" if log.whole else "not closed"
         size = log.path.stat().st_size / 1e6
@@ -32,6 +32,14 @@ def describe(flight: Flight) -> list[str]:
     if len(flight.events) > EVENTS_SHOWN_MAX:
         lines.append(f"  ... and {len(flight.events) - EVENTS_SHOWN_MAX} more")
     return lines
+
+
+def _zero(flight: Flight) -> str:
+    """What the times count from."""
+    before_s = (flight.start_ns - flight.first_ns) * 1e-9
+    what = "onboard's first tick" if TICK_TOPIC in flight else "the first record (no tick of onboard was logged)"
+    earlier = f"; the first record of all was {before_s:.3f} s earlier" if before_s > 0 else ""
+    return f"t = 0 is {what}{earlier}"
 
 
 def columns(flight: Flight) -> list[str]:

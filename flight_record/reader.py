@@ -18,11 +18,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flight_record.clocks import ClockMap, base_of, clock_map
+from flight_record.clocks import ClockMap, clock_map
 from flight_record.log_file import FlightError, LogFile, VectorTopic, read_log_file
 
 __all__ = ["Event", "Flight", "FlightError", "Gap", "Table", "open_flight"]
 
+TICK_TOPIC: Final = "onboard/tick"
 GAP_MIN_NS: Final = 100_000_000
 """A topic of regular rate that is silent for longer than this and ten of its periods has a gap."""
 GAP_PERIODS: Final = 10
@@ -103,8 +104,7 @@ class Flight:
     def __init__(self, path: Path, logs: tuple[LogFile, ...]) -> None:
         self.path = path
         self.logs = logs
-        base = base_of(logs)
-        maps = [clock_map(log, base) for log in logs]
+        maps = [clock_map(log, logs) for log in logs]
         self._maps: tuple[ClockMap, ...] = tuple(found for found, _ in maps)
         self._warnings = tuple(warning for _, warning in maps if warning)
         self._tables: dict[str, Table] = {}
@@ -185,18 +185,33 @@ class Flight:
 
     @cached_property
     def start_ns(self) -> int:
+        """Where t = 0: onboard's first tick; the first record where onboard logged none.
+
+        What the other processes logged before it has negative times.
+        """
+        tick = self.get(TICK_TOPIC)
+        return self.first_ns if tick is None else int(tick.time_ns[0])
+
+    @cached_property
+    def first_ns(self) -> int:
         """Time of the first record."""
-        return min((int(table.time_ns[0]) for table in self), default=min((e.time_ns for e in self.events), default=0))
+        return min(self._ends)
 
     @cached_property
     def end_ns(self) -> int:
         """Time of the last record."""
-        return max((int(table.time_ns[-1]) for table in self), default=max((e.time_ns for e in self.events), default=0))
+        return max(self._ends)
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last record."""
+        """From t = 0 to the last record."""
         return (self.end_ns - self.start_ns) * 1e-9
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Times of the first and the last record of each table, and of all events; 0 where there are none."""
+        ends = [int(time_ns) for table in self for time_ns in (table.time_ns[0], table.time_ns[-1])]
+        return [*ends, *(event.time_ns for event in self.events)] or [0]
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
@@ -224,20 +239,21 @@ class Flight:
 
     def _build(self, topic: str) -> Table:
         parts = [
-            (log.vectors[topic], to_base)
+            (to_base(log.vectors[topic].times_ns), log.vectors[topic])
             for log, to_base in zip(self.logs, self._maps, strict=True)
             if topic in log.vectors
         ]
         if not parts:
             raise KeyError(f"{self.path} has no topic {topic!r}; it has {', '.join(self.topics) or 'none'}")
-        record_type = parts[-1][0].record_type
-        same = [(part, to_base) for part, to_base in parts if part.record_type == record_type]
+        parts.sort(key=lambda part: int(part[0][0]))
+        record_type = parts[-1][1].record_type
+        same = [(times_ns, part) for times_ns, part in parts if part.record_type == record_type]
         return Table(
             topic,
             record_type.names,
             dict(record_type.fields),
-            np.concatenate([to_base(part.times_ns) for part, to_base in same]),
-            np.concatenate([part.values for part, _ in same]) if len(same) > 1 else same[0][0].values,
+            np.concatenate([times_ns for times_ns, _ in same]),
+            np.concatenate([part.values for _, part in same]) if len(same) > 1 else same[0][1].values,
         )
 
 

@@ -12,7 +12,7 @@ from configs.loader import ConfigError, parse_yaml
 from flight_record.inspect import check
 from flight_record.log_file import FlightError
 from flight_record.page import code, folded, image, page, paragraph, section, table
-from flight_record.reader import Flight, Table, open_flight
+from flight_record.reader import TICK_TOPIC, Flight, Table, open_flight
 
 REPORT_NAME: Final = "report.html"
 TRAINING_ROUNDS_MAX: Final = 40
@@ -134,10 +134,13 @@ def _training(training: Table | None) -> str:
 
 
 def _events(flight: Flight) -> str:
+    if not flight.events:
+        return ""
     events = flight.events[:EVENTS_MAX]
     rows = [[f"{(e.time_ns - flight.start_ns) * 1e-9:.3f}", e.process, e.text] for e in events]
     more = len(flight.events) - len(events)
-    return table(rows, ("time [s]", "process", "event")) + paragraph(f"and {more} more" if more else "", "quiet")
+    zero = paragraph("t = 0 is onboard's first tick" if TICK_TOPIC in flight else "t = 0 is the first record", "quiet")
+    return zero + table(rows, ("t [s]", "process", "event")) + paragraph(f"and {more} more" if more else "", "quiet")
 
 
 def _logs(flight: Flight) -> str:

@@ -11,6 +11,7 @@ from flight_record.export import export_csv, export_npz, merge
 from flight_record.inspect import as_json, check, columns, describe
 from flight_record.reader import FlightError, open_flight
 from flight_record.ulog import write_ulog
+from flight_record.writer import FlightLogWriter
 
 
 def test_csv_holds_columns_units_and_events(flight_folder: Path, tmp_path: Path) -> None:
@@ -31,6 +32,7 @@ def test_npz_holds_columns_units_and_events(flight_folder: Path, tmp_path: Path)
     with np.load(tmp_path / "flight.npz") as arrays:
         np.testing.assert_array_equal(arrays["onboard/tick.position_n"], flight["onboard/tick"]["position_n"])
         np.testing.assert_array_equal(arrays["onboard/tick.time_ns"], flight["onboard/tick"].time_ns)
+        assert arrays["start_ns"] == flight.start_ns
         assert arrays["onboard/tick.units"].tolist() == ["m", "m", "m", "FlightMode, a number"]
         assert arrays["events.text"].tolist() == ['onboard: took off, "well"', "sim_vehicle: rotor chip"]
 
@@ -49,6 +51,23 @@ def test_pyulog_reads_the_ulog(flight_folder: Path, tmp_path: Path) -> None:
         (3_000_000, "sim_vehicle: rotor chip"),
     ]
     assert ulog.msg_info_dict["onboard_seed"] == "3"
+
+
+def test_what_came_before_the_first_tick_has_negative_times(flight_folder: Path, tmp_path: Path) -> None:
+    with FlightLogWriter(flight_folder / "offboard.mcap", "offboard", {"clock": "a"}, threaded=False) as log:
+        log.event(10**9 - 700_000_000, "early")
+    flight = open_flight(flight_folder)
+    assert flight.duration_s == pytest.approx(4.995)
+    text = "\n".join(describe(flight))
+    assert "t = 0 is onboard's first tick; the first record of all was 0.700 s earlier" in text
+    assert "  -0.700 s  offboard: early" in text
+    export_csv(flight, tmp_path)
+    assert "-0.700000,offboard" in (tmp_path / "events.csv").read_text(encoding="utf-8")
+    write_ulog(flight, tmp_path / "flight.ulg")
+    ulog = ULog(str(tmp_path / "flight.ulg"))
+    assert ulog.msg_info_dict["time_zero_us"] == "2000000"
+    assert ulog.logged_messages[0].timestamp == 1_300_000
+    assert ulog.get_dataset("onboard_tick").data["timestamp"][0] == 2_000_000
 
 
 def test_merged_logs_are_one_flight(flight_folder: Path) -> None:

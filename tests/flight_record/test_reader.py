@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from flight_record.clocks import clock_offset_record
+from flight_record.clocks import CLOCK_OFFSET
 from flight_record.mcap_file import METADATA_NAME, McapFile
 from flight_record.reader import FlightError, open_flight
 from flight_record.schema import RecordType
@@ -40,7 +40,8 @@ def test_a_flight_has_columns_units_events_and_bytes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tick["position_n"], np.arange(400.0))
     np.testing.assert_array_equal(tick.columns["weight_norm"], np.full(400, 2.0))
     np.testing.assert_array_equal(tick.vector("weight_norm", "position_n")[3], [2.0, 3.0])
-    np.testing.assert_allclose(tick.seconds(flight.start_ns)[:2], [5e-9, 0.005000005], rtol=1e-12)
+    np.testing.assert_allclose(tick.seconds(flight.start_ns)[:2], [0.0, 0.005], rtol=1e-12)
+    assert (flight.start_ns, flight.first_ns) == (10**9, 10**9 - 5)
     assert [(event.process, event.text) for event in flight.events] == [
         ("sim_vehicle", "rotor chip"),
         ("onboard", "armed"),
@@ -152,33 +153,45 @@ def test_a_missed_tick_is_no_gap(tmp_path: Path) -> None:
     assert open_flight(tmp_path).gaps == ()
 
 
-def two_clocks(folder: Path, *, measured_by: str | None) -> None:
-    """Onboard's clock; offboard's runs 7 s ahead and drifts by 20 ppm. One event each at the same true times."""
-    ahead = 7 * 10**9
-    for process, other in (("onboard", "offboard"), ("offboard", "onboard")):
-        metadata = {"clock": process, "started_utc": "2026-01-01T00:00:00+00:00", "started_monotonic_ns": "0"}
-        if process == "offboard":
-            metadata["started_monotonic_ns"] = str(ahead)
-        kind = RecordType(f"{process}/mark", (("x", ""),))
-        with FlightLogWriter(folder / f"{process}.mcap", process, metadata, threaded=False) as log:
-            for second in range(100):
-                true_ns = second * 10**9
-                offset = ahead + second * 20_000
-                own = true_ns if process == "onboard" else true_ns + offset
-                log.write(kind, own, np.array([float(second)]))
-                if measured_by == process:
-                    sign = 1.0 if other == "offboard" else -1.0
-                    log.write(clock_offset_record(process), own, np.array([sign * offset]))
+DRIFT_NS = 20_000
+"""Offboard's clock gains this much on onboard's in a second."""
+
+
+def two_clocks(folder: Path, aheads: tuple[int, ...], *, measured: bool) -> None:
+    """A mark a second by each process, at the same true times.
+
+    aheads: ns by which offboard's clock is ahead; of two, offboard comes back on a second machine half-way.
+    """
+    card = {"started_utc": "2026-01-01T00:00:00+00:00"}
+    logs = [FlightLogWriter(folder / "onboard.mcap", "onboard", card | {"clock": "a", "started_monotonic_ns": "0"})]
+    for ahead in aheads:
+        about = card | {"clock": str(ahead), "started_monotonic_ns": str(ahead)}
+        logs.append(FlightLogWriter(folder / "offboard.mcap", "offboard", about))
+    for second in range(100):
+        run = second * len(aheads) // 100
+        own_ns, offset_ns = second * 10**9, aheads[run] + second * DRIFT_NS
+        marks = (RecordType("onboard/mark", (("x", ""),)), RecordType("offboard/mark", (("x", ""),)))
+        logs[0].write(marks[0], own_ns, np.array([float(second)]))
+        logs[1 + run].write(marks[1], own_ns + offset_ns, np.array([float(second)]))
+        if measured:
+            logs[0].write(CLOCK_OFFSET, own_ns, np.array([offset_ns, 400_000.0]))
+    for log in logs:
+        log.close()
 
 
 @pytest.mark.parametrize(
-    ("measured_by", "tolerance_ns", "faults"),
-    [("onboard", 10, 0), ("offboard", 10, 0), (None, 3_000_000, 1)],
+    ("aheads", "measured", "tolerance_ns", "faults"),
+    [
+        ((7 * 10**9,), True, 10, 0),
+        ((7 * 10**9, 10**12), True, 10, 0),
+        ((10**12, 7 * 10**9), True, 10, 0),
+        ((7 * 10**9,), False, 3_000_000, 1),
+    ],
 )
 def test_clocks_of_two_machines_become_one(
-    tmp_path: Path, measured_by: str | None, tolerance_ns: int, faults: int
+    tmp_path: Path, aheads: tuple[int, ...], measured: bool, tolerance_ns: int, faults: int
 ) -> None:
-    two_clocks(tmp_path, measured_by=measured_by)
+    two_clocks(tmp_path, aheads, measured=measured)
     flight = open_flight(tmp_path)
     difference = flight["offboard/mark"].time_ns - flight["onboard/mark"].time_ns
     assert np.abs(difference).max() <= tolerance_ns

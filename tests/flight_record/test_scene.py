@@ -114,6 +114,25 @@ def test_a_flight_is_followed_until_its_card_is_written(full_flight: Path, tmp_p
     assert len(list(follow(growing, lambda: True))) == 1
 
 
+def test_the_live_time_line_starts_at_onboards_first_tick(full_flight: Path, tmp_path: Path) -> None:
+    growing, now_s = tmp_path / "growing", [0.0]
+    growing.mkdir()
+    (growing / "offboard.mcap").write_bytes((full_flight / "offboard.mcap").read_bytes())
+    waiting, alone = (FlightTail(growing, 10.0, lambda: now_s[0]) for _ in range(2))
+    assert waiting.read() is None
+    assert alone.read() is None
+    (growing / "onboard.mcap").write_bytes((full_flight / "onboard.mcap").read_bytes())
+    scene = waiting.read()
+    assert scene is not None
+    assert scene.start_ns == open_flight(full_flight).start_ns
+    assert "training loss" in scene.groups  # what came meanwhile is not lost
+    (growing / "onboard.mcap").unlink()
+    now_s[0] = 11.0
+    alone_scene = FlightTail(growing, 0.0).read()
+    assert alone_scene is not None
+    assert alone_scene.groups == ("training loss",)
+
+
 def test_following_nothing_ends_with_one_line(tmp_path: Path, make_flight: Callable[..., Path]) -> None:
     with pytest.raises(FlightError, match="no flight log appeared within 0 s"):
         list(follow(tmp_path, lambda: True, start_limit_s=0.0))
