@@ -1,13 +1,12 @@
 """Who may speak: a keyed BLAKE2b over the whole datagram, bound to its direction; without a key only this machine.
 
 The direction is BLAKE2b's `person` parameter, so that a datagram thrown back at its sender carries a wrong MAC.
-Without a key the same 16 bytes are an unkeyed BLAKE2b: they find corruption and prove nothing, which is why a
-socket shell must call `require_loopback_without_key` for each address it binds or hears from.
+Without a key the same 16 bytes are an unkeyed BLAKE2b: they find corruption and prove nothing, which is why the
+configuration (configs.network) then accepts addresses of this machine only.
 """
 
 import hashlib
 import hmac
-import ipaddress
 from typing import Final, Literal
 
 MAC_BYTES: Final = 16
@@ -44,27 +43,3 @@ class Authenticator:
         state = self._start.copy()
         state.update(view[:-MAC_BYTES])
         return hmac.compare_digest(state.digest(), view[-MAC_BYTES:])
-
-
-def is_loopback(host: str) -> bool:
-    """Whether `host` ("localhost" or a literal address) can only be this machine; other names count as no."""
-    if host == "localhost":
-        return True
-    try:
-        address = ipaddress.ip_address(host.strip("[]"))
-    except ValueError:
-        return False
-    mapped = getattr(address, "ipv4_mapped", None)
-    return bool((mapped or address).is_loopback)
-
-
-def require_loopback_without_key(host: str, key: bytes | None) -> None:
-    """Refuses to talk to, or listen on, another address than this machine's own without a key.
-
-    Raises
-    ------
-    ValueError
-        If there is no key and `host` is not a loopback address.
-    """
-    if key is None and not is_loopback(host):
-        raise ValueError(f"{host}: only loopback addresses are allowed without a key; make one with 'dmrac keygen'")

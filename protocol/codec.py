@@ -30,6 +30,7 @@ from protocol.messages import (
     TimeSyncReply,
     TimeSyncRequest,
 )
+from protocol.msgpack_array import unpack_array
 from protocol.signals import CHANNELS, SIGNAL_COUNT
 
 __all__ = ["decode_body", "decode_feature_set", "encode_body", "encode_feature_set", "encode_for_wire"]
@@ -134,28 +135,11 @@ def decode_body(type_number: int, body: bytes) -> Message:
     ProtocolError
         "body" when the bytes are not the type's msgpack array, "value" when a value is not allowed.
     """
-    fields = _unpack_msgpack(body)
+    fields = unpack_array(body, "body", CHUNK_DATA_MAX_BYTES, _FIELDS_MAX)
     try:
         return _UNPACK[type_number](fields)
     except ValueError as error:
         raise ProtocolError("value", str(error)) from None
-
-
-def _unpack_msgpack(body: bytes) -> list[Any]:
-    try:
-        fields = msgpack.unpackb(
-            body,
-            max_bin_len=CHUNK_DATA_MAX_BYTES,
-            max_array_len=_FIELDS_MAX,
-            max_str_len=0,
-            max_map_len=0,
-            max_ext_len=0,
-        )
-    except (ValueError, msgpack.UnpackException) as error:
-        raise ProtocolError("body", f"not msgpack within the limits ({error})") from None
-    if type(fields) is not list:
-        raise ProtocolError("body", "not an array")
-    return fields
 
 
 def _typed(fields: list[Any], kinds: str) -> list[Any]:

@@ -14,6 +14,7 @@ import numpy as np
 from protocol.errors import ProtocolError
 from protocol.feature_set import LAYERS_MAX, WIDTH_MAX, Array, ChannelFeatures, FeatureSet
 from protocol.messages import ABSOLUTE_VALUE_MAX, CHUNK_COUNT_MAX, CHUNK_DATA_MAX_BYTES
+from protocol.msgpack_array import unpack_array
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
 FEATURE_SET_MAX_BYTES: Final = CHUNK_COUNT_MAX * CHUNK_DATA_MAX_BYTES
@@ -81,7 +82,7 @@ def decode_feature_set(data: bytes) -> FeatureSet:
     ProtocolError
         With a reason of protocol.messages.REFUSALS: "undecodable", "inputs" (an unknown signal) or "not_finite".
     """
-    fields = _unpack(data)
+    fields = unpack_array(data, "undecodable", FEATURE_SET_MAX_BYTES, SIGNAL_COUNT, _NAME_MAX_BYTES)
     numbers_ok = len(fields) == 7 and all(type(field) is int for field in fields[:5])
     if not numbers_ok or fields[0] != FORMAT or fields[1] not in _DTYPES:
         raise ProtocolError("undecodable", "not a feature set of a known format")
@@ -90,23 +91,6 @@ def decode_feature_set(data: bytes) -> FeatureSet:
         return FeatureSet(fields[2], fields[3], fields[4], position, attitude)
     except ValueError as error:
         raise ProtocolError("undecodable", str(error)) from None
-
-
-def _unpack(data: bytes) -> list[Any]:
-    try:
-        fields = msgpack.unpackb(
-            data,
-            max_bin_len=FEATURE_SET_MAX_BYTES,
-            max_array_len=SIGNAL_COUNT,
-            max_str_len=_NAME_MAX_BYTES,
-            max_map_len=0,
-            max_ext_len=0,
-        )
-    except (ValueError, msgpack.UnpackException) as error:
-        raise ProtocolError("undecodable", f"not msgpack within the limits ({error})") from None
-    if type(fields) is not list:
-        raise ProtocolError("undecodable", "not an array")
-    return fields
 
 
 def _unpack_channel(fields: Any, dtype: str) -> ChannelFeatures | None:

@@ -44,11 +44,16 @@ def test_without_radio_two_names_are_one_address() -> None:
 
 
 @pytest.mark.parametrize("name", ["radio_onboard", "onboard_link", "radio_offboard", "offboard_link"])
-@pytest.mark.parametrize("host", ["192.168.3.1", "0.0.0.0", "drone.local"])
+@pytest.mark.parametrize("host", ["192.168.3.1", "0.0.0.0", "drone.local", "localhost.evil.example"])
 def test_without_a_key_the_link_stays_on_this_machine(name: str, host: str) -> None:
     with pytest.raises(ConfigError, match=r"without key_file only 127\.0\.0\.0/8"):
         changed(**{name: f"{host}:15000"})
     assert changed(**{name: f"{host}:15000", "key_file": "/etc/key"}).key_file == "/etc/key"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.9.9.9", "localhost"])
+def test_this_machine_needs_no_key(host: str) -> None:
+    assert changed(onboard_link=f"{host}:15000").key_file is None
 
 
 def test_options_are_laid_over_the_file_and_named_in_faults(tmp_path: Path) -> None:

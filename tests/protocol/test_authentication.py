@@ -1,23 +1,8 @@
 import pytest
 
-from protocol.authentication import Authenticator, is_loopback, require_loopback_without_key
+from protocol.authentication import Authenticator
 
 KEY = b"k" * 32
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.9.9.9", "::1", "[::1]", "localhost", "::ffff:127.0.0.1"])
-def test_loopback_needs_no_key(host: str) -> None:
-    assert is_loopback(host)
-    require_loopback_without_key(host, None)
-
-
-@pytest.mark.parametrize(
-    "host", ["192.168.1.7", "0.0.0.0", "::", "8.8.8.8", "::ffff:10.0.0.1", "localhost.evil.example", ""]
-)
-def test_another_machine_needs_one(host: str) -> None:
-    with pytest.raises(ValueError, match="without a key"):
-        require_loopback_without_key(host, None)
-    require_loopback_without_key(host, KEY)
 
 
 def test_key_and_direction_make_the_mac() -> None:
