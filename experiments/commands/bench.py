@@ -8,143 +8,22 @@ measured beside a bare loop in the same run, in turns, because it is the machine
 import argparse
 import json
 import sys
-import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from configs.loader import ConfigError
 from experiments.flights.lockstep_flight import fly_lockstep
-from experiments.flights.realtime_flight import Child
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
-from experiments.timing.step_timing import (
-    BLOCKS,
-    LAW,
-    STEP,
-    Recording,
-    Replay,
-    quantiles_us,
-    record_flight,
-    run_hot,
-    run_paced,
-)
-from protocol.signals import SIGNAL_COUNT
-from shell.errors import StartError
+from experiments.timing.law_floor import law_floor_us
+from experiments.timing.start_up import start_onboard
+from experiments.timing.step_timing import LAW, Quantiles, measure_step, record_flight
 from shell.kernel import ask_for_realtime, quiet_interpreter
 
-START_LIMIT_S: Final = 20.0
-FLOOR_CALLS: Final = 3000
 Report = dict[str, Any]
-
-
-def law_floor_us(config: FlightConfig) -> float:
-    """p50 of the numpy calls alone that the control law of both channels consists of, in a tight loop.
-
-    Inputs are selected, scaled and limited; each layer is a product and a tanh; then W'Phi and the law's update. All
-    on two columns, the present state and the one looked ahead to.
-    """
-    calls = [_bare_law(features) for features in _features_like(config)]
-    durations = []
-    for _ in range(FLOOR_CALLS):
-        start = time.perf_counter_ns()
-        for call in calls:
-            call()
-        durations.append(time.perf_counter_ns() - start)
-    return quantiles_us(durations)[0]
-
-
-def _features_like(config: FlightConfig) -> list[tuple[int, ...]]:
-    """Widths of each learnt network: inputs, hidden layers, features without the constant."""
-    network = config.offboard.network
-    hidden = (*network.hidden, network.features - 1)
-    return [(len(network.inputs(channel)), *hidden) for channel in network.channels]
-
-
-def _bare_law(widths: tuple[int, ...]) -> Callable[[], None]:
-    rng = np.random.default_rng(1)
-    weights = [rng.normal(size=(after, before + 1)) for before, after in pairwise(widths)]
-    levels = [np.ones((width + 1, 2)) for width in widths]
-    layers = [(W, below, above[:-1]) for W, below, above in zip(weights, levels, levels[1:], strict=False)]
-    inputs, signals, chosen = levels[0][:-1], rng.normal(size=(SIGNAL_COUNT, 2)), np.arange(widths[0])
-    offset, scale, limit = (np.ones_like(inputs) for _ in range(3))
-    last, update = rng.normal(size=(levels[-1].shape[0], 3)), np.empty((levels[-1].shape[0], 3))
-    error, PB, direction = np.ones(6), np.ones((6, 3)), np.zeros(3)
-
-    def call() -> None:
-        z = signals.take(chosen, axis=0)
-        np.subtract(z, offset, out=z)
-        np.multiply(z, scale, out=z)
-        np.minimum(z, limit, out=z)
-        np.maximum(z, limit, out=z)
-        inputs[:] = z
-        for W, below, above in layers:
-            np.dot(W, below, out=above)
-            np.tanh(above, out=above)
-        Phi = levels[-1].copy()
-        now = Phi[:, 0]
-        now.dot(now)
-        error.dot(PB)
-        now.dot(last)
-        np.multiply(now[:, None], direction, out=update)
-        np.add(last, update, out=last)
-        np.vdot(last, last)
-        np.dot(last.T, Phi)
-
-    return call
-
-
-@dataclass(frozen=True, slots=True)
-class StartUp:
-    """The real onboard process, alone, with nobody to talk to."""
-
-    ready_s: float
-    """From the start of the process to its first tick."""
-    rss_mb: float
-    said: str
-    """What it was granted."""
-
-
-def start_onboard(config: FlightConfig) -> StartUp:
-    """Start `python -m onboard`, let it tick for a second and end it.
-
-    Raises
-    ------
-    StartError
-        If it does not come up.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder)
-        path = out / "config.yaml"
-        path.write_text(config.to_yaml(), encoding="utf-8")
-        start = time.monotonic()
-        child = Child("onboard", path, out)
-        said: list[str] = []
-        while not child.ready and child.running and time.monotonic() < start + START_LIMIT_S:
-            said += [str(entry["text"]) for entry in child.lines() if entry.get("kind") == "event"]
-            time.sleep(0.002)
-        ready_s = time.monotonic() - start
-        if not child.ready:
-            child.kill()
-            raise StartError(f"onboard did not start: {child.said()}")
-        time.sleep(1.0)
-        child.end(5.0)
-        child.tidy()
-        summary = json.loads((out / "onboard_summary.json").read_text(encoding="utf-8"))
-    return StartUp(ready_s, float(summary["rss_mb"]), said[0] if said else "")
-
-
-def lockstep_speed(config: FlightConfig, with_offboard: bool) -> float:
-    """Flight seconds per second of computing."""
-    start = time.perf_counter()
-    outcome = fly_lockstep(config, with_offboard=with_offboard)
-    return float(outcome.trace.time_s[-1]) / (time.perf_counter() - start)
 
 
 EXAMPLES: Final = """examples:
@@ -209,29 +88,11 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
     }
 
 
-Quantiles = tuple[float, float, float]
-
-
-def measure_step(
-    config: FlightConfig, recording: Recording
-) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
-    """us: {block: {paced, hot: (p50, p99, max)}} and the lateness of the loop and of the bare loop.
-
-    The whole tick is timed without the blocks' stopwatches, which cost a few us themselves.
-    """
-    period_ns, spin_ns = config.onboard.period_ns, config.onboard.realtime.spin_us * 1000
-    steps: dict[str, dict[str, Quantiles]] = {name: {} for name in (STEP, *(name for name, _ in BLOCKS), LAW)}
-    lateness: dict[str, Quantiles] = {}
-    for blocks in (False, True):
-        hot, paced = Replay(config, recording, blocks), Replay(config, recording, blocks)
-        run_hot(hot)
-        ours, bare = run_paced(paced, period_ns, spin_ns)
-        if not blocks:
-            lateness = {"onboard loop": quantiles_us(ours), "bare loop": quantiles_us(bare)}
-        for name in steps if blocks else (STEP,):
-            if name != STEP or not blocks:
-                steps[name] = {"paced": paced.watch.quantiles_us(name), "hot": hot.watch.quantiles_us(name)}
-    return steps, lateness
+def lockstep_speed(config: FlightConfig, with_offboard: bool) -> float:
+    """Flight seconds per second of computing."""
+    start = time.perf_counter()
+    outcome = fly_lockstep(config, with_offboard=with_offboard)
+    return float(outcome.trace.time_s[-1]) / (time.perf_counter() - start)
 
 
 def step_table(steps: dict[str, dict[str, Quantiles]], period_ns: int) -> Table:

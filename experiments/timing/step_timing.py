@@ -29,6 +29,8 @@ BLOCKS: Final = (
 """Name and method of onboard.core.OnboardCore."""
 LAW: Final = "adaptive law"
 """Both channels' augmentations, features and adaptation; a part of the controller."""
+Quantiles = tuple[float, float, float]
+"""p50, p99 and max, us."""
 TURN_S: Final = 2.5
 """The loop and the bare loop beside it take turns of this length."""
 
@@ -75,12 +77,12 @@ class Stopwatch:
             self.ticks[name].append(spent)
             self.now[name] = 0
 
-    def quantiles_us(self, name: str) -> tuple[float, float, float]:
+    def quantiles_us(self, name: str) -> Quantiles:
         """p50, p99 and max of a tick's sum, us."""
         return quantiles_us(self.ticks[name])
 
 
-def quantiles_us(durations_ns: Iterable[int]) -> tuple[float, float, float]:
+def quantiles_us(durations_ns: Iterable[int]) -> Quantiles:
     """p50, p99 and max, us."""
     p50, p99, highest = np.quantile(np.fromiter(durations_ns, dtype=np.float64), (0.5, 0.99, 1.0)) * 1e-3
     return float(p50), float(p99), float(highest)
@@ -175,3 +177,25 @@ def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], 
             pace.wait()
             bare.append(pace.lateness_ns)
     return ours, bare
+
+
+def measure_step(
+    config: FlightConfig, recording: Recording
+) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
+    """us: {block: {paced, hot: (p50, p99, max)}} and the lateness of the loop and of the bare loop.
+
+    The whole tick is timed without the blocks' stopwatches, which cost a few us themselves.
+    """
+    period_ns, spin_ns = config.onboard.period_ns, config.onboard.realtime.spin_us * 1000
+    steps: dict[str, dict[str, Quantiles]] = {name: {} for name in (STEP, *(name for name, _ in BLOCKS), LAW)}
+    lateness: dict[str, Quantiles] = {}
+    for blocks in (False, True):
+        hot, paced = Replay(config, recording, blocks), Replay(config, recording, blocks)
+        run_hot(hot)
+        ours, bare = run_paced(paced, period_ns, spin_ns)
+        if not blocks:
+            lateness = {"onboard loop": quantiles_us(ours), "bare loop": quantiles_us(bare)}
+        for name in steps if blocks else (STEP,):
+            if name != STEP or not blocks:
+                steps[name] = {"paced": paced.watch.quantiles_us(name), "hot": hot.watch.quantiles_us(name)}
+    return steps, lateness
