@@ -8,8 +8,9 @@ import sys
 import numpy as np
 import pytest
 
+from configs.flight_tree import read_vehicle_tree
 from configs.loader import ConfigError
-from sim_vehicle.config import load_vehicle, read_vehicle_tree
+from sim_vehicle.config import load_vehicle
 from sim_vehicle.packing import GRAVITY
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle

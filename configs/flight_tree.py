@@ -1,0 +1,193 @@
+"""How a flight's whole configuration comes together: plain trees of the YAML files, laid over one another.
+
+A scenario file names the parts (configs/vehicle, configs/controllers, configs/radio) and lays its own values over
+their defaults. Nothing is checked here but the scenario file itself: each process fills its own records from its
+section (experiments.flights.scenario from all of them), so that none needs the others' code.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import Field, ValidationError
+
+from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, merge, read_tree, set_path
+
+DEFAULT_SCENARIO: Final = "figure8_wind"
+
+
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
+
+
+class _Options(Record):
+    """What `--seed` and `--duration` may be."""
+
+    seed: Seed | None
+    duration: Duration | None
+
+
+class ScenarioFile(Record):
+    """A scenario as written: the parts by name, and what is laid over them."""
+
+    description: str
+    duration_s: Duration
+    seed: Seed = 1
+    vehicle: str = "mambo"
+    controller: str = "dmrac"
+    radio: str = "good"
+    guidance: dict[str, Any]
+    disturbances: tuple[dict[str, Any], ...] = ()
+    training_time_s: Annotated[float, Field(ge=0, le=10)] = 0.6
+    experience: str = ""
+    onboard: dict[str, Any] = Field(default_factory=dict)
+    offboard: dict[str, Any] = Field(default_factory=dict)
+    vehicle_values: dict[str, Any] = Field(default_factory=dict)
+    radio_values: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the command line may lay over a scenario."""
+
+    controller: str | None = None
+    seed: int | None = None
+    duration_s: float | None = None
+    assignments: Sequence[str] = ()
+    """`path.to.key=value`, on the resolved tree."""
+    real: bool = False
+    """For a real vehicle: nothing happens by itself, and every limit is tight (configs/real_vehicle.yaml)."""
+
+
+def named_file(kind: str, name: str) -> Path:
+    """The file of a part: configs/<kind>/<name>.yaml, or a path that ends in .yaml.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; the message lists the names there are.
+    """
+    directory = CONFIG_DIRECTORY / kind
+    path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
+        singular = kind.removesuffix("s")
+        raise ConfigError(f"unknown {singular} {name!r}: allowed are {known}, or the path of a .yaml file")
+    return path
+
+
+def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
+    """The plain tree of a flight, and what it was made of, for messages.
+
+    Raises
+    ------
+    ConfigError
+        Naming file or option, path, value and what is allowed.
+    """
+    choices = choices or Choices()
+    _check_choices(choices)
+    path = named_file("scenarios", scenario)
+    file = fill(ScenarioFile, read_tree(path), str(path))
+    tree = compose(file, path.stem, choices)
+    for assignment in choices.assignments:
+        tree = set_path(tree, assignment)
+    return tree, str(path) + "".join(f" --set {item}" for item in choices.assignments)
+
+
+def _check_choices(choices: Choices) -> None:
+    """An option out of range is named as what was typed, not as the keys of the file that it would have changed."""
+    try:
+        _Options(seed=choices.seed, duration=choices.duration_s)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        raise ConfigError(f"--{fault['loc'][0]} {fault['input']}: {fault['msg']}") from None
+
+
+def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
+    """The plain tree of a flight: defaults of the parts, then the scenario's values, then the choices."""
+    seed = file.seed if choices.seed is None else choices.seed
+    duration = file.duration_s if choices.duration_s is None else choices.duration_s
+    controller = choices.controller or file.controller
+    onboard = merge(read_tree(CONFIG_DIRECTORY / "onboard.yaml"), {"guidance": _guidance(file, duration)})
+    onboard = merge(onboard, _simulated_pilot(onboard))
+    careful = read_tree(CONFIG_DIRECTORY / "real_vehicle.yaml") if choices.real else {}
+    law = read_tree(named_file("controllers", controller))
+    onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
+    onboard = merge(onboard, {"seed": seed, "controller": law})
+    vehicle = merge(read_vehicle_tree(named_file("vehicle", file.vehicle)), {"disturbances": list(file.disturbances)})
+    return {
+        "scenario": name,
+        "description": file.description,
+        "controller": controller,
+        "seed": seed,
+        "duration_s": duration,
+        "training_time_s": file.training_time_s,
+        "experience": file.experience,
+        "onboard": merge(merge(onboard, file.onboard), careful),
+        "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
+        "vehicle": merge(vehicle, file.vehicle_values),
+        "radio": merge(read_tree(named_file("radio", file.radio)), file.radio_values),
+        "network": read_tree(CONFIG_DIRECTORY / "network.yaml"),
+    }
+
+
+def _simulated_pilot(onboard: Mapping[str, Any]) -> dict[str, Any]:
+    """In simulation the vehicle arms and takes off by itself, and flies on by optical flow when the pose is lost.
+
+    Its sensors may come as irregularly as a shared machine runs it.
+    """
+    altitude = onboard["guidance"]["trajectory"].get("altitude_m", 1.0)
+    return {
+        "supervisor": {
+            "auto_arm": True,
+            "arm_needs_pose": False,
+            "on_pose_stale": "continue",
+            "take_off_height_m": altitude,
+        },
+        "vehicle_link": {
+            "health": {
+                "imu_rate_min_hz": 50.0,
+                "late_s": 0.1,
+                "late_share_max": 0.5,
+                "gap_max_s": 0.5,
+                "clock_rate_tolerance": 0.5,
+            }
+        },
+    }
+
+
+def _guidance(file: ScenarioFile, duration_s: float) -> dict[str, Any]:
+    """Guidance with the landing placed so that the vehicle is down when the flight's time is over."""
+    defaults = read_tree(CONFIG_DIRECTORY / "guidance.yaml")
+    guidance = merge(defaults, file.guidance)
+    trajectory = guidance["trajectory"]
+    try:
+        landing_s = float(trajectory["altitude_m"]) / float(trajectory["landing_speed_m_s"]) + 3.0
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        landing_s = 4.0  # the record's own check names the fault
+    return merge(guidance, {"land_after_s": max(duration_s - landing_s, 1.0)})
+
+
+def read_vehicle_tree(name: str | Path) -> dict[str, Any]:
+    """The plain tree of a vehicle: `name` is a file, or the name of one in configs/vehicle.
+
+    A file whose `based_on` names another vehicle holds only what differs from it.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read, or vehicles are based on each other in a ring.
+    """
+    tree: dict[str, Any] = {}
+    seen: list[Path] = []
+    below: Any = name
+    while below is not None:
+        path = CONFIG_DIRECTORY / "vehicle" / f"{below}.yaml" if Path(below).suffix == "" else Path(below)
+        if path in seen:
+            raise ConfigError(f"{path}: based_on goes round in a ring")
+        seen.append(path)
+        layer = read_tree(path)
+        below = layer.pop("based_on", None)
+        tree = merge(layer, tree)
+    return tree
