@@ -43,6 +43,7 @@ _ARMED, _TAKE_OFF, _FLYING, _HOLD_LEVEL, _LANDING = (
 """By plain names, which are read many times a tick: before Python 3.12 a member of an enum costs as much as a call."""
 POSITION_AT: Final = OFFSET["position_error_n"]
 ATTITUDE_AT: Final = OFFSET["attitude_error_x"]
+CLOCK_RECORD_PERIOD_NS: Final = 1_000_000_000
 VELOCITY_AID_MAX_S: Final = 0.3
 """Velocity without an aid for so long is not learnt from."""
 
@@ -58,6 +59,8 @@ class OnboardOutput:
     """Per onboard.tick_record.TICK; rewritten by the next step."""
     events: list[tuple[int, str]] = field(default_factory=list)
     """(time_ns, text)."""
+    clock_offset: Array | None = None
+    """Per flight_record.clocks.CLOCK_OFFSET, once a second when it is known."""
 
 
 class OnboardCore:
@@ -110,6 +113,7 @@ class OnboardCore:
         self._last_offboard_ns = NEVER_NS
         self._next_status_ns = 0
         self._next_sync_ns = 0
+        self._next_clock_record_ns = 0
         self._challenge: tuple[int, int] | None = None
         self._ticks = 0
         self._missed_ticks = 0
@@ -182,6 +186,7 @@ class OnboardCore:
         self._sample(inputs, control, now_ns)
         self._report(now_ns)
         self._record(out.tick, mode, inputs, control, now_ns)
+        out.clock_offset = self._clock_offset(now_ns)
         self._ticks += 1
         out.events, self._events = self._events, []
         return out
@@ -417,6 +422,14 @@ class OnboardCore:
         )
         write_channel(row, POSITION_AT, control.position)
         write_channel(row, ATTITUDE_AT, control.attitude)
+
+    def _clock_offset(self, now_ns: int) -> Array | None:
+        """Offboard's clock against ours when it is due to be logged: what puts the logs of both on one time base."""
+        offset_ns = self._endpoint.clock_offset_ns
+        if offset_ns is None or now_ns < self._next_clock_record_ns:
+            return None
+        self._next_clock_record_ns = now_ns + CLOCK_RECORD_PERIOD_NS
+        return np.array([offset_ns, self._endpoint.round_trip_ns], dtype=np.float64)
 
     def status(self, now_ns: int) -> dict[str, Any]:
         """A few numbers for the live status line."""

@@ -21,6 +21,7 @@ import numpy as np
 from configs.loader import ConfigError, load_section
 from configs.network import NetworkConfig, load_network, serial_line
 from configs.realtime import RealtimeConfig
+from flight_record.clocks import CLOCK_OFFSET
 from flight_record.schema import RecordType
 from flight_record.writer import FlightLogWriter
 from onboard.config import OnboardConfig
@@ -58,8 +59,8 @@ class Sockets:
         own_host = "127.0.0.1" if ground_host in {"127.0.0.1", "localhost"} else "0.0.0.0"
         self.vehicle = open_vehicle(network.vehicle, network.onboard_vehicle)
         try:
-            self.offboard = DatagramSocket("onboard_link", network.onboard_link, network.radio_onboard)
-            self.ground = DatagramSocket("ground", f"{own_host}:0", network.ground)
+            self.offboard = DatagramSocket("--bind-link", network.onboard_link, network.radio_onboard)
+            self.ground = DatagramSocket("--ground", f"{own_host}:0", network.ground)
         except AddressInUseError:
             self.vehicle.close()
             raise
@@ -157,6 +158,8 @@ class OnboardProcess:
             self._sockets.ground.send(datagram)
             self._tape.put(Entry.TO_GROUND, datagram)
         self._log.write(TICK, now, output.tick)
+        if output.clock_offset is not None:
+            self._log.write(CLOCK_OFFSET, now, output.clock_offset)
         for time_ns, text in output.events:
             self._log.event(time_ns, text)
             self._status.say(text)

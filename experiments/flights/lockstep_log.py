@@ -7,6 +7,7 @@ from typing import Self
 from experiments.flights.carried_experience import read_experience
 from experiments.flights.lockstep_flight import ONBOARD_SESSION
 from experiments.flights.scenario import FlightConfig
+from flight_record.clocks import CLOCK_OFFSET
 from flight_record.writer import FlightLogWriter
 from onboard.tape import TOPIC, Entry, TapeWriter
 from onboard.tick_record import TICK
@@ -54,6 +55,8 @@ class LockstepLog:
         self._logs["sim_vehicle"].write(TRUTH, now, result.truth)
         self._record_fates(result)
         onboard.write(TICK, now, result.onboard.tick)
+        if result.onboard.clock_offset is not None:
+            onboard.write(CLOCK_OFFSET, now, result.onboard.clock_offset)
         onboard.write_bytes(TOPIC, now, self._taped(result))
         if result.offboard is not None:
             for record_type, when_ns, vector in result.offboard.records:

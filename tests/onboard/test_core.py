@@ -74,7 +74,7 @@ class Loop:
         self.now_ns, self.tick = 0, 0
         self.waiting, self.motors = [], []
         self.passes = None
-        self.rows, self.truths, self.events = [], [], []
+        self.rows, self.truths, self.events, self.offsets = [], [], [], []
 
     def fly(self, seconds):
         for _ in range(round(seconds * 1e9 / PERIOD_NS)):
@@ -99,6 +99,7 @@ class Loop:
         self.rows.append(out.tick.copy())
         self.truths.append(np.array(flown.truth))
         self.events += [text for _, text in out.events]
+        self.offsets += [] if out.clock_offset is None else [(now, *out.clock_offset)]
         self.now_ns += PERIOD_NS
         self.tick += 1
 
@@ -452,6 +453,16 @@ def test_status_and_samples_flow_at_their_rates():
     adapting = loop.column("adapting").sum() * PERIOD_NS * 1e-9
     samples = sum(batch.signals.shape[0] for batch in loop.peer.batches)
     assert samples == pytest.approx(50.0 * adapting, abs=10)
+
+
+def test_the_peers_clock_is_logged_once_a_second():
+    loop = in_flight("mrac")
+    times_ns, offsets, round_trips = np.array(loop.offsets).T
+    assert 4 <= len(times_ns) <= 5
+    assert np.diff(times_ns).tolist() == [1e9] * (len(times_ns) - 1)
+    assert (np.abs(offsets - CLOCK_NS) <= round_trips / 2).all()
+    assert (round_trips <= 2 * PERIOD_NS).all()
+    assert Loop().fly(1.5).offsets == []  # without a peer there is nothing to log
 
 
 def test_nothing_is_learnt_on_the_ground():
