@@ -124,10 +124,14 @@ def load(record_type: type[RecordT], path: Path) -> RecordT:
 
 def load_section(record_type: type[RecordT], path: Path, name: str) -> RecordT:
     """A record filled from one top-level section of a YAML file. Raises ConfigError."""
-    tree = read_tree(path)
+    return fill_section(record_type, read_tree(path), str(path), name)
+
+
+def fill_section(record_type: type[RecordT], tree: Mapping[str, Any], source: str, name: str) -> RecordT:
+    """A record filled from one top-level section of a plain tree. Raises ConfigError."""
     if not isinstance(tree.get(name), dict):
-        raise ConfigError(f"{path}: {name}: missing, expected a mapping of keys")
-    return fill(record_type, tree[name], str(path), at=f"{name}.")
+        raise ConfigError(f"{source}: {name}: missing, expected a mapping of keys")
+    return fill(record_type, tree[name], source, at=f"{name}.")
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 import ipaddress
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final, NamedTuple, Self
+from typing import Annotated, Any, Final, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -11,6 +12,11 @@ from configs.loader import Record, fill, merge, read_tree
 
 RESERVED_PORTS: Final = (24099, 26061)
 """The Mambo's firmware listens there."""
+ONBOARD_VEHICLE_PORT: Final = 14561
+ONBOARD_LINK_PORT: Final = 14571
+OFFBOARD_LINK_PORT: Final = 14573
+MOTION_CAPTURE_PORT: Final = 14574
+"""Own ports when nothing else is said, as in network.yaml."""
 
 
 WITHOUT_RADIO: Final = ({"radio_onboard", "offboard_link"}, {"radio_offboard", "onboard_link"})
@@ -118,7 +124,10 @@ class NetworkConfig(Record):
         link = (self.radio_onboard, self.onboard_link, self.radio_offboard, self.offboard_link)
         for address in link:
             if self.key_file is None and not is_loopback(address):
-                raise ValueError(f"{address} leaves this machine, and without key_file only 127.0.0.0/8 is accepted")
+                raise ValueError(
+                    f"{address} leaves this machine, and without key_file (--key-file FILE, made by dmrac keygen) "
+                    "only 127.0.0.0/8 is accepted"
+                )
         return self
 
     def bound_by_sim(self) -> dict[str, str]:
@@ -135,7 +144,7 @@ class NetworkConfig(Record):
         return {"offboard_link": self.offboard_link, "motion_capture": self.motion_capture}
 
 
-def load_network(path: Path, options: dict[str, str | None]) -> NetworkConfig:
+def load_network(path: Path, options: Mapping[str, str | None]) -> NetworkConfig:
     """The network section of a resolved configuration, with the addresses given as options laid over it.
 
     Raises
@@ -143,7 +152,37 @@ def load_network(path: Path, options: dict[str, str | None]) -> NetworkConfig:
     ConfigError
         Naming the file, the address and what is allowed.
     """
-    section = read_tree(path).get("network")
+    return network_of(read_tree(path), str(path), options)
+
+
+def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, str | None]) -> NetworkConfig:
+    """The network of a flight's plain tree, with the addresses given as options laid over it. Raises ConfigError."""
+    section = tree.get("network")
     given = {name: address for name, address in options.items() if address is not None}
-    source = f"{path} with {', '.join(given)} from options" if given else str(path)
+    source = f"{source} with {', '.join(given)} from options" if given else source
     return fill(NetworkConfig, merge(section if isinstance(section, dict) else {}, given), source, at="network.")
+
+
+def seen_from_onboard(options: Mapping[str, str | None]) -> dict[str, str | None]:
+    """All addresses that follow from those of vehicle and offboard, without a radio between; given ones stay."""
+    offboard = options["radio_onboard"] or ""
+    vehicle = options["vehicle"] or ""
+    onboard_link = options.get("onboard_link") or own_address(offboard, ONBOARD_LINK_PORT)
+    facing = own_address("localhost:0" if serial_line(vehicle) else vehicle, ONBOARD_VEHICLE_PORT)
+    implied = {"onboard_vehicle": facing, "onboard_link": onboard_link}
+    implied |= {"offboard_link": offboard, "radio_offboard": onboard_link}
+    return {**implied, **{name: address for name, address in options.items() if address is not None}}
+
+
+def seen_from_offboard(options: Mapping[str, str | None]) -> dict[str, str | None]:
+    """All addresses that follow from onboard's, without a radio between; given ones stay."""
+    onboard = options["radio_offboard"] or ""
+    offboard_link = options.get("offboard_link") or own_address(onboard, OFFBOARD_LINK_PORT)
+    implied = {"offboard_link": offboard_link, "motion_capture": own_address(onboard, MOTION_CAPTURE_PORT)}
+    implied |= {"onboard_link": onboard, "radio_onboard": offboard_link}
+    return {**implied, **{name: address for name, address in options.items() if address is not None}}
+
+
+def own_address(peer: str, port: int) -> str:
+    """Where to listen for `peer` when nothing is said: on this machine only, when the peer is on it."""
+    return f"127.0.0.1:{port}" if is_loopback(peer) else f"0.0.0.0:{port}"

@@ -290,11 +290,15 @@ class Estimator:
     # -- pose ---------------------------------------------------------------------------------------------------------
 
     def _fuse_pose(self, pose: Pose, position: Vector, capture_ns: int, delay_s: float, now_ns: int) -> bool:
-        """Position, then attitude. A wrong capture time is a wrong position in proportion to speed, hence its sigma."""
+        """Position, then attitude. A wrong capture time is a wrong position in proportion to speed, hence its sigma.
+
+        A pose that is off by more than it ought to be, but not by much in metres and radians, gets as much less weight
+        as makes it just probable (Huber): a delay that is not what was configured must not look like wrong poses.
+        """
         config, f = self._config, self._filter
         before = f.position
-        time_variance = config.pose_time_sigma_s**2
-        variance = config.pose_position_sigma_m**2 + time_variance * squared(f.velocity)
+        variance = config.pose_position_sigma_m**2 + config.pose_time_sigma_s**2 * squared(f.velocity)
+        variance = _softened(variance, squared(position), config.pose_near_m, config.pose_gate)
         score = f.correct_position(position, delay_s, variance, config.pose_gate)
         self.scores["pose_position"] = score
         if score > config.pose_gate:
@@ -303,7 +307,8 @@ class Estimator:
         past = f.at(capture_ns)
         if past is not None:
             turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
-            variance = config.pose_attitude_sigma_rad**2 + time_variance * squared(past.rate_world)
+            variance = config.pose_attitude_sigma_rad**2 + config.pose_turn_time_sigma_s**2 * squared(past.rate_world)
+            variance = _softened(variance, squared(turn), config.pose_near_rad, config.pose_gate)
             score = f.correct_attitude(turn, variance, config.pose_gate)
             self.scores["pose_attitude"] = score
             if score > config.pose_gate:
@@ -396,3 +401,8 @@ class Estimator:
     def _say(self, now_ns: int, text: str) -> None:
         if len(self._events) < 64:
             self._events.append((now_ns, text))
+
+
+def _softened(variance: float, off: float, near: float, gate: float) -> float:
+    """The variance with which a measurement off by sqrt(`off`) passes the gate, if that is no more than `near`."""
+    return max(variance, off / gate) if off <= near * near else variance

@@ -28,10 +28,13 @@ class EstimatorConfig(Record):
         default=0.02, gt=0, description="m; without pose the start defines the origin"
     )
 
-    pose_position_sigma_m: float = Field(default=0.005, gt=0, description="m, per axis")
+    pose_position_sigma_m: float = Field(default=0.0007, gt=0, description="m, per axis")
     pose_attitude_sigma_rad: float = Field(default=0.012, gt=0, description="rad, per axis")
-    pose_time_sigma_s: float = Field(default=0.003, ge=0, description="s, error of capture time against our clock")
+    pose_time_sigma_s: float = Field(default=0.0005, ge=0, description="s, error of capture time against our clock")
     pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
+    pose_turn_time_sigma_s: float = Field(default=0.003, ge=0, description="s, the same for the attitude")
+    pose_near_m: float = Field(default=0.1, ge=0, description="m off: up to here a pose gets less weight, no refusal")
+    pose_near_rad: float = Field(default=0.2, ge=0, description="rad off: up to here it gets less weight, no refusal")
     pose_delay_max_s: float = Field(default=0.4, gt=0, le=0.6, description="s; older poses are refused")
     pose_reset_count: int = Field(default=5, ge=2, description="refused poses in a row that agree: state jumps to them")
     pose_agree_m: float = Field(default=0.2, gt=0, description="m between successive refused poses that agree")
