@@ -186,13 +186,16 @@ def _lists_as_tuples(value: Any) -> Any:
 
 
 def _describe(fault: Any, source: str, at: str, record_type: type[BaseModel]) -> str:
-    path = at + ".".join(str(part) for part in fault["loc"])
+    path = (at + ".".join(str(part) for part in fault["loc"])).rstrip(".")
     if fault["type"] == "extra_forbidden":
         known = _keys_beside(record_type, fault["loc"])
         return f"{source}: {path}: unknown key" + (f"; allowed are {', '.join(known)}" if known else "")
     if fault["type"] == "missing":
         return f"{source}: {path}: missing"
-    return f"{source}: {path}: {fault['input']!r}: {fault['msg']}"
+    said = fault["msg"].removeprefix("Value error, ")
+    if isinstance(fault["input"], Mapping | BaseModel):  # of several values together; the message names them
+        return f"{source}: {path}: {said}"
+    return f"{source}: {path}: {fault['input']!r}: {said}"
 
 
 def _keys_beside(record_type: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:

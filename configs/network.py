@@ -125,8 +125,8 @@ class NetworkConfig(Record):
         for address in link:
             if self.key_file is None and not is_loopback(address):
                 raise ValueError(
-                    f"{address} leaves this machine, and without key_file (--key-file FILE, made by dmrac keygen) "
-                    "only 127.0.0.0/8 is accepted"
+                    f"{address} leaves this machine, and without key_file only 127.0.0.0/8 is accepted; "
+                    "make a key with dmrac keygen and give it with --key-file"
                 )
         return self
 

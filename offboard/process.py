@@ -19,8 +19,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from configs.loader import ConfigError, load_section
-from configs.network import NetworkConfig, load_network
+from configs.loader import ConfigError, fill_section
+from configs.network import NetworkConfig, seen_from_offboard
 from flight_record.writer import FlightLogWriter
 from offboard.config import OffboardConfig
 from offboard.core import OffboardCore
@@ -30,6 +30,7 @@ from protocol.keys import load_key
 from protocol.session import session_number
 from shell.errors import StartError
 from shell.files import make_folder, write_atomically, write_json
+from shell.flight_options import add_flight_options, flight_of
 from shell.kernel import THREAD_SWITCH_S, resident_mb
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
@@ -99,9 +100,9 @@ class OffboardProcess:
         self._out = out
         self._status = status
         self._stop = stop
-        self._link = DatagramSocket("offboard_link", network.offboard_link, network.radio_offboard)
+        self._link = DatagramSocket("--bind-link", network.offboard_link, network.radio_offboard)
         try:
-            self._poses = DatagramSocket("motion_capture", network.motion_capture, None)
+            self._poses = DatagramSocket("--bind-motion-capture", network.motion_capture, None)
         except AddressInUseError:
             self._link.close()
             raise
@@ -201,16 +202,24 @@ class OffboardProcess:
 
 
 EXAMPLES: Final = """examples:
+  dmrac offboard --onboard 10.0.0.2:14571 --key-file flight.key --out flight
   dmrac offboard --config flight.yaml --out flight
   dmrac offboard --config flight.yaml --out flight --resume flight/checkpoint.npz
   dmrac offboard --config flight.yaml --onboard 10.0.0.2:14571 --bind-link 10.0.0.7:14573 \\
       --bind-motion-capture 10.0.0.7:14574 --key-file flight.key
 """
+OPTIONS: Final = {
+    "radio_offboard": "--onboard",
+    "offboard_link": "--bind-link",
+    "motion_capture": "--bind-motion-capture",
+    "key_file": "--key-file",
+}
+"""What overrules which key of the configuration's network."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m offboard` and `dmrac offboard`."""
-    parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
+    add_flight_options(parser)
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log, checkpoints and summary")
     parser.add_argument("--onboard", metavar="HOST:PORT", help="the onboard process, or the radio towards it")
     parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards onboard")
@@ -226,10 +235,9 @@ def run(arguments: argparse.Namespace) -> int:
     stop = StopRequest()
     status = StatusLines("offboard", arguments.json)
     try:
-        config = load_section(OffboardConfig, arguments.config, "offboard")
-        options = {"radio_offboard": arguments.onboard, "offboard_link": arguments.bind_link}
-        more = {"motion_capture": arguments.bind_motion_capture, "key_file": arguments.key_file}
-        network = load_network(arguments.config, options | more)
+        flight = flight_of(arguments, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
+        network = flight.network
+        config = fill_section(OffboardConfig, flight.tree, flight.source, "offboard")
         key = load_key(network.key_file)
         core = OffboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
         _load_experience(core, arguments)
@@ -237,11 +245,12 @@ def run(arguments: argparse.Namespace) -> int:
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
-    attachments = {"config.yaml": arguments.config.read_bytes()}
+    attachments = {"config.yaml": flight.text}
     log = FlightLogWriter(arguments.out / "offboard.mcap", "offboard", {"seed": str(config.seed)}, attachments)
     try:
         process = OffboardProcess(core, network, log, arguments.out, status, stop)
         sys.setswitchinterval(THREAD_SWITCH_S)
+        status.say(f"onboard {network.radio_offboard}, motion capture is heard on {network.motion_capture}")
         status.say("ready")
         result = process.serve()
     except AddressInUseError as error:

@@ -18,8 +18,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from configs.loader import ConfigError, load_section
-from configs.network import NetworkConfig, load_network, serial_line
+from configs.loader import ConfigError, fill_section
+from configs.network import NetworkConfig, seen_from_onboard, serial_line
 from configs.realtime import RealtimeConfig
 from flight_record.clocks import CLOCK_OFFSET
 from flight_record.schema import RecordType
@@ -35,6 +35,7 @@ from protocol.keys import load_keys
 from protocol.session import session_number
 from shell.errors import StartError
 from shell.files import make_folder, write_json
+from shell.flight_options import add_flight_options, flight_of
 from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
 from shell.serial_port import SerialPort
 from shell.signals import StopRequest
@@ -71,8 +72,8 @@ class Sockets:
             one.close()
 
 
-def open_vehicle(vehicle: str, local: str) -> DatagramSocket | SerialPort:
-    """The wire to the vehicle: a socket bound to `local`, or the serial line that its address names.
+def open_vehicle(vehicle: str, local: str, option: str = "--bind-vehicle") -> DatagramSocket | SerialPort:
+    """The wire to the vehicle: a socket bound to `local` (given by `option`), or the serial line of its address.
 
     Raises
     ------
@@ -81,8 +82,8 @@ def open_vehicle(vehicle: str, local: str) -> DatagramSocket | SerialPort:
     """
     line = serial_line(vehicle)
     if line is None:
-        return DatagramSocket("onboard_vehicle", local, vehicle)
-    return SerialPort("vehicle", line.device, line.baud, FrameStream().feed)
+        return DatagramSocket(option, local, vehicle)
+    return SerialPort("--vehicle", line.device, line.baud, FrameStream().feed)
 
 
 class OnboardProcess:
@@ -222,17 +223,29 @@ class OnboardProcess:
 
 
 EXAMPLES: Final = """examples:
+  dmrac onboard --vehicle udp://192.168.3.1:14560 --offboard 10.0.0.7:14573 --key-file flight.key --out flight
+  dmrac onboard --vehicle "serial:///dev/ttyUSB0?baud=921600" --offboard 127.0.0.1:14573 --controller pid
   dmrac config figure8_wind > flight.yaml
   dmrac onboard --config flight.yaml --out flight
   dmrac onboard --config flight.yaml --vehicle udp://192.168.3.1:14560 --bind-vehicle 192.168.3.2:14561 \\
       --offboard 10.0.0.7:14573 --bind-link 10.0.0.2:14571 --key-file flight.key
-  dmrac onboard --config flight.yaml --vehicle "serial:///dev/ttyUSB0?baud=921600"
 """
+OPTIONS: Final = {
+    "vehicle": "--vehicle",
+    "radio_onboard": "--offboard",
+    "ground": "--ground",
+    "onboard_vehicle": "--bind-vehicle",
+    "onboard_link": "--bind-link",
+    "key_file": "--key-file",
+    "vehicle_key_file": "--vehicle-key-file",
+    "ground_key_file": "--ground-key-file",
+}
+"""What overrules which key of the configuration's network."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m onboard` and `dmrac onboard`."""
-    parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
+    add_flight_options(parser)
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
     parser.add_argument("--vehicle", metavar="URL", help="the vehicle: udp://HOST:PORT or serial:///dev/ttyX?baud=N")
     parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio towards it")
@@ -250,8 +263,10 @@ def run(arguments: argparse.Namespace) -> int:
     stop = StopRequest()
     status = StatusLines("onboard", arguments.json)
     try:
-        config = load_section(OnboardConfig, arguments.config, "onboard")
-        network = load_network(arguments.config, _addresses(arguments))
+        needed = {"--vehicle": "URL", "--offboard": "HOST:PORT"}
+        flight = flight_of(arguments, OPTIONS, needed, seen_from_onboard)
+        network = flight.network
+        config = fill_section(OnboardConfig, flight.tree, flight.source, "onboard")
         keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
         session = session_number(time.time_ns(), secrets.randbits(20))
         core = OnboardCore(config, session, keys.offboard, keys.vehicle, keys.ground)
@@ -260,12 +275,13 @@ def run(arguments: argparse.Namespace) -> int:
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
-    attachments = {"config.yaml": arguments.config.read_bytes()}
+    attachments = {"config.yaml": flight.text}
     about = {"seed": str(config.seed), "session": str(session), "keyed": str(keys.any)}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
         status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
         quiet_interpreter()
+        status.say(f"vehicle {network.vehicle}, offboard {network.radio_onboard}, ground station {network.ground}")
         status.say("ready")
         process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
         result = process.fly()
@@ -274,19 +290,6 @@ def run(arguments: argparse.Namespace) -> int:
         sockets.close()
     write_json(arguments.out / "onboard_summary.json", process.summary())
     return result
-
-
-def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
-    return {
-        "vehicle": arguments.vehicle,
-        "radio_onboard": arguments.offboard,
-        "ground": arguments.ground,
-        "onboard_vehicle": arguments.bind_vehicle,
-        "onboard_link": arguments.bind_link,
-        "key_file": arguments.key_file,
-        "vehicle_key_file": arguments.vehicle_key_file,
-        "ground_key_file": arguments.ground_key_file,
-    }
 
 
 def _last_line(report: str) -> str:

@@ -21,7 +21,7 @@ class SerialPort:
 
     Parameters
     ----------
-    name: what the line is for, as the configuration calls it, for messages.
+    name: the option or the configuration's key that names the line, for messages.
     device: path, such as "/dev/ttyUSB0".
     baud: bits per second, one of those the system knows.
     cut: takes bytes as they come, gives whole frames (onboard.frame_stream.FrameStream.feed).
@@ -105,19 +105,19 @@ def _open(name: str, device: str, baud: int) -> int:
     speed = getattr(termios, f"B{baud}", None)
     if speed is None:
         known = ", ".join(str(number) for number in _speeds())
-        raise StartError(f"network.{name}: {device}: no speed of {baud} baud; known are {known}")
+        raise StartError(f"{name} {device}: no speed of {baud} baud; known are {known}")
     try:
         descriptor = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         reason = "in use by another program" if error.errno == errno.EBUSY else error.strerror
-        raise StartError(f"network.{name}: {device}: cannot be opened: {reason}") from None
+        raise StartError(f"{name} {device}: cannot be opened: {reason}") from None
     try:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
         _make_raw(descriptor, speed)
         termios.tcflush(descriptor, termios.TCIOFLUSH)
     except (OSError, termios.error) as error:
         os.close(descriptor)
-        raise StartError(f"network.{name}: {device}: no serial line: {error.args[-1]}") from None
+        raise StartError(f"{name} {device}: no serial line: {error.args[-1]}") from None
     return descriptor
 
 

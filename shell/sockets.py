@@ -28,7 +28,7 @@ class DatagramSocket:
 
     Parameters
     ----------
-    name: what the socket is for, as the configuration calls it, for messages.
+    name: the option or the configuration's key that gives the address, for messages: "--bind-link", "network.x".
     local: "host:port" to bind; port 0 takes any free port.
     remote: "host:port" of the only peer, or None to hear everybody and send nothing.
 
@@ -98,7 +98,7 @@ class DatagramSocket:
 
 
 def require_free(addresses: dict[str, str]) -> None:
-    """Check that every address (by name) can be bound now.
+    """Check that every address (by its name in the configuration's network) can be bound now.
 
     Raises
     ------
@@ -106,17 +106,21 @@ def require_free(addresses: dict[str, str]) -> None:
         Naming the first that cannot.
     """
     for name, address in addresses.items():
-        DatagramSocket(name, address, None).close()
+        DatagramSocket(f"network.{name}", address, None).close()
 
 
 def _explain(name: str, local: str, remote: str | None, error: OSError) -> str:
+    """One line that names what was given, what is wrong with it, and what to do."""
+    setting = f"{name} HOST:PORT" if name.startswith("--") else f"--set {name}=HOST:PORT"
     if error.errno == errno.EADDRINUSE:
         return (
-            f"network.{name}: {local} is in use by another program (perhaps a flight that still runs); "
-            f"end it, or choose another port with --set network.{name}=HOST:PORT"
+            f"{name}: {local} is in use by another program (perhaps a flight that still runs); "
+            f"end it, or choose another port with {setting}"
         )
     towards = f" (towards {remote})" if remote is not None else ""
-    return (
-        f"network.{name}: {local}{towards} cannot be used: {error.strerror or error}; "
-        "give an address of this machine and a port you may bind"
-    )
+    remedy = f"give an address of this machine and a port you may bind with {setting}"
+    if isinstance(error, socket.gaierror):
+        remedy = "give a host by its IPv4 address or by a name that this machine can look up"
+    elif error.errno in (errno.ENETUNREACH, errno.EHOSTUNREACH):
+        remedy = f"join the network that leads to {remote}"
+    return f"{name}: {local}{towards} cannot be used: {error.strerror or error}; {remedy}"

@@ -82,10 +82,10 @@ class SimProcess:
         sockets: list[DatagramSocket] = []
         try:
             for name, local, remote in (
-                ("vehicle", network.vehicle, network.onboard_vehicle),
-                ("radio_onboard", network.radio_onboard, network.onboard_link),
-                ("radio_offboard", network.radio_offboard, network.offboard_link),
-                ("motion_capture (sending)", _any_port(network.motion_capture), network.motion_capture),
+                ("--bind-vehicle", network.vehicle, network.onboard_vehicle),
+                ("--bind-radio-onboard", network.radio_onboard, network.onboard_link),
+                ("--bind-radio-offboard", network.radio_offboard, network.offboard_link),
+                ("--motion-capture", _any_port(network.motion_capture), network.motion_capture),
             ):
                 sockets.append(DatagramSocket(name, local, remote))
         except AddressInUseError:

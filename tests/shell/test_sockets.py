@@ -54,5 +54,16 @@ def test_a_taken_address_is_named_with_what_to_do(pair) -> None:
 
 
 def test_an_address_of_another_machine_is_named() -> None:
-    with pytest.raises(AddressInUseError, match=r"network\.vehicle: 192\.0\.2\.1:14560 cannot be used"):
+    with pytest.raises(AddressInUseError, match=r"network\.vehicle: 192\.0\.2\.1:14560 cannot be used.*this machine"):
         require_free({"vehicle": "192.0.2.1:14560"})
+
+
+def test_a_host_that_nobody_knows_is_named_with_what_to_give() -> None:
+    with pytest.raises(AddressInUseError, match=r"--bind-link: .* \(towards no-such-host\.invalid:1\).*IPv4 address"):
+        DatagramSocket("--bind-link", "127.0.0.1:0", "no-such-host.invalid:1")
+
+
+def test_a_taken_address_that_was_given_as_an_option_names_the_option(pair) -> None:
+    first, _ = pair
+    with pytest.raises(AddressInUseError, match=r"--bind: .* is in use .* with --bind HOST:PORT$"):
+        DatagramSocket("--bind", first.local_address, None)
