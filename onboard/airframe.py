@@ -15,6 +15,8 @@ from configs.loader import Record
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
+Thrusts = tuple[float, float, float, float]
+"""N, motor by motor."""
 
 GRAVITY: Final = 9.81
 """m/s^2."""
@@ -40,13 +42,14 @@ class Mixer:
     """Shares collective thrust and torque out to four motors, giving up yaw first, then thrust, then roll and pitch."""
 
     def __init__(self, config: AirframeConfig) -> None:
+        self._config = config
         self._max = config.motor_thrust_max_n
         self._min = config.motor_thrust_min_share * self._max
         self._x = 0.25 / config.arm_x_m
         self._y = 0.25 / config.arm_y_m
         self._z = 0.25 / config.yaw_torque_per_thrust_m
 
-    def thrusts(self, thrust_n: float, torque_nm: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    def thrusts(self, thrust_n: float, torque_nm: tuple[float, float, float]) -> Thrusts:
         """Motor thrusts [N] that come nearest to the demand within [min, max].
 
         Roll torque is -sum(y_i T_i), pitch torque sum(x_i T_i), yaw torque k (T_1 + T_2 - T_3 - T_4).
@@ -73,6 +76,22 @@ class Mixer:
             turn = -turn
         return base + first + turn, base - first + turn, base + second - turn, base - second - turn
 
+    def falls_short(self, thrusts: Thrusts, thrust_n: float, torque_nm: tuple[float, float, float]) -> bool:
+        """Whether `thrusts` give up part of the demand: thrust, roll or pitch (yaw alone does not count)."""
+        thrust, roll, pitch, _ = wrench(self._config, thrusts)
+        return abs(thrust - thrust_n) > 1e-3 or abs(roll - torque_nm[0]) > 1e-5 or abs(pitch - torque_nm[1]) > 1e-5
+
+
+def wrench(config: AirframeConfig, thrusts: Thrusts) -> tuple[float, float, float, float]:
+    """Collective thrust [N] and body torque [N m] of four motors."""
+    t1, t2, t3, t4 = thrusts
+    return (
+        t1 + t2 + t3 + t4,
+        config.arm_y_m * (t2 + t3 - t1 - t4),
+        config.arm_x_m * (t1 + t3 - t2 - t4),
+        config.yaw_torque_per_thrust_m * (t1 + t2 - t3 - t4),
+    )
+
 
 class ActuatorModel:
     """What the motors deliver by now: first-order lag of the commands, quicker up than down; gives u_hat."""
@@ -84,7 +103,7 @@ class ActuatorModel:
         self.thrusts: Array = np.zeros(4)
         """[4], N, as estimated at the present."""
 
-    def step(self, commanded: tuple[float, float, float, float]) -> None:
+    def step(self, commanded: Thrusts) -> None:
         """Advances by one period under the thrusts [N] commanded during it."""
         up, down, thrusts = self._up, self._down, self.thrusts
         for index, now in enumerate(thrusts.tolist()):
@@ -93,11 +112,4 @@ class ActuatorModel:
 
     def wrench(self) -> tuple[float, float, float, float]:
         """Collective thrust [N] and body torque [N m] as delivered now."""
-        t1, t2, t3, t4 = self.thrusts.tolist()
-        c = self._config
-        return (
-            t1 + t2 + t3 + t4,
-            c.arm_y_m * (t2 + t3 - t1 - t4),
-            c.arm_x_m * (t1 + t3 - t2 - t4),
-            c.yaw_torque_per_thrust_m * (t1 + t2 - t3 - t4),
-        )
+        return wrench(self._config, self.thrusts.tolist())

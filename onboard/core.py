@@ -2,7 +2,7 @@
 
 vehicle_link -> estimator -> supervisor -> guidance -> controller -> mixer -> vehicle_link
                                                           ^  features, adaptation
-                    protocol -> feature_reception (swap) -+          sampler -> protocol
+               offboard_link -> feature_reception (swap) -+          sampler -> offboard_link
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.airframe import GRAVITY, ActuatorModel, Mixer
+from onboard.airframe import GRAVITY, ActuatorModel, Mixer, Thrusts
 from onboard.config import OnboardConfig
 from onboard.control_records import ControlInputs, ControlOutput, Target
 from onboard.estimator import Estimator
@@ -20,6 +20,7 @@ from onboard.feature_reception import FeatureReception
 from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.ground_link import GroundLink
 from onboard.guidance import Guidance
+from onboard.offboard_link import OffboardLink
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
 from onboard.signal_vector import SignalVector
@@ -27,13 +28,10 @@ from onboard.supervisor import Supervisor, SupervisorInputs
 from onboard.tick_record import OFFSET, TICK, write_channel
 from onboard.vehicle_link import VehicleLink
 from protocol.clock import ForwardClock
-from protocol.endpoint import Endpoint
 from protocol.mavlink_frames import SigningClock
-from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.session import session_start_ns
 
 Array = NDArray[np.float64]
-Thrusts = tuple[float, float, float, float]
 ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
 """Below this the floor's cushion and contact would be learnt as a disturbance."""
@@ -41,9 +39,10 @@ _ARMED, _TAKE_OFF, _FLYING, _HOLD_LEVEL, _LANDING = (
     FlightMode[name] for name in ("ARMED", "TAKE_OFF", "FLYING", "HOLD_LEVEL", "LANDING")
 )
 """By plain names, which are read many times a tick: before Python 3.12 a member of an enum costs as much as a call."""
+POSITION_NED: Final = slice(OFFSET["position_n"], OFFSET["position_n"] + 3)
+TARGET_NED: Final = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 POSITION_AT: Final = OFFSET["position_error_n"]
 ATTITUDE_AT: Final = OFFSET["attitude_error_x"]
-CLOCK_RECORD_PERIOD_NS: Final = 1_000_000_000
 VELOCITY_AID_MAX_S: Final = 0.3
 """Velocity without an aid for so long is not learnt from."""
 
@@ -97,9 +96,9 @@ class OnboardCore:
         self._mixer = Mixer(config.airframe)
         self._actuators = ActuatorModel(config.airframe, self._dt)
         self._signals = SignalVector()
-        self._endpoint = Endpoint("onboard", session, key, config.vehicle_id)
         self._reception = FeatureReception(self.controller)
         self._samples = SampleQueue(config.samples)
+        self._offboard_link = OffboardLink(config, session, key, self._reception, self._samples)
         self._output = OnboardOutput()
         self._events: list[tuple[int, str]] = []
         self._command: Thrusts = ZERO
@@ -109,12 +108,6 @@ class OnboardCore:
         self._started_ns: int | None = None
         self._land_requested = False
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
-        self._peer_session: int | None = None
-        self._last_offboard_ns = NEVER_NS
-        self._next_status_ns = 0
-        self._next_sync_ns = 0
-        self._next_clock_record_ns = 0
-        self._challenge: tuple[int, int] | None = None
         self._ticks = 0
         self._missed_ticks = 0
         self._resets_seen = 0
@@ -137,27 +130,9 @@ class OnboardCore:
     def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of offboard; never raises for what is in it."""
         now_ns = self._clock.at(now_ns)
-        message = self._endpoint.decode(datagram, now_ns)
-        if message is None:
-            return
-        self._last_offboard_ns = now_ns
-        if self._endpoint.peer_session != self._peer_session:
-            if self._peer_session is not None:
-                self._reception.peer_restarted()
-                self._events.append((now_ns, "offboard restarted"))
-            self._peer_session = self._endpoint.peer_session
-            self._next_sync_ns = now_ns
-        match message:
-            case Pose():
-                offset_ns = self._endpoint.clock_offset_ns
-                if offset_ns is not None:  # else its age is not known, nor that it is not a recording
-                    self._estimator.take_in_pose(message, message.time_ns - offset_ns, now_ns)
-            case FeatureChunk():
-                self._reception.receive(message)
-            case TimeSyncRequest():
-                self._challenge = (message.origin_ns, now_ns)
-            case _:
-                pass  # a time sync reply: the endpoint has taken note
+        heard = self._offboard_link.receive(datagram, now_ns)
+        if heard is not None:
+            self._estimator.take_in_pose(heard.pose, heard.taken_ns, now_ns)
 
     def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of the ground station; never raises for what is in it."""
@@ -186,7 +161,6 @@ class OnboardCore:
         self._sample(inputs, control, now_ns)
         self._report(now_ns)
         self._record(out.tick, mode, inputs, control, now_ns)
-        out.clock_offset = self._clock_offset(now_ns)
         self._ticks += 1
         out.events, self._events = self._events, []
         return out
@@ -198,6 +172,7 @@ class OnboardCore:
     def _begin(self) -> OnboardOutput:
         out = self._output
         out.to_vehicle, out.to_offboard, out.to_ground = [], [], []
+        self._events += self._offboard_link.take_events()
         self._events += self._vehicle_link.take_events()
         self._events += self._estimator.take_events()
         return out
@@ -218,7 +193,7 @@ class OnboardCore:
                 imu_age_s=(now_ns - state.last_imu_ns) * 1e-9,
                 pose_age_s=(now_ns - state.last_pose_ns) * 1e-9,
                 velocity_aid_age_s=(now_ns - state.last_velocity_aid_ns) * 1e-9,
-                offboard_age_s=(now_ns - self._last_offboard_ns) * 1e-9,
+                offboard_age_s=(now_ns - self._offboard_link.last_heard_ns) * 1e-9,
                 ground_age_s=(now_ns - self._ground_link.last_heard_ns) * 1e-9,
                 battery_age_s=(now_ns - self._battery.time_ns) * 1e-9,
                 battery_v=self._battery.voltage_v,
@@ -249,10 +224,8 @@ class OnboardCore:
         assert self._started_ns is not None
         if self._vehicle_link.conflict:
             return "two vehicles speak with one system id"
-        if self._vehicle_link.health.fault:
-            return self._vehicle_link.health.fault
-        if self._arming_bar:
-            return self._arming_bar
+        if self._vehicle_link.health.fault or self._arming_bar:
+            return self._vehicle_link.health.fault or self._arming_bar
         waiting = not self._posed and (now_ns - self._started_ns) * 1e-9 < self._config.pose_wait_s
         return "waiting for the first pose" if waiting else ""
 
@@ -314,19 +287,10 @@ class OnboardCore:
             self._command = (idle, idle, idle, idle)
         else:
             self._command = ZERO
-        self._saturated = mode in AIRBORNE and self._falls_short(control)
+        flying, demand = mode in AIRBORNE, (control.thrust_n, control.torque_nm)
+        self._saturated = flying and self._mixer.falls_short(self._command, *demand)
         fractions = [thrust / most for thrust in self._command]
-        armed = mode in SPINNING
-        self._output.to_vehicle.append(self._vehicle_link.encode_motors(fractions, armed, now_ns))
-
-    def _falls_short(self, control: ControlOutput) -> bool:
-        """Whether the mixer had to give up part of the demand: thrust, roll or pitch (yaw alone does not count)."""
-        t1, t2, t3, t4 = self._command
-        airframe = self._config.airframe
-        roll = airframe.arm_y_m * (t2 + t3 - t1 - t4) - control.torque_nm[0]
-        pitch = airframe.arm_x_m * (t1 + t3 - t2 - t4) - control.torque_nm[1]
-        thrust = t1 + t2 + t3 + t4 - control.thrust_n
-        return abs(thrust) > 1e-3 or abs(roll) > 1e-5 or abs(pitch) > 1e-5
+        self._output.to_vehicle.append(self._vehicle_link.encode_motors(fractions, mode in SPINNING, now_ns))
 
     def _sample(self, inputs: ControlInputs, control: ControlOutput, now_ns: int) -> None:
         """Samples for the trainer, from flight only."""
@@ -334,59 +298,32 @@ class OnboardCore:
             self._delivered[0], self._delivered[1] = control.position.delivered, control.attitude.delivered
             self._adaptive[0], self._adaptive[1] = control.position.adaptive_now, control.attitude.adaptive_now
             self._samples.push(now_ns, inputs.signals, self._delivered, self._adaptive)
-        for batch in self._samples.poll(now_ns, self._reception.version):
-            self._send(batch, now_ns)
+        self._output.to_offboard += self._offboard_link.send_samples(now_ns)
 
     def _report(self, now_ns: int) -> None:
         """Status, time sync and telemetry, each at its own period; the answer to a challenge at once."""
-        if self._challenge is not None:
-            origin_ns, receive_ns = self._challenge
-            self._challenge = None
-            self._send(TimeSyncReply(origin_ns, receive_ns, now_ns), now_ns)
-        if now_ns >= self._next_sync_ns:
-            known = self._endpoint.clock_offset_ns is not None  # until then no pose can be used: ask with each status
-            period_s = self._config.time_sync_period_s if known else self._config.status_period_s
-            self._next_sync_ns = now_ns + round(period_s * 1e9)
-            self._send(TimeSyncRequest(now_ns), now_ns)
-        self._output.to_ground += self._ground_link.poll(now_ns, self._mode, self._estimator.state, self._battery)
-        if now_ns >= self._next_status_ns:
+        link, state = self._offboard_link, self._estimator.state
+        self._output.to_offboard += link.send_time_sync(now_ns)
+        self._output.clock_offset = link.clock_record(now_ns)
+        self._output.to_ground += self._ground_link.poll(now_ns, self._mode, state, self._battery)
+        if link.status_due(now_ns):
             self._show_values(now_ns)
-            self._next_status_ns = now_ns + round(self._config.status_period_s * 1e9)
-            self._send(self._status(now_ns), now_ns)
+            status = link.send_status(now_ns, self._mode, self._ticks, self._missed_ticks, state.last_pose_ns)
+            self._output.to_offboard.append(status)
 
     def _show_values(self, now_ns: int) -> None:
         """What a ground station shows beside the flight itself, as named values."""
-        row = self._output.tick
-        error = row[12:15] - row[28:31]
         self._ground_link.values.update(
             feat_ver=float(self._reception.version),
             feat_age=self._reception.age_s(now_ns),
-            track_err=math.sqrt(float(error @ error)),
+            track_err=self._tracking_error_m(),
         )
 
-    def _status(self, now_ns: int) -> Status:
-        statistics, pose_ns = self._endpoint.statistics, self._estimator.state.last_pose_ns
-        refused_version, refusal = self._reception.refused
-        return Status(
-            mode=int(self._mode),
-            feature_version=self._reception.version,
-            transfer_version=self._reception.transfer_version,
-            received_chunks=self._reception.received_chunks,
-            refused_version=refused_version,
-            refusal=refusal,
-            ticks=self._ticks,
-            missed_ticks=self._missed_ticks,
-            pose_age_ms=-1 if pose_ns == NEVER_NS else min(max((now_ns - pose_ns) // 1_000_000, 0), 2**31 - 1),
-            received=statistics.received,
-            lost=statistics.lost,
-            rejected=statistics.rejected.total(),
-        )
-
-    def _send(self, message: SampleBatch | Status | TimeSyncRequest | TimeSyncReply, now_ns: int) -> None:
-        datagram = self._endpoint.encode(message, now_ns)
-        if not isinstance(message, SampleBatch):  # batches are counted as they are made
-            self._samples.charge(len(datagram), now_ns)
-        self._output.to_offboard.append(datagram)
+    def _tracking_error_m(self) -> float:
+        """Distance from position to target, of the tick recorded last."""
+        row = self._output.tick
+        error = row[POSITION_NED] - row[TARGET_NED]
+        return math.sqrt(float(error @ error))
 
     # --- the record ----------------------------------------------------------------------------------------------
 
@@ -402,7 +339,7 @@ class OnboardCore:
             self._reception.version,
             self._reception.age_s(now_ns),
             _age_s(now_ns, state.last_pose_ns),
-            _age_s(now_ns, self._last_offboard_ns),
+            _age_s(now_ns, self._offboard_link.last_heard_ns),
             self._battery.voltage_v,
             state.vibration,
             state.position_sigma_m,
@@ -423,26 +360,16 @@ class OnboardCore:
         write_channel(row, POSITION_AT, control.position)
         write_channel(row, ATTITUDE_AT, control.attitude)
 
-    def _clock_offset(self, now_ns: int) -> Array | None:
-        """Offboard's clock against ours when it is due to be logged: what puts the logs of both on one time base."""
-        offset_ns = self._endpoint.clock_offset_ns
-        if offset_ns is None or now_ns < self._next_clock_record_ns:
-            return None
-        self._next_clock_record_ns = now_ns + CLOCK_RECORD_PERIOD_NS
-        return np.array([offset_ns, self._endpoint.round_trip_ns], dtype=np.float64)
-
     def status(self, now_ns: int) -> dict[str, Any]:
         """A few numbers for the live status line."""
-        row = self._output.tick
-        error = row[12:15] - row[28:31]
         return {
             "mode": self._mode.name,
-            "tracking_error_m": math.sqrt(float(error @ error)),
+            "tracking_error_m": self._tracking_error_m(),
             "feature_version": self._reception.version,
             "feature_age_s": self._reception.age_s(now_ns),
-            "link_lost": self._endpoint.statistics.lost,
-            "link_received": self._endpoint.statistics.received,
-            "rejected": self._endpoint.statistics.rejected.total(),
+            "link_lost": self._offboard_link.statistics.lost,
+            "link_received": self._offboard_link.statistics.received,
+            "rejected": self._offboard_link.statistics.rejected.total(),
         }
 
     @property
@@ -461,7 +388,7 @@ class OnboardCore:
                 "swaps": self._reception.swaps,
                 "refused": self._reception.refusals,
             },
-            "rejected": dict(self._endpoint.statistics.rejected),
+            "rejected": dict(self._offboard_link.statistics.rejected),
             "vehicle_rejected": dict(self._vehicle_link.rejected),
             "samples": {"taken": self._samples.taken, "dropped": self._samples.dropped},
             "estimator": dict(self._estimator.counts),

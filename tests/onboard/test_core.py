@@ -130,7 +130,7 @@ def _flown(controller):
 def in_flight(controller):
     """A loop with a peer, five seconds into its flight; each caller gets its own."""
     flown = _flown(controller)
-    endpoints = (flown.core._endpoint, flown.peer.endpoint)
+    endpoints = (flown.core._offboard_link.endpoint, flown.peer.endpoint)
     keys = {id(key): key for endpoint in endpoints for key in (endpoint._send, endpoint._hear)}
     return copy.deepcopy(flown, keys)  # key states cannot be copied, and never change
 
