@@ -45,6 +45,8 @@ POSITION_N = SIGNAL_INDEX["position_n"]
 VELOCITY_N = SIGNAL_INDEX["velocity_n"]
 BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
+FALL_MIN_M_S2 = 2.0
+"""Specific thrust never falls below this: without thrust there is no torque and no direction to tilt to."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Beyond this the attitude error is no longer linear: the reference model starts over at the vehicle."""
 
@@ -344,8 +346,10 @@ class CascadedController:
         """Collective thrust [N] along the present body axis, and the attitude that would realise u, within limits."""
         settings = self._settings
         ux, uy, uz = u
-        uz = min(max(uz, -settings.climb_acceleration_max_m_s2), settings.sink_acceleration_max_m_s2)
-        fx, fy, fz = -ux, -uy, GRAVITY - uz
+        # The limits are on what the loop asks for: what nu_ad makes up for (weak motors, a payload) comes on top.
+        nu_z = float(self._output.position.adaptive[2])
+        uz = min(max(uz + nu_z, -settings.climb_acceleration_max_m_s2), settings.sink_acceleration_max_m_s2) - nu_z
+        fx, fy, fz = -ux, -uy, max(GRAVITY - uz, FALL_MIN_M_S2)
         horizontal = (fx * fx + fy * fy) ** 0.5
         most = fz * self._tilt_max
         if horizontal > most:

@@ -238,11 +238,19 @@ def test_the_integral_holds_while_it_may_not_adapt() -> None:
     assert block.step(channel, ChannelTelemetry()).tolist() == [0.0, 0.0, 0.0]
 
 
+def test_what_nu_ad_makes_up_for_comes_on_top_of_the_climb_limit() -> None:
+    """Motors that give a third less than believed: the climb limit alone would not lift the vehicle's own weight."""
+    rig = Rig(shipped_controller("bias", {"climb_acceleration_max_m_s2": 3.0}), force=(0.0, 0.0, 5.0))
+    down = column(rig.fly(6.0), "position")[:, 2]
+    assert abs(float(down[-1]) + 1.0) < 0.05
+
+
 def test_anti_windup_shortens_the_overshoot() -> None:
     """A load the motors cannot hold, let go; with the flag withheld the integral winds up and the vehicle shoots up."""
+    wide = {"position": {"augmentation": {"limit": 30.0}}}
 
     def overshoot(tell: bool) -> float:
-        rig = Rig(shipped_controller("pid"), force=(0.0, 0.0, 9.0))
+        rig = Rig(shipped_controller("pid", wide), force=(0.0, 0.0, 13.0))
         rig.target = np.array([0.0, 0.0, -1.0])
         if not tell:
             step = rig.controller.step
