@@ -7,7 +7,7 @@ its value is the mean cost over those flights, where
     cost = crash_cost (2 - share of the flight flown)    of one that was lost,
 
 so that a crash is never worth a good lap, and a late crash is better than an early one. RMSE is taken over the window
-the case names. The first trial is the file as it stands. A trial that does worse than the median of the others after a
+the case names. The first trial is the file as it stands, the second the same with the campaign's `second_start`. A trial that does worse than the median of the others after a
 part of its seeds is given up (not before every case was flown once).
 
 A search is kept in a journal file and goes on where it stopped: trial n draws from a generator seeded with
@@ -74,11 +74,21 @@ class TuneConfig(Record):
     """Searched for every controller, over the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
     """By controller name: its own gains."""
+    second_start: dict[str, float] = Field(default_factory=dict)
+    """Values of common parameters for the second trial of every search; the others as the file has them."""
 
     @model_validator(mode="after")
     def _training_seeds(self) -> Self:
         if self.seeds.first + self.seeds.count - 1 not in TRAINING_SEEDS:
             raise ValueError("seeds: tuning uses seeds below 1000, evaluation those above")
+        return self
+
+    @model_validator(mode="after")
+    def _known_start(self) -> Self:
+        ranges = {one.name: one for one in self.common}
+        for name, value in self.second_start.items():
+            if name not in ranges or not ranges[name].low <= value <= ranges[name].high:
+                raise ValueError(f"second_start: {name}: {value} is not a common parameter within its range")
         return self
 
     def space(self, controller: str) -> tuple[Parameter, ...]:
@@ -201,6 +211,8 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
         space = search.config.space(search.controller)
         start = present_values(space, search.controller)
         study.enqueue_trial(start, user_attrs={"origin": "as it stood"})
+        if search.config.second_start:
+            study.enqueue_trial(start | search.config.second_start, user_attrs={"origin": "second_start"})
     return study
 
 
