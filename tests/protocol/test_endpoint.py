@@ -1,5 +1,4 @@
 import hashlib
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -285,19 +284,18 @@ def test_even_a_genuine_flood_is_bounded() -> None:
     assert onboard.statistics.lost == 0, "refusing is not losing"
 
 
-def test_a_forged_datagram_costs_little() -> None:
-    """5,000 forged datagrams a second must stay far below one percent or so of a core."""
+def test_a_forged_datagram_costs_no_more_than_its_mac(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is dear, msgpack and the message itself, is never reached, and nothing is kept."""
     onboard, offboard = ends()
     forged = bytearray(offboard.encode(POSE, 0))
     forged[-1] ^= 1
-    datagram = bytes(forged)
-    best_s = float("inf")
-    for _ in range(5):
-        start = time.perf_counter()
-        for _ in range(200):
-            onboard.decode(datagram, 0)
-        best_s = min(best_s, (time.perf_counter() - start) / 200)
-    assert best_s < 20e-6
+    decoded: list[int] = []
+    monkeypatch.setattr("protocol.endpoint.decode_body", lambda number, body: decoded.append(number))
+    for _ in range(200):
+        onboard.decode(bytes(forged), 0)
+    assert (decoded, onboard.peer_session, onboard.statistics.received) == ([], None, 0)
+    onboard.decode(offboard.encode(POSE, 0), 0)
+    assert len(decoded) == 1
 
 
 def test_an_older_session_that_knocks_is_challenged_and_let_in_when_it_answers() -> None:
