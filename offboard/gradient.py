@@ -16,6 +16,9 @@ from offboard.network import Array32, NetworkState
 ADAM_FAST: Final = 0.9
 ADAM_SLOW: Final = 0.999
 ADAM_FLOOR: Final = 1e-8
+_MINUS_ONE: Final = torch.tensor(-1.0)
+_tanh_backward: Final = torch.ops.aten.tanh_backward.default
+"""By its one overload, which else is looked for at every call."""
 MINUS_ONE: Final = torch.tensor(-1.0)
 
 
@@ -82,7 +85,7 @@ def loss_gradient(
     if kept is not None:
         delta = delta * kept
     for layer in range(len(parameters.weights) - 1, -1, -1):
-        delta = torch.ops.aten.tanh_backward(delta, outputs[layer + 1])
+        delta = _tanh_backward(delta, outputs[layer + 1])
         torch.bmm(outputs[layer].transpose(1, 2), delta, out=gradient.weights[layer])
         torch.sum(delta, 1, keepdim=True, out=gradient.biases[layer])
         if layer:

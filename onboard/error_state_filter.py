@@ -71,12 +71,16 @@ class ErrorStateFilter:
         self.P: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
         self._P_diagonal = self.P.reshape(-1)[:: ERROR_SIZE + 1]
         self._Phi: Array = np.eye(ERROR_SIZE)
+        self._Phi_T = self._Phi.T
         self._Phi_velocity_bias = self._Phi[3:6, 12:15]
         self._Phi_attitude_bias = self._Phi[6:9, 9:12]
         self._Q: Array = np.zeros(ERROR_SIZE)
         self._scratch: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
         self._H_position: Array = np.eye(3, ERROR_SIZE)
+        self._H_position_T = self._H_position.T
         self._G_inverse: Array = np.zeros(9)
+        self._G_inverse_T = self._G_inverse.reshape(3, 3).T
+        self._whitened: Array = np.zeros(3)
         self._gathered = 0
         self._gathered_s = 0.0
         self._gathered_dv: Vector = _ZERO
@@ -163,8 +167,8 @@ class ErrorStateFilter:
         block *= -dt
         self._Phi_velocity_bias[:] = block
         self._Phi_attitude_bias[:] = block
-        np.dot(Phi, self.P, out=self._scratch)
-        np.dot(self._scratch, Phi.T, out=self.P)
+        Phi.dot(self.P, self._scratch)
+        self._scratch.dot(self._Phi_T, self.P)
         accelerometer, gyroscope, gyro_walk, accelerometer_walk = noise
         Q = self._Q
         Q[3:6] = accelerometer * accelerometer * sample_s * dt
@@ -246,26 +250,41 @@ class ErrorStateFilter:
         """A position measured `delay_s` ago: H = [I, -tau I, 0, 0, 0]. Returns the score, as correct_scalar does."""
         H = self._H_position
         H[0, 3] = H[1, 4] = H[2, 5] = -delay_s
-        PHt = self.P.dot(H.T)
-        p, v = PHt[0:3].tolist(), PHt[3:6].tolist()
-        S = [[p[i][j] - delay_s * v[i][j] for j in (0, 1, 2)] for i in (0, 1, 2)]
+        PHt = self.P.dot(self._H_position_T)
+        (p00, _, _), (p10, p11, _), (p20, p21, p22), (v00, _, _), (v10, v11, _), (v20, v21, v22) = PHt[:6].tolist()
+        S = (
+            p00 - delay_s * v00,
+            p10 - delay_s * v10,
+            p11 - delay_s * v11,
+            p20 - delay_s * v20,
+            p21 - delay_s * v21,
+            p22 - delay_s * v22,
+        )
         return self._correct_three(PHt, S, innovation, variance, gate)
 
     def correct_attitude(self, innovation: Vector, variance: float, gate: float) -> float:
         """A measured attitude: H = [0, 0, I, 0, 0]. Returns the score, as correct_scalar does."""
         PHt = self.P[:, 6:9]
-        return self._correct_three(PHt, PHt[6:9].tolist(), innovation, variance, gate)
+        (a, _, _), (b, d, _), (c, e, f) = PHt[6:9].tolist()
+        return self._correct_three(PHt, (a, b, d, c, e, f), innovation, variance, gate)
 
     def _correct_three(
-        self, PHt: Array, S: list[list[float]], innovation: Vector, variance: float, gate: float
+        self,
+        PHt: Array,
+        S: tuple[float, float, float, float, float, float],
+        innovation: Vector,
+        variance: float,
+        gate: float,
     ) -> float:
-        """Three measurements at once, with S = H P H^T + variance I = G G^T and G lower triangular.
+        """Three measurements at once, with S + variance I = G G^T and G lower triangular.
+
+        `S`: the lower triangle, row by row, of H P H^T.
 
         The whitened innovation is w = G^-1 y, the score w.w; with L = P H^T G^-T the error is L w and P loses L L^T,
         which is symmetric to the last bit.
         """
-        (a, _, _), (b, d, _), (c, e, f) = S
-        # S is variance I and something positive: no pivot is less, but for rounding.
+        a, b, d, c, e, f = S
+        # Of variance I and something positive no pivot is less than the variance, but for rounding.
         g11 = math.sqrt(max(a + variance, variance))
         g21, g31 = b / g11, c / g11
         g22 = math.sqrt(max(d + variance - g21 * g21, variance))
@@ -281,9 +300,11 @@ class ErrorStateFilter:
             i31 = -(g31 / g11 + g32 * i21) / g33
             inverse = self._G_inverse
             inverse[:] = (1.0 / g11, 0.0, 0.0, i21, 1.0 / g22, 0.0, i31, i32, 1.0 / g33)
-            L = PHt.dot(inverse.reshape(3, 3).T)
-            error = L.dot((w1, w2, w3))
-            np.dot(L, L.T, out=self._scratch)
+            L = PHt.dot(self._G_inverse_T)
+            whitened = self._whitened
+            whitened[0], whitened[1], whitened[2] = w1, w2, w3
+            error = L.dot(whitened)
+            L.dot(L.T, self._scratch)
             self.P -= self._scratch
             self._apply(error)
         return score

@@ -93,7 +93,13 @@ class Path:
     def __init__(self, config: TrajectoryConfig) -> None:
         self._config = config
         self._start_s = config.takeoff_s + config.settle_s
-        self._legs = _legs(config.path) if isinstance(config.path, Waypoints) else ()
+        self._height_m, self._takeoff_s, self._ramp_s = config.altitude_m, config.takeoff_s, config.ramp_s
+        path = config.path
+        self._legs = _legs(path) if isinstance(path, Waypoints) else ()
+        # Settled once: isinstance of a record that it is not costs more than the whole path.
+        self._figure8 = path if isinstance(path, Figure8) else None
+        self._circle = path if isinstance(path, Circle) else None
+        self._omega = 2.0 * pi / path.period_s if isinstance(path, Figure8 | Circle) else 0.0
 
     @property
     def start_s(self) -> float:
@@ -114,21 +120,19 @@ class Path:
         """Target at path time t [s], relative to the take-off point on the floor."""
         d, vd, ad = self._rise(t)
         since = t - self._start_s
-        path = self._config.path
-        if since <= 0.0 or isinstance(path, Hover):
-            return PathPoint((0.0, 0.0, d), (0.0, 0.0, vd), (0.0, 0.0, ad))
-        if isinstance(path, Waypoints):
-            p, v, a = _along_legs(self._legs, since)
-            return PathPoint((p[0], p[1], p[2] + d), (v[0], v[1], v[2] + vd), (a[0], a[1], a[2] + ad))
-        omega = 2.0 * pi / path.period_s
-        theta, theta_1, theta_2 = _phase(since, omega, self._config.ramp_s)
-        if isinstance(path, Figure8):
-            return _figure8(path, theta, theta_1, theta_2, d, vd, ad)
-        return _circle(path, theta, theta_1, theta_2, d, vd, ad)
+        if since > 0.0:
+            if self._figure8 is not None:
+                return _figure8(self._figure8, *_phase(since, self._omega, self._ramp_s), d, vd, ad)
+            if self._circle is not None:
+                return _circle(self._circle, *_phase(since, self._omega, self._ramp_s), d, vd, ad)
+            if self._legs:
+                p, v, a = _along_legs(self._legs, since)
+                return PathPoint((p[0], p[1], p[2] + d), (v[0], v[1], v[2] + vd), (a[0], a[1], a[2] + ad))
+        return PathPoint((0.0, 0.0, d), (0.0, 0.0, vd), (0.0, 0.0, ad))
 
     def _rise(self, t: float) -> Vector3:
         """Take-off: down, its rate and its acceleration."""
-        height, takeoff_s = self._config.altitude_m, self._config.takeoff_s
+        height, takeoff_s = self._height_m, self._takeoff_s
         if t >= takeoff_s:
             return -height, 0.0, 0.0
         rise, rise_1, rise_2 = smooth_step(t / takeoff_s)

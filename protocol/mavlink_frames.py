@@ -115,8 +115,9 @@ def layout_of(message_id: int) -> Layout:
 def checked_fields(frame: bytes, layout: Layout) -> tuple[Any, ...] | None:
     """The fields of one frame of that layout, in wire order; None if its checksum is wrong, or it is cut."""
     end = HEADER_BYTES + frame[1]
-    checksum: int = _checksum(layout.seed, _checksum(frame[1:end]))
-    if checksum.to_bytes(2, "little") != frame[end : end + 2]:
+    if len(frame) < end + CHECKSUM_BYTES:
+        return None
+    if _checksum(frame[1:end] + layout.seed) != frame[end] | frame[end + 1] << 8:
         return None
     payload, size = frame[HEADER_BYTES:end], layout.payload.size
     if len(payload) != size:  # trailing zeros are not sent; extensions that we do not know are cut off
@@ -251,9 +252,11 @@ class FrameWriter:
         payload = layout.payload.pack(*fields).rstrip(b"\0") or b"\0"
         sequence = self._sequence
         self._sequence = (sequence + 1) & 0xFF
-        addressed = (self._system, self._component, message_id & 0xFFFF, message_id >> 16)
-        body = _HEADER.pack(len(payload), self._flags, 0, sequence, *addressed) + payload
-        checksum: int = _checksum(layout.seed, _checksum(body))
+        head = _HEADER.pack(
+            len(payload), self._flags, 0, sequence, self._system, self._component, message_id & 0xFFFF, message_id >> 16
+        )
+        body = head + payload
+        checksum: int = _checksum(body + layout.seed)
         frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             return frame

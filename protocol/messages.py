@@ -156,7 +156,8 @@ class Pose:
     """[4], wxyz, body FRD to world NED, unit length within 1e-3."""
 
     def __post_init__(self) -> None:
-        _require_counters("time_ns", self.time_ns)
+        if not 0 <= self.time_ns <= COUNTER_MAX:
+            raise ValueError("time_ns: negative or beyond 63 bits")
         if self.position_ned_m.shape != (3,) or self.quaternion.shape != (4,):
             shapes = f"{self.position_ned_m.shape} and {self.quaternion.shape}"
             raise ValueError(f"position_ned_m and quaternion: shapes {shapes}, expected (3,) and (4,)")

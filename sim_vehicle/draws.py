@@ -21,6 +21,15 @@ class Normals:
             self._block = self._rng.standard_normal(BLOCK).tolist()
         return self._block.pop()
 
+    def several(self, count: int) -> list[float]:
+        """The next `count` draws, as so many calls of `take` would give them."""
+        block = self._block
+        if len(block) < count:
+            return [self.take() for _ in range(count)]
+        drawn = block[: -count - 1 : -1]
+        del block[-count:]
+        return drawn
+
 
 class NormalRows:
     """Unit normal draws, `width` at a time."""

@@ -50,7 +50,10 @@ class VehicleCodec:
         self._sensors = FrameWriter(config.system_id, config.component_id, self._key, self._clocks[0])
         self._capture = FrameWriter(config.system_id, MOTION_CAPTURE_COMPONENT, self._key, self._clocks[1])
         self._signed_until: dict[tuple[int, int, int], int] = {}
-        self._ultrasonic = ultrasonic
+        kind = (mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270)
+        variance_cm2 = min(254, round((ultrasonic.noise_m * 100) ** 2))
+        self._range_cm = (round(ultrasonic.least_m * 100), round(ultrasonic.greatest_m * 100))
+        self._range_kind = (*kind, variance_cm2)
         position, attitude = capture.position_noise_m**2, capture.attitude_noise_rad**2
         velocity = 2.0 * position * capture.rate_hz**2
         self._covariances = (
@@ -75,10 +78,7 @@ class VehicleCodec:
 
     def distance(self, distance_m: float, time_us: int) -> bytes:
         """DISTANCE_SENSOR: whole cm, orientation 25 (down), ultrasound."""
-        range_cm = (round(self._ultrasonic.least_m * 100), round(self._ultrasonic.greatest_m * 100))
-        kind = (mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270)
-        variance_cm2 = min(254, round((self._ultrasonic.noise_m * 100) ** 2))
-        fields = (time_us // 1000 & 0xFFFFFFFF, *range_cm, round(distance_m * 100), *kind, variance_cm2)
+        fields = (time_us // 1000 & 0xFFFFFFFF, *self._range_cm, round(distance_m * 100), *self._range_kind)
         return self._sensors.write(mavlink.MAVLink_distance_sensor_message, fields, 0)
 
     def battery(self, sample: BatterySample) -> bytes:
@@ -152,13 +152,15 @@ class VehicleCodec:
             self.rejected["checksum"] += 1
             return None
         f1, f2, f3, f4 = fields[2:6]  # after time and flags
+        armed = bool(fields[-1] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if 0.0 <= f1 <= 1.0 and 0.0 <= f2 <= 1.0 and 0.0 <= f3 <= 1.0 and 0.0 <= f4 <= 1.0:
+            return (f1, f2, f3, f4), armed
         if not isfinite(f1 + f2 + f3 + f4):
             self.rejected["not finite"] += 1
             return None
         if min(f1, f2, f3, f4) < -1e-6 or max(f1, f2, f3, f4) > 1.0 + 1e-6:
             self.rejected["out of range"] += 1
             return None
-        armed = bool(fields[-1] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         fractions = (_clipped(f1), _clipped(f2), _clipped(f3), _clipped(f4))
         return fractions, armed
 

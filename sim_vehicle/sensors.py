@@ -117,12 +117,13 @@ class Flow:
 
     def sample(self, state: Array, sums: Array) -> FlowSample:
         """Read the camera; zeroes the flow's sums."""
-        config, take = self._config, self._normals.take
+        config = self._config
+        n1, n2, n3, n4, n5 = self._normals.several(5)
         time, fx, fy, gx, gy, gz = sums[at.FLOW_TIME : at.FLOW_GYRO + 3].tolist()
         sums[at.FLOW_TIME : at.FLOW_GYRO + 3] = 0.0
         noise, gyro_noise = config.noise_rad_s * time, config.gyroscope_noise_rad_s * time
-        flow = (fx + noise * take(), fy + noise * take())
-        gyroscope = (gx + gyro_noise * take(), gy + gyro_noise * take(), gz + gyro_noise * take())
+        flow = (fx + noise * n1, fy + noise * n2)
+        gyroscope = (gx + gyro_noise * n3, gy + gyro_noise * n4, gz + gyro_noise * n5)
         height = -float(state[at.POSITION + 2])
         rate = sqrt(fx * fx + fy * fy) / time
         sees = config.least_m <= height <= config.greatest_m and rate <= config.rate_limit_rad_s
@@ -162,13 +163,14 @@ class MotionCapture:
 
     def sample(self, state: Array, now_ns: int) -> PoseSample | None:
         """The pose of this frame, or None when it is not solved."""
-        config, take = self.config, self._normals.take
+        config = self.config
+        n1, n2, n3, n4, n5, n6 = self._normals.several(6)
         lost = self._uniforms.take() < config.loss_probability
         n, e, d, _, _, _, w, x, y, z = state[: at.RATES].tolist()
         noise = config.position_noise_m
-        position = (n + noise * take(), e + noise * take(), d + noise * take())
+        position = (n + noise * n1, e + noise * n2, d + noise * n3)
         noise = 0.5 * config.attitude_noise_rad
-        turned = _normalised(_times((w, x, y, z), (1.0, noise * take(), noise * take(), noise * take())))
+        turned = _normalised(_times((w, x, y, z), (1.0, noise * n4, noise * n5, noise * n6)))
         now_s = now_ns * 1e-9
         if lost or (config.outages and any(outage.start_s <= now_s < outage.end_s for outage in config.outages)):
             return None

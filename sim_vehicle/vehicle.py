@@ -37,6 +37,7 @@ SAMPLE_NS: Final = 5 * SUBSTEP_NS
 """ns, IMU period."""
 IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM, WIRE_STREAM = 1, 2, 3, 4, 5, 6
 """Random streams [seed, n] of the sensors and the vehicle's link."""
+_TRUTH_SIZE: Final = len(TRUTH.fields)
 LONGEST_RUN: Final = 400
 """Sub-steps in one call of the compiled step."""
 
@@ -65,6 +66,8 @@ class SimVehicle:
         self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key)
         self._faults = SensorFaults(self._world)
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
+        self._command_delay_ns = round(config.motors.command_delay_s * 1e9)
+        self._command_timeout_ns = round(config.motors.command_timeout_s * 1e9)
         self._wire: Radio | None = None
         if config.impairment is not None:
             self._wire = Radio(config.impairment, np.random.default_rng([seed, WIRE_STREAM]), start_ns=0)
@@ -105,8 +108,7 @@ class SimVehicle:
     def _receive(self, datagram: bytes, now_ns: int) -> None:
         command = self._codec.motor_command(datagram)
         if command is not None:
-            due_ns = now_ns + round(self._config.motors.command_delay_s * 1e9)
-            self._pending.append((due_ns, command[0], command[1]))
+            self._pending.append((now_ns + self._command_delay_ns, command[0], command[1]))
 
     def step(self, now_ns: int) -> VehicleOutput:
         """Advance to `now_ns` (at or before the last call's: nothing moves), sampling the sensors that fall due."""
@@ -128,7 +130,7 @@ class SimVehicle:
         to_motion_capture = []
         while self._poses and self._poses[0][0] <= now_ns:
             to_motion_capture.append(self._poses.popleft()[1])
-        truth = np.empty(len(TRUTH.fields))
+        truth = np.empty(_TRUTH_SIZE)
         write_truth(self._state, self._sums, self._world.parameters, truth)
         return VehicleOutput(to_onboard, to_motion_capture, truth)
 
@@ -144,7 +146,7 @@ class SimVehicle:
             self._commanded_ns = due_ns
             least = self._config.motors.command_min
             self._commands[:] = [max(least, value) for value in fractions] if self._armed else 0.0
-        timeout_ns = self._commanded_ns + round(self._config.motors.command_timeout_s * 1e9)
+        timeout_ns = self._commanded_ns + self._command_timeout_ns
         if self._armed and self._time_ns >= timeout_ns:
             self._armed = False
         if not self._armed or self.crash_reason:

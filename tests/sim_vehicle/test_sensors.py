@@ -7,6 +7,7 @@ import pytest
 
 import sim_vehicle.layout as at
 from sim_vehicle.config import load_vehicle
+from sim_vehicle.draws import BLOCK, Normals
 from sim_vehicle.imu import imu_settings, read_imu
 from sim_vehicle.packing import GRAVITY
 from sim_vehicle.sensors import Flow, Imu, MotionCapture, Schedule, Ultrasonic
@@ -254,3 +255,10 @@ def test_motion_capture_outage():
     times = [k * 5 for k in range(1, 100) if flying.step(k * 5_000_000).to_motion_capture]
     assert not [time for time in times if 110 <= time <= 305]
     assert len(times) > 25
+
+
+def test_several_draws_at_once_are_those_of_one_at_a_time() -> None:
+    one, several = (Normals(np.random.default_rng(5)) for _ in range(2))
+    drawn = [value for _ in range(2 * BLOCK // 7) for value in several.several(7)]  # across the end of a block
+    assert len(drawn) > BLOCK
+    assert drawn == [one.take() for _ in drawn]
