@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flight_record.log_file import LogFile, VectorTopic
-from flight_record.schema import RecordType
+from flight_record.schema import CLOCK_OFFSET
 
 Times = NDArray[np.int64]
 ClockMap = Callable[[Times], Times]
 """From a log's own times to the common ones, ns."""
 
-CLOCK_OFFSET: Final = RecordType("onboard/clock_offset", (("offboard_minus_onboard", "ns"), ("round_trip", "ns")))
-"""What onboard measured of offboard's clock, once a second; it errs by at most half the round trip."""
 MEASURER: Final = "onboard"
 MEASURED: Final = "offboard"
 SLACK_NS: Final = 5_000_000_000

@@ -34,7 +34,7 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start, end, uncompressed size, CRC, length of the compression's name; then an 8-byte length and the records."""
 
 
-class FlightError(Exception):
+class FlightError(PlainError):
     """A flight that cannot be read: one line that says which file and why."""
 
 

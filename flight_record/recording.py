@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from flight_record.scene import GROUPS, Curve, Motion, Scene
+from flight_record.scene import GROUPS, TABS, Curve, Motion, Scene
 
 APPLICATION: Final = "async-dmrac"
 TIMELINE: Final = "flight"
@@ -24,18 +24,26 @@ REFERENCE_COLOURS: Final = ((150, 150, 150), (180, 180, 180), (120, 120, 120))
 PATH_POINTS_MAX: Final = 5000
 TRAIL_S: Final = 4.0
 TRAIL_COLOUR: Final = (0, 114, 178)
+TARGET_COLOUR: Final = (170, 170, 170)
+THRUST_COLOUR: Final = (240, 200, 60)
 
 
 def save_recording(scene: Scene, path: Path, name: str) -> None:
     """Writes the scene to an .rrd file. Raises OSError."""
     recording = new_recording(name)
     path.touch()  # an OSError of ours in one line instead of the library's warning
-    recording.save(path, default_blueprint=blueprint(scene.groups))
+    recording.save(path, default_blueprint=blueprint(scene.groups, _span_s(scene)))
     log_static(recording, scene)
     log_scene(recording, scene)
     log_paths(recording, scene)
     recording.flush()
     recording.disconnect()
+
+
+def _span_s(scene: Scene) -> tuple[float, float] | None:
+    """From t = 0 to the last point of the curves, s."""
+    ends_ns = [int(curve.time_ns[-1]) for curve in scene.curves if len(curve.time_ns)]
+    return (0.0, (max(ends_ns) - scene.start_ns) * 1e-9) if ends_ns else None
 
 
 def new_recording(name: str) -> rr.RecordingStream:
@@ -61,9 +69,14 @@ def log_static(recording: rr.RecordingStream, scene: Scene) -> None:
         rr.LineStrips3D([[ROTORS[0], ROTORS[1]], [ROTORS[2], ROTORS[3]]], colors=[(200, 200, 200)], radii=[0.004]),
         static=True,
     )
+    recording.log("world/target", rr.Points3D.from_fields(colors=[TARGET_COLOUR], radii=[0.02]), static=True)
+    recording.log("world/trail", rr.Points3D.from_fields(colors=[TRAIL_COLOUR], radii=[0.006]), static=True)
+    recording.log("world/vehicle/thrust", rr.Arrows3D.from_fields(colors=[THRUST_COLOUR]), static=True)
+    for name, colour in ARROW_COLOURS.items():
+        recording.log(f"world/arrows/{name}", rr.Arrows3D.from_fields(colors=[colour]), static=True)
     recording.log(
         "world/vehicle/nose",
-        rr.Arrows3D(vectors=[[0.08, 0.0, 0.0]], colors=[(240, 200, 60)], radii=[0.003]),
+        rr.Arrows3D(vectors=[[0.08, 0.0, 0.0]], colors=[THRUST_COLOUR], radii=[0.003]),
         static=True,
     )
     counts: dict[tuple[str, bool], int] = {}
@@ -83,8 +96,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
         _log_motion(recording, scene.motion, scene.start_ns)
     if scene.target is not None:
         times, positions = scene.target
-        style = {"colors": [(170, 170, 170)] * len(times), "radii": [0.02] * len(times)}
-        _send(recording, "world/target", times, scene.start_ns, rr.Points3D.columns(positions=positions, **style))
+        _send(recording, "world/target", times, scene.start_ns, rr.Points3D.columns(positions=positions))
     for curve in scene.curves:
         known = np.isfinite(curve.values)
         columns = rr.Scalars.columns(scalars=curve.values[known])
@@ -110,20 +122,16 @@ def _log_motion(recording: rr.RecordingStream, motion: Motion, start_ns: int) ->
     xyzw = motion.quaternion[:, [1, 2, 3, 0]]
     pose = rr.Transform3D.columns(translation=motion.position, quaternion=xyzw)
     _send(recording, "world/vehicle", motion.time_ns, start_ns, pose)
-    trail = rr.Points3D.columns(positions=motion.position, colors=[TRAIL_COLOUR] * n, radii=[0.006] * n)
+    trail = rr.Points3D.columns(positions=motion.position)
     _send(recording, "world/trail", motion.time_ns, start_ns, trail)
     thrust = np.zeros((n, 4, 3))
     thrust[:, :, 2] = -THRUST_M_PER_N * motion.thrust
-    arrows = rr.Arrows3D.columns(
-        vectors=thrust.reshape(-1, 3),
-        origins=np.tile(np.array(ROTORS), (n, 1)),
-        colors=[(240, 200, 60)] * (4 * n),
-    ).partition([4] * n)
+    arrows = rr.Arrows3D.columns(vectors=thrust.reshape(-1, 3), origins=np.tile(np.array(ROTORS), (n, 1))).partition(
+        [4] * n
+    )
     _send(recording, "world/vehicle/thrust", motion.time_ns, start_ns, arrows)
     for name, vectors in motion.arrows.items():
-        columns = rr.Arrows3D.columns(
-            vectors=ARROW_SCALE[name] * vectors, origins=motion.position, colors=[ARROW_COLOURS[name]] * n
-        )
+        columns = rr.Arrows3D.columns(vectors=ARROW_SCALE[name] * vectors, origins=motion.position)
         _send(recording, f"world/arrows/{name}", motion.time_ns, start_ns, columns)
 
 
@@ -148,29 +156,16 @@ def _word(text: str) -> str:
     return "".join(character if character.isascii() and character.isalnum() else "_" for character in text).strip("_")
 
 
-def blueprint(groups: tuple[str, ...]) -> rrb.Blueprint:
-    """The layout: the room and the events to the left, curves to the right."""
-    trail = rrb.VisibleTimeRange(
-        TIMELINE,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    room = rrb.Spatial3DView(
-        origin="world",
-        name="room (grey: target, blue: wind, red: true disturbance, green: nu_ad)",
-        overrides={"world/trail": rrb.VisibleTimeRanges(trail)},
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5),
-        eye_controls=rrb.EyeControls3D(
-            position=(-2.1, 1.1, -2.3), look_target=(0.0, 0.0, -0.8), eye_up=(0.0, 0.0, -1.0)
-        ),
-    )
-    legend = rrb.PlotLegend(corner="LeftTop")
-    views = [rrb.TimeSeriesView(origin=group_entity(group), name=group, plot_legend=legend) for group in groups]
-    first, second = views[:6], views[6:]
-    tabs = [
-        rrb.Vertical(*part, name=name) for part, name in ((first, "control"), (second, "link and learning")) if part
-    ]
-    left = rrb.Vertical(room, rrb.TextLogView(origin="events", name="events"), row_shares=[4, 1])
+def blueprint(groups: tuple[str, ...], span_s: tuple[float, float] | None = None) -> rrb.Blueprint:
+    """The layout: the room and the events to the left, curves to the right.
+
+    span_s: what the curves show at first; all that there is so far, when None.
+    """
+    tabs = []
+    for name, wanted in TABS.items():
+        views = [_curves(group, span_s) for group in wanted if group in groups]
+        tabs += [rrb.Vertical(*views, name=name)] if views else []
+    left = rrb.Vertical(_room(), _events(), row_shares=[4, 1])
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[3, 2]) if tabs else left,
         rrb.BlueprintPanel(state="hidden"),
@@ -178,3 +173,34 @@ def blueprint(groups: tuple[str, ...]) -> rrb.Blueprint:
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
         auto_views=False,
     )
+
+
+def _room() -> rrb.Spatial3DView:
+    trail = rrb.VisibleTimeRange(
+        TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return rrb.Spatial3DView(
+        origin="world",
+        name="room (grey: target, blue: wind, red: true disturbance, green: nu_ad)",
+        overrides={"world/trail": rrb.VisibleTimeRanges(trail)},
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5),
+        eye_controls=rrb.EyeControls3D(
+            position=(-1.7, 0.9, -2.0), look_target=(0.0, 0.0, -0.8), eye_up=(0.0, 0.0, -1.0)
+        ),
+    )
+
+
+def _events() -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
+    return rrb.TextLogView(origin="events", name="events", columns=columns)
+
+
+def _curves(group: str, span_s: tuple[float, float] | None) -> rrb.TimeSeriesView:
+    axis = None
+    if span_s is not None:
+        first, last = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in span_s)
+        axis = rrb.TimeAxis(view_range=rr.TimeRange(start=first, end=last))
+    legend = rrb.PlotLegend(corner="LeftTop")
+    return rrb.TimeSeriesView(origin=group_entity(group), name=group, plot_legend=legend, axis_x=axis)

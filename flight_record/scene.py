@@ -84,38 +84,36 @@ PLAIN_CURVES: Final[tuple[tuple[str, str, str, str, float, bool], ...]] = (
     ("link counts", "received", "offboard/link", "received", 1.0, False),
     ("link counts", "lost", "offboard/link", "lost", 1.0, False),
     ("link counts", "rejected", "offboard/link", "rejected", 1.0, False),
-    ("training loss", "training, position", "offboard/training", "training_loss_position", 1.0, False),
-    ("training loss", "held out, position", "offboard/training", "validation_loss_position", 1.0, False),
-    ("training loss", "flying, position", "offboard/training", "flying_loss_position", 1.0, False),
-    ("training loss", "training, attitude", "offboard/training", "training_loss_attitude", 1.0, False),
-    ("training loss", "held out, attitude", "offboard/training", "validation_loss_attitude", 1.0, False),
-    ("motors", "1 front right", "onboard/tick", "motor_1", 1.0, False),
-    ("motors", "2 rear left", "onboard/tick", "motor_2", 1.0, False),
-    ("motors", "3 front left", "onboard/tick", "motor_3", 1.0, False),
-    ("motors", "4 rear right", "onboard/tick", "motor_4", 1.0, False),
+    ("training loss, position [(m/s²)²]", "training", "offboard/training", "training_loss_position", 1.0, False),
+    ("training loss, position [(m/s²)²]", "held out", "offboard/training", "validation_loss_position", 1.0, False),
+    ("training loss, position [(m/s²)²]", "flying", "offboard/training", "flying_loss_position", 1.0, False),
+    ("training loss, attitude [(rad/s²)²]", "training", "offboard/training", "training_loss_attitude", 1.0, False),
+    ("training loss, attitude [(rad/s²)²]", "held out", "offboard/training", "validation_loss_attitude", 1.0, False),
+    ("training loss, attitude [(rad/s²)²]", "flying", "offboard/training", "flying_loss_attitude", 1.0, False),
+    ("motors [share of maximum]", "1 front right", "onboard/tick", "motor_1", 1.0, False),
+    ("motors [share of maximum]", "2 rear left", "onboard/tick", "motor_2", 1.0, False),
+    ("motors [share of maximum]", "3 front left", "onboard/tick", "motor_3", 1.0, False),
+    ("motors [share of maximum]", "4 rear right", "onboard/tick", "motor_4", 1.0, False),
     ("loop [us]", "tick", "onboard/loop", "tick", 1.0, False),
     ("loop [us]", "lateness", "onboard/loop", "lateness", 1.0, False),
     ("health", "battery [V]", "onboard/tick", "battery", 1.0, False),
     ("health", "vibration [m/s²]", "onboard/tick", "vibration", 1.0, False),
     ("health", "mode", "onboard/tick", "mode", 1.0, False),
 )
-GROUPS: Final = (
-    "position [m]",
-    "attitude [deg]",
-    "adaptive, position [m/s²]",
-    "adaptive, attitude [rad/s²]",
-    "norm(W)",
-    "features",
-    "norm(e), position",
-    "norm(e), attitude",
-    "datagrams lost in 1 s [%]",
-    "link ages [s]",
-    "link counts",
-    "training loss",
-    "motors",
-    "loop [us]",
-    "health",
-)
+TABS: Final = {
+    "control": (
+        "position [m]",
+        "attitude [deg]",
+        "adaptive, position [m/s²]",
+        "adaptive, attitude [rad/s²]",
+    ),
+    "adaptation": ("norm(W)", "norm(e), position [m, m/s]", "norm(e), attitude [rad, rad/s]"),
+    "learning": ("features", "training loss, position [(m/s²)²]", "training loss, attitude [(rad/s²)²]"),
+    "link": ("datagrams lost in 1 s [%]", "link ages [s]", "link counts"),
+    "vehicle": ("motors [share of maximum]", "loop [us]", "health"),
+}
+"""Tab -> groups of curves, from top to bottom."""
+GROUPS: Final = tuple(group for groups in TABS.values() for group in groups)
 
 
 def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
@@ -193,12 +191,14 @@ def _commanded(tick: Table) -> list[Curve]:
 def _bounds(tick: Table) -> list[Curve]:
     """norm(e) of each channel and the live bound on it."""
     thin, curves = thinned(tick), []
-    for channel, first, second in (("position", "ned", "ned"), ("attitude", "xyz", "pqr")):
+    channels = (("position", "ned", "ned", "[m, m/s]"), ("attitude", "xyz", "pqr", "[rad, rad/s]"))
+    for channel, first, second, units in channels:
         error = thin.vector(*_names(f"{channel}_error", first), *_names(f"{channel}_error_rate", second))
         norm = np.linalg.norm(error, axis=1)
         bound = np.where(thin[f"{channel}_live_bound"] > 0.0, thin[f"{channel}_live_bound"], np.nan)
-        curves.append(Curve(f"norm(e), {channel}", "norm(e)", thin.time_ns, norm))
-        curves.append(Curve(f"norm(e), {channel}", "live bound", thin.time_ns, bound, True))
+        group = f"norm(e), {channel} {units}"
+        curves.append(Curve(group, "norm(e)", thin.time_ns, norm))
+        curves.append(Curve(group, "live bound", thin.time_ns, bound, True))
     return curves
 
 
@@ -260,6 +260,8 @@ def _motion(tick: Table | None, truth: Table | None) -> Motion | None:
     for name, column in (("wind", "wind"), ("disturbance", "disturbance_force")):
         if f"{column}_n" in thin:
             arrows[name] = thin.vector(*_names(column, "ned"))
+    if "disturbance" in arrows:  # on the floor it is the floor's own push
+        arrows["disturbance"][-thin["position_d"] < FLOOR_EFFECT_M] = 0.0
     if tick is not None:
         arrows["nu_ad"] = _at(thin, tick, _names("position_adaptive", "ned"))
     return Motion(

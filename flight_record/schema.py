@@ -1,6 +1,7 @@
 """The shape of a record: a topic and its named fields with units. A record itself is a time and a flat vector."""
 
 from dataclasses import dataclass
+from typing import Final
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,3 +30,7 @@ class RecordType:
 def vector_fields(name: str, axes: str, unit: str) -> tuple[tuple[str, str], ...]:
     """Fields of a small vector, one for each character of `axes`: vector_fields("p", "ned", "m") -> p_n, p_e, p_d."""
     return tuple((f"{name}_{axis}", unit) for axis in axes)
+
+
+CLOCK_OFFSET: Final = RecordType("onboard/clock_offset", (("offboard_minus_onboard", "ns"), ("round_trip", "ns")))
+"""What onboard measured of offboard's clock, once a second; it errs by at most half the round trip."""

@@ -28,6 +28,8 @@ WEB_PORT: Final = 9090
 START_LIMIT_S: Final = 30.0
 END_LIMIT_S: Final = 5.0
 LIVE_MEMORY: Final = "512MB"
+OPENED: Final = "the viewer is open"
+"""What `dmrac view --live` says when its window waits for data; with --web it says the page's address."""
 ASSETS: Final = {
     "/": "text/html; charset=utf-8",
     "/re_viewer.js": "text/javascript",

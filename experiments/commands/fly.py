@@ -2,12 +2,8 @@
 
 import argparse
 import shlex
-import subprocess
-import sys
-import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +13,12 @@ from rich.console import Console
 
 from configs.loader import ConfigError
 from experiments.flights.flight_card import build_summary, print_card, write_summary
-from experiments.flights.realtime_flight import require_free_ports
+from experiments.flights.flight_folder import clear_folder, make_folder
+from experiments.flights.live_view import live_view
+from experiments.flights.realtime_flight import FlightStartError, require_free_ports
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.flights.trace import FlightTrace
 from protocol.keys import load_keys
-from shell.signals import die_with_parent
 
 Array = NDArray[np.float64]
 
@@ -64,20 +61,32 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.web and not arguments.view:
         raise ConfigError("--web: only with --view")
     if arguments.view:
-        _require_viewer()
+        _require_viewer(arguments.web)
     if not arguments.lockstep:
         require_free_ports(config.network)
     network = config.network
     load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)  # bad ones are said before the start
     folder = make_folder(arguments.out, config.scenario)
+    kept = tuple(folder.iterdir())
+    try:
+        with live_view(folder, arguments.web) if arguments.view else nullcontext() as watch:
+            summary = _fly(arguments, config, folder)
+            if watch is not None:
+                watch()
+    except (FlightStartError, ConfigError) as error:
+        raise type(error)(f"{error}{clear_folder(folder, kept)}") from None
+    return 0 if summary["survived"] else 1
+
+
+def _fly(arguments: argparse.Namespace, config: FlightConfig, folder: Path) -> dict[str, Any]:
+    """The flight with its record; what summary.json says. Raises FlightStartError, or ConfigError."""
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     console = Console()
     trace: FlightTrace | None
     if arguments.lockstep:
         summary, trace = fly_in_lockstep(config, folder, not arguments.no_offboard)
     else:
-        with live_viewer(folder, arguments.web) if arguments.view else nullcontext():
-            summary, trace = fly_in_real_time(config, folder, console)
+        summary, trace = fly_in_real_time(config, folder, console)
     summary["command"] = repeat_command(arguments, config)
     write_summary(folder, summary)
     if trace is not None:
@@ -88,15 +97,17 @@ def run(arguments: argparse.Namespace) -> int:
         draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
         write_report(folder)
     print_card(summary, folder, console)
-    return 0 if summary["survived"] else 1
+    return summary
 
 
-def _require_viewer() -> None:
+def _require_viewer(web: bool) -> None:
     """Raises ConfigError if there is nothing to show the flight with."""
-    from flight_record.viewer import ViewerError, viewer_binary
+    from flight_record.viewer import ViewerError, require_screen, viewer_binary
 
     try:
         viewer_binary()
+        if not web:
+            require_screen()
     except ViewerError as error:
         raise ConfigError(f"--view: {error}") from None
 
@@ -109,48 +120,6 @@ def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     for assignment in arguments.assignments:
         words += ["--set", assignment]
     return shlex.join(words)
-
-
-@contextmanager
-def live_viewer(folder: Path, web: bool) -> Iterator[None]:
-    """`dmrac view --live` beside the flight. It reads the logs as they grow, so that no process of the flight waits."""
-    command = [sys.executable, "-m", "experiments.command_line", "view", str(folder), "--live"]
-    with (folder / "viewer.txt").open("w") as said:
-        process = subprocess.Popen(
-            command + (["--web"] if web else []), stdout=said, stderr=said, preexec_fn=die_with_parent()
-        )
-        try:
-            yield
-            if web and process.poll() is None:
-                print("the flight is over; the page stays up until Ctrl-C", flush=True)
-                process.wait()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def make_folder(out: Path | None, scenario: str) -> Path:
-    """A new folder for the record: `out`, or flights/<time>_<scenario>.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be made, or holds another flight already.
-    """
-    folder = out or Path("flights") / f"{time.strftime('%Y-%m-%d_%H%M%S')}_{scenario}"
-    number = 1
-    while out is None and folder.exists():
-        number += 1
-        folder = folder.with_name(f"{time.strftime('%Y-%m-%d_%H%M%S')}_{scenario}_{number}")
-    if (folder / "summary.json").exists():
-        raise ConfigError(f"--out {folder}: holds a flight already; choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {folder}: cannot be made: {error.strerror}") from None
-    return folder
 
 
 def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> tuple[dict[str, Any], FlightTrace]:

@@ -47,8 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def replay(flight: "RecordedFlight", arguments: argparse.Namespace, console: Console) -> int:
     """Flies it again and shows both."""
-    from experiments.commands.fly import lockstep_summary, make_folder
+    from experiments.commands.fly import lockstep_summary
     from experiments.flights.flight_card import write_summary
+    from experiments.flights.flight_folder import make_folder
     from experiments.replays.replay import comparison, figures, figures_of_recorded, refly, verdict, with_choices
 
     original = figures_of_recorded(flight)

@@ -13,7 +13,7 @@ from pathlib import Path
 from flight_record.live import follow
 from flight_record.reader import FlightError, open_flight
 from flight_record.scene import build_scene
-from flight_record.viewer import WEB_PORT, ViewerError, WebViewer, live_viewer, show_window, viewer_binary
+from flight_record.viewer import OPENED, WEB_PORT, ViewerError, WebViewer, live_viewer, show_window, viewer_binary
 
 DESCRIPTION = "Shows a flight: path, vehicle, thrust, wind and disturbance in space, curves, events on the time line."
 EXAMPLES = """examples:
@@ -87,6 +87,7 @@ def _follow(args: argparse.Namespace) -> int:
     """Follows the flight; when it is finished the viewer stays until it is closed, or Ctrl-C."""
     with live_viewer(args.web) as (child, address), suppress(KeyboardInterrupt):
         if not args.web:
+            print(OPENED, flush=True)
             _stream(args.flight, address, lambda: child.poll() is None)
             return child.wait()
         with WebViewer(address, args.port) as viewer:

@@ -7,7 +7,7 @@ from typing import Self
 from experiments.flights.carried_experience import read_experience
 from experiments.flights.lockstep_flight import ONBOARD_SESSION
 from experiments.flights.scenario import FlightConfig
-from flight_record.clocks import CLOCK_OFFSET
+from flight_record.schema import CLOCK_OFFSET
 from flight_record.writer import FlightLogWriter
 from onboard.tape import TOPIC, Entry, TapeWriter
 from onboard.tick_record import TICK

@@ -34,12 +34,14 @@ FALL_LIMIT_S: Final = 3.0
 OVERTIME_S: Final = 30.0
 """A flight that is this much over its time is ended."""
 LINE_MAX_BYTES: Final = 65_536
+BAD_USAGE: Final = 2
+"""Exit status of a process that was given a configuration or an address that it cannot use."""
 
 OnStatus = Callable[[dict[str, Any]], None]
 
 
 class FlightStartError(StartError):
-    """A process of the flight did not start. The message says which, and what it said."""
+    """A process that the flight needs did not start. The message says which, and what it said."""
 
 
 @dataclass(slots=True)
@@ -126,6 +128,12 @@ class Child:
         lines = self._errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return lines[-1] if lines else ""
 
+    def ending(self) -> str:
+        """How it ended, and its last words."""
+        status = self.process.returncode
+        how = f"status {status}" if status is None or status >= 0 else f"killed by {signal.Signals(-status).name}"
+        return f"({how}): {said}" if (said := self.said()) else f"({how})"
+
     def tidy(self) -> None:
         """Close the pipe; drop an empty error file."""
         self.pipe.close()
@@ -152,7 +160,7 @@ class Supervisor:
         try:
             self._start("sim")
             self._start("offboard")
-            if self._wait_until_ready("sim", "offboard"):
+            if self._wait_until_ready():
                 self._start("onboard")
                 self._watch()
         finally:
@@ -163,10 +171,11 @@ class Supervisor:
         self.children[name] = child
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
 
-    def _wait_until_ready(self, *names: str) -> bool:
+    def _wait_until_ready(self) -> bool:
+        """Whether to fly; False when asked to end. Offboard is waited for, but the flight does not depend on it."""
         start = time.monotonic()
         told = False
-        while late := [name for name in names if not self.children[name].ready]:
+        while late := [name for name, child in self.children.items() if not child.ready and self._may_come(child)]:
             self._relay()
             if not told and time.monotonic() > start + PATIENCE_S:
                 told = True
@@ -174,15 +183,23 @@ class Supervisor:
             if self._stop.count:
                 self.result.interrupted = True
                 return False
-            for name in names:
-                child = self.children[name]
-                if not child.running:
-                    raise FlightStartError(
-                        f"{name} ended at its start (status {child.process.returncode}): {child.said()}"
-                    )
             if time.monotonic() > start + READY_LIMIT_S:
-                raise FlightStartError(f"{' and '.join(late)} not ready within {READY_LIMIT_S:.0f} s")
+                if "sim" in late:
+                    raise FlightStartError(f"{' and '.join(late)} not ready within {READY_LIMIT_S:.0f} s")
+                self._note(f"offboard is not ready after {READY_LIMIT_S:.0f} s; the flight starts without it")
+                break
         return True
+
+    def _may_come(self, child: Child) -> bool:
+        """Whether a process that is not ready yet may become so.
+
+        Raises FlightStartError if it has ended and either the flight needs it or it was given what it cannot use.
+        """
+        if child.running:
+            return True
+        if child.name != "offboard" or child.process.returncode == BAD_USAGE:
+            raise FlightStartError(f"{child.name} ended at its start {child.ending()}")
+        return False
 
     def _watch(self) -> None:
         """Until the simulated vehicle's time is over or onboard has ended."""
@@ -194,14 +211,13 @@ class Supervisor:
             self._pass_stop_on(onboard)
             if offboard_seen and not offboard.running:
                 offboard_seen = False
-                self._note(f"offboard ended (status {offboard.process.returncode}) {offboard.said()}".rstrip())
+                self._note(f"offboard ended {offboard.ending()}")
                 self._note(f"the flight goes on without it; start another with: {self._restart(offboard)}")
             if time.monotonic() > limit or self._stop.count >= 2:
                 self._note("ended at once" if self._stop.count >= 2 else "the flight took too long and was ended")
                 return
         if sim.running and self._stop.count == 0:
-            said = onboard.said() or "no word"
-            self._note(f"onboard ended in flight (status {onboard.process.returncode}): {said}")
+            self._note(f"onboard ended in flight {onboard.ending()}")
             self._await_the_fall(sim)
 
     def _await_the_fall(self, sim: Child) -> None:

@@ -6,10 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from flight_record.clocks import CLOCK_OFFSET
 from flight_record.mcap_file import METADATA_NAME, McapFile
 from flight_record.reader import FlightError, open_flight
-from flight_record.schema import RecordType
+from flight_record.schema import CLOCK_OFFSET, RecordType
 from flight_record.writer import FlightLogWriter
 
 TICK = RecordType("onboard/tick", (("position_n", "m"), ("weight_norm", "")))

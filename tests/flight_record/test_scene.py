@@ -13,6 +13,7 @@ from flight_record.writer import FlightLogWriter
 from offboard import records as offboard_records
 from onboard import tick_record
 from sim_vehicle import radio
+from sim_vehicle import records as sim_records
 
 
 def curve(scene: Scene, group: str, name: str) -> Curve:
@@ -38,7 +39,7 @@ def test_a_flight_becomes_motion_target_curves_and_events(full_flight: Path) -> 
     assert scene.motion.thrust[0].tolist() == [0.17, 0.0, 0.0, 0.0]
     assert [event.text for event in scene.events] == ["mode FLYING <fast>"]
     assert scene.groups[:2] == ("position [m]", "attitude [deg]")
-    assert "training loss" in scene.groups
+    assert "training loss, position [(m/s²)²]" in scene.groups
     north = curve(scene, "position [m]", "north").values - curve(scene, "position [m]", "target north").values
     np.testing.assert_allclose(north, 0.1)
     np.testing.assert_allclose(curve(scene, "adaptive, position [m/s²]", "true north").values, 0.0)
@@ -52,6 +53,17 @@ def test_a_flight_without_truth_shows_the_estimate(full_flight: Path) -> None:
     assert scene.motion is not None
     assert scene.motion.thrust[0].tolist() == [0.16, 0.0, 0.0, 0.0]
     assert set(scene.motion.arrows) == {"nu_ad"}
+
+
+def test_the_floors_push_is_not_drawn(tmp_path: Path) -> None:
+    names = sim_records.TRUTH.names
+    with FlightLogWriter(tmp_path / "sim_vehicle.mcap", "sim_vehicle", threaded=False) as log:
+        for i in range(10):
+            values = dict.fromkeys(names, 0.0) | {"position_d": -0.1 * i, "disturbance_force_d": -0.6}
+            log.write(sim_records.TRUTH, i * 20_000_000, np.array(list(values.values())))
+    motion = build_scene(open_flight(tmp_path)).motion
+    assert motion is not None
+    assert motion.arrows["disturbance"][:, 2].tolist() == [0.0, 0.0, *[-0.6] * 8]
 
 
 def test_fast_topics_are_thinned(tmp_path: Path) -> None:
@@ -125,12 +137,12 @@ def test_the_live_time_line_starts_at_onboards_first_tick(full_flight: Path, tmp
     scene = waiting.read()
     assert scene is not None
     assert scene.start_ns == open_flight(full_flight).start_ns
-    assert "training loss" in scene.groups  # what came meanwhile is not lost
+    assert "training loss, position [(m/s²)²]" in scene.groups  # what came meanwhile is not lost
     (growing / "onboard.mcap").unlink()
     now_s[0] = 11.0
     alone_scene = FlightTail(growing, 0.0).read()
     assert alone_scene is not None
-    assert alone_scene.groups == ("training loss",)
+    assert alone_scene.groups == ("training loss, position [(m/s²)²]", "training loss, attitude [(rad/s²)²]")
 
 
 def test_following_nothing_ends_with_one_line(tmp_path: Path, make_flight: Callable[..., Path]) -> None:

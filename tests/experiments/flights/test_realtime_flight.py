@@ -93,6 +93,38 @@ def test_goes_on_when_offboard_is_killed(stand_ins, tmp_path: Path) -> None:
     assert "goes on without it; start another with:" in result.notes[1]
 
 
+@pytest.mark.parametrize("end", ["import os; os.kill(os.getpid(), 9)", "raise MemoryError('none left')"])
+def test_flies_without_an_offboard_that_dies_before_it_is_ready(stand_ins, tmp_path: Path, end: str) -> None:
+    stand_ins(offboard=end)
+    result = fly(tmp_path)
+    assert result.sim == {"asked": 0, "survived": True}
+    assert result.onboard == {"asked": 1, "ticks": 1}
+    assert result.notes[0] in (
+        "offboard ended (killed by SIGKILL)",
+        "offboard ended (status 1): MemoryError: none left",
+    )
+    assert "goes on without it; start another with:" in result.notes[1]
+
+
+def test_flies_without_an_offboard_that_is_never_ready(
+    stand_ins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(realtime_flight, "READY_LIMIT_S", 3.0)
+    stand_ins(offboard="serve(30); finish()")
+    result = fly(tmp_path)
+    assert result.sim == {"asked": 0, "survived": True}
+    assert result.notes == ["offboard is not ready after 3 s; the flight starts without it"]
+
+
+def test_a_process_that_the_flight_needs_and_that_is_never_ready_ends_it(
+    stand_ins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(realtime_flight, "READY_LIMIT_S", 1.0)
+    stand_ins(sim="serve(30); finish()")
+    with pytest.raises(FlightStartError, match=r"sim .*not ready within 1 s"):
+        fly(tmp_path)
+
+
 def test_a_process_that_cannot_start_ends_the_others_and_is_quoted(stand_ins, tmp_path: Path) -> None:
     stand_ins(offboard="print('offboard.labels: unknown key', file=sys.stderr); sys.exit(2)")
     with pytest.raises(

@@ -10,9 +10,9 @@ from configs.network import NetworkConfig
 from experiments.flights import realtime_flight
 from experiments.flights.realtime_flight import run
 from experiments.flights.scenario import Choices, resolve
-from flight_record.clocks import CLOCK_OFFSET
 from flight_record.log_file import read_log_file
 from flight_record.reader import open_flight
+from flight_record.schema import CLOCK_OFFSET
 
 pytestmark = pytest.mark.realtime
 
