@@ -3,6 +3,7 @@
 Everything here is incremental: no p x p factorisation happens when a sample comes or goes.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ JITTER: Final = 1e-4
 FIRST_ALLOCATION: Final = 128
 RANK_TOLERANCE: Final = 1e-3
 """Share of its length by which a vector must leave a span to count as a direction of its own."""
-BISECTIONS: Final = 50
+NEWTON_STEPS: Final = 50
 
 
 class KernelNovelty:
@@ -143,43 +144,47 @@ def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
     """Row i of the stack Phi [p, k] whose replacement by phi_new [k] gives the largest smallest singular value.
 
     With A = Phi'Phi + phi_new phi_new' = Q diag(l) Q' and z_i = Q'phi_i, the smallest eigenvalue mu_i of
-    A - phi_i phi_i' is the root of f_i(mu) = 1 - sum_j z_ij^2 / (l_j - mu) in [0, l_1), and f_i(mu) >= 0 exactly
-    when mu <= mu_i. So one bisection over mu, which drops candidates as it goes, finds the largest root of all:
-    one k x k decomposition and some O(p k) sweeps instead of p decompositions. The root of the row with the least
-    share in the weakest direction is where it begins, which leaves few candidates after the first sweep.
+    A - phi_i phi_i' is the root of g_i(mu) = sum_j z_ij^2 / (l_j - mu) - 1 in [0, l_1), and g_i(mu) <= 0 exactly
+    when mu <= mu_i. So a row's root found, one sweep drops all rows whose roots are less; the row that then looks
+    best is solved next, until none is left: one k x k decomposition and two or three O(p k) sweeps instead of p
+    decompositions. It begins with the row of the least share in the weakest direction.
 
     Parameters
     ----------
     gram: Phi'Phi, [k, k].
     """
     eigenvalues, Q = np.linalg.eigh(gram + np.outer(phi_new, phi_new))
-    smallest = float(eigenvalues[0])
-    if smallest <= 1e-12 * float(eigenvalues[-1]):
+    if float(eigenvalues[0]) <= 1e-12 * float(eigenvalues[-1]):
         return 0
-    z_squared = (Phi @ Q) ** 2
-    alive = np.arange(Phi.shape[0])
-    guess = int(np.argmin(z_squared[:, 0]))
-    low, _ = _bisect(z_squared[guess : guess + 1], eigenvalues, 0.0, smallest, 12)
-    keeps = z_squared @ (1.0 / (eigenvalues - low)) <= 1.0
-    keeps[guess] = True
-    alive, z_squared = alive[keeps], z_squared[keeps]
-    if alive.size == 1:
-        return int(alive[0])
-    _, row = _bisect(z_squared, eigenvalues, low, smallest, BISECTIONS)
-    return int(alive[row])
+    z_squared = Phi @ Q
+    np.multiply(z_squared, z_squared, out=z_squared)
+    rows = np.arange(Phi.shape[0])
+    best = int(np.argmin(z_squared[:, 0]))
+    low = 0.0
+    while True:
+        low = _root(z_squared[best], eigenvalues, low)
+        shares = z_squared @ (1.0 / (eigenvalues - low))
+        shares[best] = np.inf
+        left = np.flatnonzero(shares <= 1.0)
+        if left.size == 0:
+            return int(rows[best])
+        best = int(np.argmin(shares[left]))
+        rows, z_squared = rows[left], z_squared[left]
 
 
-def _bisect(z_squared: Array, eigenvalues: Array, low: float, high: float, steps: int) -> tuple[float, int]:
-    """A mu just below the largest root of all rows [n, k], and the row it belongs to."""
-    single = z_squared.shape[0] == 1
-    rows = np.arange(z_squared.shape[0])
-    for _ in range(steps):
-        if rows.size == 1 and not single:
-            break  # it is known which row it is, and only that was asked
-        mu = 0.5 * (low + high)
-        keeps = z_squared @ (1.0 / (eigenvalues - mu)) <= 1.0
-        if keeps.any():
-            low, rows, z_squared = mu, rows[keeps], z_squared[keeps]
-        else:
-            high = mu
-    return low, int(rows[0])
+def _root(z_squared: Array, eigenvalues: Array, low: float) -> float:
+    """The root of g, z_squared [k] being one row's, not below `low`.
+
+    Newton's method from where the pole at l_1 alone would have it: g is convex and rises, so the steps come down on
+    the root from the right. Where the row has no share in the weakest direction that is l_1 itself, but for rounding.
+    """
+    smallest = float(eigenvalues[0])
+    mu = max(low, min(smallest - float(z_squared[0]), math.nextafter(smallest, 0.0)))
+    for _ in range(NEWTON_STEPS):
+        inverse = 1.0 / (eigenvalues - mu)
+        shares = z_squared * inverse
+        step = (float(shares.sum()) - 1.0) / float(shares.dot(inverse))
+        if step <= 1e-15 * smallest or mu - step <= low:
+            return mu if step <= 0.0 else max(low, mu - step)
+        mu -= step
+    return mu
