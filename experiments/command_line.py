@@ -60,7 +60,7 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
         own = subparsers.add_parser(
             key,
             help=subcommand.help,
-            description=subcommand.help,
+            description=getattr(module, "DESCRIPTION", subcommand.help),
             epilog=getattr(module, "EXAMPLES", None),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
@@ -75,11 +75,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = next((word for word in arguments if not word.startswith("-")), None)
     parsed = build_parser(name).parse_args(arguments)
     from configs.loader import ConfigError
-    from shell.errors import StartError
+    from shell.errors import PlainError
 
     try:
         status: int = parsed.run(parsed)
-    except (ConfigError, StartError) as error:
+    except (ConfigError, PlainError) as error:
         print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
         return EXIT_USAGE
     except OSError as error:

@@ -29,6 +29,7 @@ from flight_record.mcap_file import (
     record_type_of,
 )
 from flight_record.schema import RecordType
+from shell.errors import PlainError
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start, end, uncompressed size, CRC, length of the compression's name; then an 8-byte length and the records."""

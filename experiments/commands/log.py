@@ -7,7 +7,7 @@ from pathlib import Path
 
 from flight_record.export import export_csv, export_npz, merge
 from flight_record.inspect import as_json, check, columns, describe
-from flight_record.reader import Flight, FlightError, open_flight
+from flight_record.reader import Flight, open_flight
 from flight_record.ulog import write_ulog
 
 DESCRIPTION = "Looks into a flight's logs, checks them, merges them into one file or exports them."
@@ -23,9 +23,6 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the subcommand's own subcommands."""
-    parser.description = DESCRIPTION
-    parser.epilog = EXAMPLES
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     info = actions.add_parser("info", help="what is in the logs")
     info.add_argument("--columns", action="store_true", help="list every column with its unit")
@@ -42,18 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit status: 0 fine, 1 `check` found something, 2 the flight cannot be read or the output not written."""
+    """Exit status: 0 fine, 1 `check` found something, 2 nothing was said of what to export."""
     actions = {"info": _info, "check": _check, "merge": _merge, "export": _export}
     try:
         return actions[args.action](open_flight(args.flight), args)
-    except FlightError as error:
-        print(f"dmrac log: {error}", file=sys.stderr)
     except BrokenPipeError:  # `| head` has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        print(f"dmrac log: {error.filename}: cannot be written: {error.strerror}", file=sys.stderr)
-    return 2
 
 
 def _info(flight: Flight, args: argparse.Namespace) -> int:

@@ -21,6 +21,7 @@ from experiments.replays.recorded_flight import RecordedFlight
 from flight_record.log_file import LogFile
 from onboard.controllers.interface import Learner
 from onboard.core import OnboardCore, OnboardOutput
+from onboard.preflight_record import Clearance
 from onboard.tape import TIME, TOPIC, Entry, TapeTick, read_tick
 from onboard.tick_record import TICK
 from protocol.keys import LinkKeys, load_keys
@@ -99,8 +100,8 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> 
         network = flight.config.network
         named = str(key_file) if key_file is not None else network.key_file
         keys = load_keys(named, network.vehicle_key_file, network.ground_key_file)
-    bar = log.metadata.get("arming_bar", "")
-    core = OnboardCore(flight.config.onboard, int(session), keys.offboard, keys.vehicle, keys.ground, bar)
+    clearance = Clearance(log.metadata.get("arming_bar", ""), log.metadata.get("notice", ""))
+    core = OnboardCore(flight.config.onboard, int(session), keys.offboard, keys.vehicle, keys.ground, clearance)
     if flight.experience is not None:
         learner = isinstance(core.controller, Learner) and core.controller.accepts_features
         if not (learner and flight.with_offboard):  # a learner gets it from offboard, over the link
