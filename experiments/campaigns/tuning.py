@@ -7,8 +7,9 @@ its value is the mean cost over those flights, where
     cost = crash_cost (2 - share of the flight flown)    of one that was lost,
 
 so that a crash is never worth a good lap, and a late crash is better than an early one. RMSE is taken over the window
-the case names. The first trial is the file as it stands, the second the same with the campaign's `second_start`. A trial that does worse than the median of the others after a
-part of its seeds is given up (not before every case was flown once).
+the case names. The first trial is the file as it stands, the second the same with the campaign's `second_start`. A
+trial that does worse than the median of the others after a part of its seeds is given up (not before every case was
+flown once).
 
 A search is kept in a journal file and goes on where it stopped: trial n draws from a generator seeded with
 (seed, n), whenever it runs.

@@ -250,12 +250,12 @@ def test_anti_windup_shortens_the_overshoot() -> None:
     wide = {"position": {"augmentation": {"limit": 30.0}}}
 
     def overshoot(tell: bool) -> float:
-        rig = Rig(shipped_controller("pid", wide), force=(0.0, 0.0, 13.0))
+        rig = Rig(shipped_controller("pid", wide), force=(0.0, 0.0, 11.0))
         rig.target = np.array([0.0, 0.0, -1.0])
         if not tell:
             step = rig.controller.step
             rig.controller.step = lambda inputs: step(dataclasses.replace(inputs, saturated=False))
-        rig.fly(1.5)
+        rig.fly(1.0)
         rig.force[:] = 0.0
         return float(-1.0 - column(rig.fly(3.0), "position")[:, 2].min())
 

@@ -102,7 +102,20 @@ def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
     assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
     record = search_record(search(24), parts)
     assert "--trials 24" in record[0]
-    assert "seeds 0 to 0" in record[1]
+    assert "seeds 0 to 2" in record[1]
+
+
+def test_the_second_trial_starts_from_the_campaigns_cautious_gains(tmp_path: Path) -> None:
+    study = run_search(search(2), open_study(search(2), tmp_path), Inline(bowl), lambda study: None)
+    first, second = (trial.params for trial in study.trials)
+    changed = {name: second[name] for name in first if second[name] != first[name]}
+    assert changed == load_tuning(TUNE).second_start
+
+
+def test_a_second_start_outside_its_range_is_refused() -> None:
+    tree = read_tree(TUNE) | {"second_start": {"position_frequency": 40.0}}
+    with pytest.raises(ValueError, match=r"position_frequency: 40\.0 is not a common parameter within its range"):
+        tuning.TuneConfig.model_validate_json(__import__("json").dumps(tree), strict=False)
 
 
 def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
@@ -116,7 +129,7 @@ def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
     states = [trial.state for trial in study.trials]
     assert states.count(optuna.trial.TrialState.FAIL) == 1
     assert len(states) == 3
-    assert study.trials[1].params == study.trials[0].params
+    assert study.trials[1].params | load_tuning(TUNE).second_start == study.trials[1].params  # not flown before
 
 
 def test_a_wrong_path_ends_the_search_with_its_command(tmp_path: Path) -> None:
