@@ -11,6 +11,7 @@ from onboard.controllers.interface import ControllerConfig
 from onboard.estimator_config import EstimatorConfig
 from onboard.ground_link import GroundLinkConfig
 from onboard.guidance import GuidanceConfig
+from onboard.pose_health import PoseHealthConfig
 from onboard.sampler import SamplerConfig
 from onboard.supervisor import SupervisorConfig
 from onboard.vehicle_link import VehicleLinkConfig
@@ -30,6 +31,7 @@ class OnboardConfig(Record):
     supervisor: SupervisorConfig
     vehicle_link: VehicleLinkConfig
     ground_link: GroundLinkConfig
+    pose_health: PoseHealthConfig = PoseHealthConfig()
     guidance: GuidanceConfig
     controller: ControllerConfig
     samples: SamplerConfig

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.airframe import GRAVITY, ActuatorModel, Mixer, Thrusts
+from onboard.arming import ArmingChecks
 from onboard.config import OnboardConfig
 from onboard.control_records import ControlInputs, ControlOutput, Target
 from onboard.estimator import Estimator
@@ -21,6 +22,7 @@ from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.ground_link import GroundLink
 from onboard.guidance import Guidance
 from onboard.offboard_link import OffboardLink
+from onboard.preflight_record import CLEAR, Clearance
 from onboard.records import NEVER_NS, BatteryReading
 from onboard.sampler import SampleQueue
 from onboard.signal_vector import SignalVector
@@ -59,7 +61,7 @@ class OnboardOutput:
     events: list[tuple[int, str]] = field(default_factory=list)
     """(time_ns, text)."""
     clock_offset: Array | None = None
-    """Per flight_record.clocks.CLOCK_OFFSET, once a second when it is known."""
+    """Per flight_record.schema.CLOCK_OFFSET, once a second when it is known."""
 
 
 class OnboardCore:
@@ -70,7 +72,7 @@ class OnboardCore:
     session: number of this run, larger at each start (protocol.session).
     key: shared with offboard; None between loopback addresses only.
     vehicle_key, ground_key: of the MAVLink to vehicle and ground station; None: unsigned.
-    arming_bar: what stands against arming as long as this core lives, such as a missing preflight; "" for nothing.
+    clearance: what stands against arming as long as this core lives, such as a missing preflight check.
     """
 
     def __init__(
@@ -80,16 +82,17 @@ class OnboardCore:
         key: bytes | None,
         vehicle_key: bytes | None = None,
         ground_key: bytes | None = None,
-        arming_bar: str = "",
+        clearance: Clearance = CLEAR,
     ) -> None:
         self._config = config
-        self._arming_bar = arming_bar
+        self._notice = clearance.notice
         self._dt = config.period_ns * 1e-9
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
+        self._arming = ArmingChecks(config, self._vehicle_link, clearance)
         self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._guidance = Guidance(config.guidance)
         self.controller = config.controller.build(config.airframe, config.seed)
@@ -105,7 +108,6 @@ class OnboardCore:
         self._command_before: Thrusts = ZERO
         self._saturated = False
         self._mode = FlightMode.BOOT
-        self._started_ns: int | None = None
         self._land_requested = False
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
         self._ticks = 0
@@ -133,6 +135,7 @@ class OnboardCore:
         heard = self._offboard_link.receive(datagram, now_ns)
         if heard is not None:
             self._estimator.take_in_pose(heard.pose, heard.taken_ns, now_ns)
+            self._arming.take_in_pose(heard.pose, now_ns)
 
     def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of the ground station; never raises for what is in it."""
@@ -179,8 +182,9 @@ class OnboardCore:
 
     def _supervise(self, now_ns: int) -> FlightMode:
         """Ages and flags in, flight mode out; tells the estimator whether the floor is beneath."""
-        if self._started_ns is None:
-            self._started_ns = now_ns
+        if self._notice:
+            self._say(now_ns, self._notice)
+            self._notice = ""
         state = self._estimator.state
         self._posed = self._posed or state.last_pose_ns != NEVER_NS
         if self._guidance.finished and not self._land_requested and self._mode is _FLYING:
@@ -205,13 +209,12 @@ class OnboardCore:
                 position_sigma_m=state.position_sigma_m,
                 thrust_to_weight=sum(self._command) / (self._config.airframe.mass_kg * GRAVITY),
                 initialised=state.initialised,
-                preflight=self._preflight(now_ns),
+                preflight=self._arming.objection(now_ns, self._posed),
                 fault=not self._estimator.healthy,
             )
         )
         for when_ns, text in self._supervisor.take_events():
-            self._events.append((when_ns, text))
-            self._ground_link.say(text)
+            self._say(when_ns, text)
         if mode is _TAKE_OFF and self._mode is not _TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
@@ -219,15 +222,10 @@ class OnboardCore:
         self._mode = mode
         return mode
 
-    def _preflight(self, now_ns: int) -> str:
-        """What stands against arming; also gives the first pose time to come, lest a flight begin with a jump."""
-        assert self._started_ns is not None
-        if self._vehicle_link.conflict:
-            return "two vehicles speak with one system id"
-        if self._vehicle_link.health.fault or self._arming_bar:
-            return self._vehicle_link.health.fault or self._arming_bar
-        waiting = not self._posed and (now_ns - self._started_ns) * 1e-9 < self._config.pose_wait_s
-        return "waiting for the first pose" if waiting else ""
+    def _say(self, when_ns: int, text: str) -> None:
+        """An event, on the pilot's screen too."""
+        self._events.append((when_ns, text))
+        self._ground_link.say(text)
 
     def _guide(self, mode: FlightMode) -> Target:
         """Target of this tick. A first pose that comes in flight moves the path along instead of the vehicle."""

@@ -36,6 +36,8 @@ class Result(Enum):
     PASS = "pass"
     FAIL = "FAIL"
     SKIPPED = "not done"
+    ABSENT = "absent"
+    """The vehicle has no such sensor, and can fly without."""
 
 
 class Check(NamedTuple):
@@ -80,6 +82,11 @@ class PreflightConfig(Record):
 def skipped(name: str, why: str) -> Check:
     """A check that was not done."""
     return Check(name, Result.SKIPPED, "", "", why)
+
+
+def absent(name: str, why: str) -> Check:
+    """A check of something that the vehicle does not have."""
+    return Check(name, Result.ABSENT, "", "", why)
 
 
 def judged(name: str, good: bool, measured: str, wanted: str, hint: str = "") -> Check:
@@ -184,7 +191,7 @@ def _pressure(recording: Recording) -> Check:
     given = recording.pressure_pa[recording.pressure_pa > 0.0]
     refused = recording.rejected["pressure"]
     if not len(given) and not refused:
-        return skipped("pressure", "the vehicle sends none; height then comes from ultrasound and pose")
+        return absent("pressure", "the vehicle sends none; height then comes from ultrasound and pose")
     mean = f"{given.mean():.0f} Pa" if len(given) else "not believable"
     hint = "abs_pressure is in hPa (1013 at sea level)"
     return judged("pressure", bool(len(given)) and not refused, mean, "300 to 1200 hPa", hint)

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from onboard.preflight import Check, PreflightConfig, Step, frequency, judged, rotation, skipped, vector
+from onboard.preflight import Check, PreflightConfig, Step, absent, frequency, judged, rotation, vector
 from onboard.preflight_recording import Recording
 from onboard.records import Array
 
@@ -198,7 +198,7 @@ def _check_pressure(recording: Recording, config: PreflightConfig) -> Check:
     """Air pressure falls by 12 Pa a metre."""
     given = recording.pressure_pa > 0.0
     if not given.any():
-        return skipped("lift: pressure", "the vehicle sends none")
+        return absent("lift: pressure", "the vehicle sends none")
     before, after = _ends(recording.imu_arrival_s[given], recording.pressure_pa[given, None])
     change = float(after[0] - before[0])
     low, high = -12.0 * 1.5 * config.lift_max_m, -12.0 * 0.5 * config.lift_min_m

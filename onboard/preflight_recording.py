@@ -61,8 +61,10 @@ class Recording(NamedTuple):
 class Recorder:
     """A vehicle link that remembers. `begin` starts a step, `end` gives what came in it."""
 
-    def __init__(self, config: VehicleLinkConfig, signing_clock: SigningClock | None = None) -> None:
-        self._link = VehicleLink(config.model_copy(update=ANY_UNIT), signing_clock=signing_clock)
+    def __init__(
+        self, config: VehicleLinkConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
+    ) -> None:
+        self._link = VehicleLink(config.model_copy(update=ANY_UNIT), key, signing_clock)
         self.begin()
 
     def begin(self) -> None:

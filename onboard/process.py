@@ -19,14 +19,14 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, fill_section
-from configs.network import NetworkConfig, seen_from_onboard, serial_line
+from configs.network import NetworkConfig, is_loopback, seen_from_onboard, serial_line
 from configs.realtime import RealtimeConfig
-from flight_record.clocks import CLOCK_OFFSET
-from flight_record.schema import RecordType
+from flight_record.schema import CLOCK_OFFSET, RecordType
 from flight_record.writer import FlightLogWriter
 from onboard.config import OnboardConfig
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.frame_stream import FrameStream
+from onboard.preflight_record import Clearance, objection, read_record, record_name, vehicle_url
 from onboard.realtime import DurationStatistics, PaceKeeper
 from onboard.tape import TOPIC, Entry, TapeWriter
 from onboard.tick_record import TICK
@@ -246,6 +246,15 @@ OPTIONS: Final = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m onboard` and `dmrac onboard`."""
     add_flight_options(parser)
+    parser.add_argument(
+        "--preflight",
+        type=Path,
+        metavar="FILE",
+        help="what dmrac preflight wrote of this vehicle (default: here)",
+    )
+    parser.add_argument(
+        "--no-preflight", action="store_true", help="arm without that record, as a simulated vehicle elsewhere may be"
+    )
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
     parser.add_argument("--vehicle", metavar="URL", help="the vehicle: udp://HOST:PORT or serial:///dev/ttyX?baud=N")
     parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio towards it")
@@ -269,7 +278,8 @@ def run(arguments: argparse.Namespace) -> int:
         config = fill_section(OnboardConfig, flight.tree, flight.source, "onboard")
         keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
         session = session_number(time.time_ns(), secrets.randbits(20))
-        core = OnboardCore(config, session, keys.offboard, keys.vehicle, keys.ground)
+        clearance = clearance_of(arguments, network.vehicle, config)
+        core = OnboardCore(config, session, keys.offboard, keys.vehicle, keys.ground, clearance)
         make_folder(arguments.out)
         sockets = Sockets(network)
     except (ConfigError, StartError) as error:
@@ -277,11 +287,14 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     attachments = {"config.yaml": flight.text}
     about = {"seed": str(config.seed), "session": str(session), "keyed": str(keys.any)}
+    about |= {"arming_bar": clearance.bar, "notice": clearance.notice}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
         status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
         quiet_interpreter()
         status.say(f"vehicle {network.vehicle}, offboard {network.radio_onboard}, ground station {network.ground}")
+        if clearance.bar:
+            status.say(f"will not arm: {clearance.bar}")
         status.say("ready")
         process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
         result = process.fly()
@@ -290,6 +303,32 @@ def run(arguments: argparse.Namespace) -> int:
         sockets.close()
     write_json(arguments.out / "onboard_summary.json", process.summary())
     return result
+
+
+def clearance_of(arguments: argparse.Namespace, vehicle: str, config: OnboardConfig) -> Clearance:
+    """Whether a person has done the preflight check of the vehicle. One on this machine is simulated and needs none.
+
+    Raises
+    ------
+    ConfigError
+        If two options contradict each other, or the file is no record.
+    """
+    if arguments.no_preflight and arguments.preflight is not None:
+        raise ConfigError("--no-preflight: not beside --preflight")
+    if arguments.no_preflight:
+        return Clearance(notice="PREFLIGHT OVERRIDDEN (--no-preflight): nobody vouches for this vehicle")
+    if is_loopback(vehicle) and arguments.preflight is None:
+        return Clearance()
+    if config.supervisor.auto_arm:
+        return Clearance("auto_arm is for simulation: use dmrac config --real")
+    path = arguments.preflight or Path(record_name(vehicle))
+    try:
+        record = read_record(path.read_bytes(), str(path))
+    except FileNotFoundError:
+        return Clearance(f"no {path.name}: run dmrac preflight --vehicle {vehicle_url(vehicle)}")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    return Clearance(objection(record, vehicle, config.supervisor.arm_needs_pose, time.time()))
 
 
 def _last_line(report: str) -> str:

@@ -46,6 +46,7 @@ class SupervisorConfig(Record):
     battery_low_remaining: float = Field(default=0.1, ge=0, le=1, description="fraction; landing")
     battery_low_for_s: float = Field(default=1.0, ge=0, description="s that the battery must be low")
     battery_arm_v: float = Field(default=3.5, gt=0, description="V; no arming below")
+    battery_max_v: float = Field(default=4.5, gt=0, description="V; no arming above: wrong unit, or not one cell")
     tilt_max_rad: float = Field(default=1.4, gt=0, lt=math.pi, description="rad; motors off")
     fence_m: float = Field(default=10.0, gt=0, description="m from the origin, horizontally; landing")
     ceiling_m: float = Field(default=5.0, gt=0, description="m above the floor; landing")
@@ -184,6 +185,8 @@ class Supervisor:
             return "not level"
         if inputs.battery_v > 0.0 and inputs.battery_v < config.battery_arm_v:
             return f"battery at {inputs.battery_v:.2f} V"
+        if inputs.battery_v > config.battery_max_v:
+            return f"battery at {inputs.battery_v:.4g} V, which is not one cell in volts"
         if 0.0 <= inputs.battery_remaining < config.battery_low_remaining:
             return f"battery at {inputs.battery_remaining:.0%}"
         if config.battery_silent_s > 0.0 and inputs.battery_v <= 0.0:
@@ -192,6 +195,8 @@ class Supervisor:
             return "battery report too old"
         if 0.0 < config.ground_silent_s < inputs.ground_age_s:
             return "no ground station"
+        if inputs.distance_m > config.fence_m:
+            return f"{inputs.distance_m:.1f} m from the origin, the fence is at {config.fence_m:g} m"
         return ""
 
     def step(self, inputs: SupervisorInputs) -> FlightMode:

@@ -50,6 +50,10 @@ _CONFLICT_COUNT: Final = 20
 _MICROSECONDS_MAX: Final = 2**63 // 1000
 
 
+def _clipped(fraction: float) -> float:
+    return min(max(fraction, 0.0), 1.0)
+
+
 class VehicleLinkConfig(Record):
     """What is taken from the vehicle, and what is not."""
 
@@ -179,6 +183,8 @@ class VehicleLink:
         """System id that is listened to; 0 while none was heard."""
         self.last_heard_ns = NEVER_NS
         self.last_heartbeat_ns = NEVER_NS
+        self.last_flow_ns = NEVER_NS
+        """When a sound frame of optical flow came, whatever its quality."""
         self.conflict = False
         """Two vehicles seem to speak with one system id; flight must not start."""
 
@@ -218,14 +224,10 @@ class VehicleLink:
         controls, mode = (0.0, 0.0, 0.0, 0.0), 0
         if armed:
             f1, f2, f3, f4 = map(float, fractions)
-            if math.isfinite(f1 + f2 + f3 + f4):
-                mode = ARMED
-                controls = (
-                    min(max(f1, 0.0), 1.0),
-                    min(max(f2, 0.0), 1.0),
-                    min(max(f3, 0.0), 1.0),
-                    min(max(f4, 0.0), 1.0),
-                )
+            if 0.0 <= f1 <= 1.0 and 0.0 <= f2 <= 1.0 and 0.0 <= f3 <= 1.0 and 0.0 <= f4 <= 1.0:
+                controls, mode = (f1, f2, f3, f4), ARMED
+            elif math.isfinite(f1 + f2 + f3 + f4):
+                controls, mode = (_clipped(f1), _clipped(f2), _clipped(f3), _clipped(f4)), ARMED
             else:
                 self.rejected["motor_command"] += 1
         return self._writer.write(ACTUATORS, (now_ns // 1000, 0, *controls, *_UNUSED, mode), now_ns)
@@ -249,11 +251,12 @@ class VehicleLink:
             return self._refuse("imu_fields")
         accelerometer = f[1:4]
         gyroscope = f[4:7]
-        limit = self._config.acceleration_max_m_s2
+        config = self._config
+        limit = config.acceleration_max_m_s2
         for value in accelerometer:
             if not -limit <= value <= limit:  # also catches NaN
                 return self._refuse_sensor("accelerometer", value, now_ns)
-        limit = self._config.rate_max_rad_s
+        limit = config.rate_max_rad_s
         for value in gyroscope:
             if not -limit <= value <= limit:
                 return self._refuse_sensor("gyroscope", value, now_ns)
@@ -264,7 +267,7 @@ class VehicleLink:
         values = f[1:7]
         if values == self._last_imu:
             self._same_imu += 1
-            if self._config.frozen_samples and self._same_imu >= self._config.frozen_samples:
+            if config.frozen_samples and self._same_imu >= config.frozen_samples:
                 self._say("frozen_imu", "IMU frozen: identical samples are ignored", now_ns)
                 return self._refuse("imu_frozen")
         else:
@@ -273,11 +276,11 @@ class VehicleLink:
         pressure_pa = 0.0
         if f[14] & PRESSURE_FIELD:
             pressure_pa = f[10] * 100.0
-            if not self._config.pressure_min_pa <= pressure_pa <= self._config.pressure_max_pa:
+            if not config.pressure_min_pa <= pressure_pa <= config.pressure_max_pa:
                 self._refuse("pressure")
                 pressure_pa = 0.0
         time_ns = self._clock.to_ours(stamp_ns)
-        self.health.take(stamp_ns, now_ns - time_ns, now_ns, accelerometer)
+        self.health.take(stamp_ns, now_ns - time_ns, now_ns, f[1:7])
         return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
 
     def _handle_clock(self, fault: str, now_ns: int) -> bool:
@@ -304,6 +307,7 @@ class VehicleLink:
         for value in f[2:6]:
             if not -limit <= value <= limit:
                 return self._refuse("flow")
+        self.last_flow_ns = now_ns
         return FlowReading(self._slow_time(f[0] * 1000, now_ns), integration_s, f[2], f[3], f[4], f[5], f[11])
 
     def _range(self, frame: Frame, now_ns: int) -> Reading | None:

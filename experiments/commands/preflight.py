@@ -1,8 +1,12 @@
-"""`dmrac preflight`: listens to a vehicle, has it moved by hand, turns its motors one by one, and prints a table."""
+"""`dmrac preflight`: listens to a vehicle, has it moved by hand, turns its motors one by one, and prints a table.
+
+What it found is written down: `dmrac onboard` arms a vehicle beyond this machine only on a complete, good record.
+"""
 
 import argparse
 import select
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -10,17 +14,20 @@ from rich.markup import escape
 from rich.table import Table
 
 from configs.loader import ConfigError, load_section
-from configs.network import check_address, check_vehicle_address, is_loopback
+from configs.network import ONBOARD_VEHICLE_PORT, check_address, check_vehicle_address, load_network, own_address
 from experiments.flights.preflight_session import PreflightSession
 from offboard.config import PoseRelayConfig
 from offboard.pose_relay import PoseRelay
 from onboard.config import OnboardConfig
-from onboard.preflight import Check, MotorAnswer, PreflightConfig, Result, Step
+from onboard.preflight import Check, MotorAnswer, PreflightConfig, Result, Step, skipped
+from onboard.preflight_record import record_name, write_record
 from onboard.preflight_recording import PoseSample, Recorder
 from onboard.process import open_vehicle
 from onboard.vehicle_link import VehicleLinkConfig
+from protocol.keys import load_key
 from protocol.mavlink_frames import SigningClock
 from shell.errors import StartError
+from shell.files import write_atomically
 from shell.kernel import ask_for_realtime
 from shell.sockets import DatagramSocket
 
@@ -29,9 +36,8 @@ EXAMPLES = """examples:
   dmrac preflight --vehicle "serial:///dev/ttyUSB0?baud=921600" --no-motors
   dmrac preflight --vehicle udp://127.0.0.1:14560 --listen-only     # the simulated vehicle of `dmrac sim`
 """
-OWN_PORT = 14561
 PLACES = {"fr": "front right", "fl": "front left", "rr": "rear right", "rl": "rear left", "none": "none"}
-COLOURS = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIPPED: "yellow"}
+COLOURS = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIPPED: "yellow", Result.ABSENT: "dim"}
 DATAGRAMS_PER_WAKE = 64
 PRIORITY = 40
 """As onboard's."""
@@ -41,11 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac preflight`."""
     parser.add_argument("--vehicle", required=True, metavar="URL", help="udp://HOST:PORT or serial:///dev/ttyX?baud=N")
     parser.add_argument(
-        "--bind", metavar="HOST:PORT", help=f"own address towards the vehicle (default port {OWN_PORT})"
+        "--bind", metavar="HOST:PORT", help=f"own address towards the vehicle (default port {ONBOARD_VEHICLE_PORT})"
     )
     parser.add_argument("--pose", metavar="HOST:PORT", help="own address where motion capture sends its ODOMETRY")
     parser.add_argument(
-        "--config", type=Path, help="resolved configuration: signing key and battery limit are taken from it"
+        "--config", type=Path, help="resolved configuration: key file and battery limit are taken from it"
+    )
+    parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink, if it is signed")
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE", help="where the result is kept (default: here, named by the vehicle)"
     )
     parser.add_argument("--no-motors", action="store_true", help="leave the motors alone")
     parser.add_argument(
@@ -55,25 +65,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs the check; returns 0 when nothing failed, 1 when something did (2, bad usage, is raised)."""
-    link, config = VehicleLinkConfig(), PreflightConfig()
+    link, config, key_file = VehicleLinkConfig(), PreflightConfig(), arguments.vehicle_key_file
     if arguments.config is not None:
+        key_file = load_network(arguments.config, {"vehicle_key_file": key_file}).vehicle_key_file
         onboard = load_section(OnboardConfig, arguments.config, "onboard")
         link = onboard.vehicle_link
         config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
+    key = load_key(key_file)
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
     ask_for_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
     console = Console()
-    recorder = Recorder(link, SigningClock(utc_at_first_use_ns=time.time_ns()))
+    recorder = Recorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
     session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)
+    ended = False
     try:
-        checks = session.run(
-            motion=not arguments.listen_only, motors=not (arguments.no_motors or arguments.listen_only)
-        )
+        session.run(motion=not arguments.listen_only, motors=not (arguments.no_motors or arguments.listen_only))
+        ended = True
     finally:
         wire.close()
-        console.print(table_of(session.checks))
+        checks = session.checks if ended else [*session.checks, skipped("the rest", "ended early")]
+        console.print(table_of(checks))
+        path = arguments.record or Path(record_name(wire.vehicle))
+        partly = arguments.listen_only or arguments.no_motors
+        console.print(keep_record(path, wire.vehicle, arguments.pose is not None, checks, partly), soft_wrap=True)
     console.print(verdict(checks))
     return int(any(check.result is Result.FAIL for check in checks))
+
+
+def keep_record(path: Path, vehicle: str, with_pose: bool, checks: list[Check], partly: bool) -> str:
+    """Writes the record for onboard; what was left out as asked, without a failure, does not undo an earlier one.
+
+    Raises
+    ------
+    StartError
+        If the file cannot be written.
+    """
+    if partly and path.exists() and all(check.result is not Result.FAIL for check in checks):
+        return f"{path}: left as it is, because not all checks were asked for"
+    try:
+        write_atomically(path, write_record(vehicle, int(time.time()), with_pose, checks))
+    except OSError as error:
+        raise StartError(f"--record {path}: cannot be written: {error.strerror}") from None
+    return f"{path}: written; dmrac onboard reads it before it arms this vehicle"
 
 
 class UdpOrSerialWire:
@@ -81,16 +114,12 @@ class UdpOrSerialWire:
 
     def __init__(self, vehicle: str, bind: str | None, pose: str | None) -> None:
         """Raises ConfigError for an address that is none, StartError for one that cannot be opened."""
+        self.vehicle = _checked("--vehicle", vehicle, check_vehicle_address)
+        local = _checked("--bind", bind or own_address(self.vehicle, ONBOARD_VEHICLE_PORT), check_address)
+        pose = None if pose is None else _checked("--pose", pose, check_address)
+        self._vehicle = open_vehicle(self.vehicle, local, "--bind")
         try:
-            address = check_vehicle_address(vehicle)
-            local = check_address(bind or _own_address(address))
-            pose = None if pose is None else check_address(pose)
-        except ValueError as error:
-            given = ", ".join(text for text in (vehicle, bind, pose) if text is not None)
-            raise ConfigError(f"{given}: {error}") from None
-        self._vehicle = open_vehicle(address, local)
-        try:
-            self._pose = None if pose is None else DatagramSocket("motion_capture", pose, None)
+            self._pose = None if pose is None else DatagramSocket("--pose", pose, None)
         except StartError:
             self._vehicle.close()
             raise
@@ -195,6 +224,9 @@ def verdict(checks: list[Check]) -> str:
     return f"{left} checks were not done: not ready to fly." if left else "All checks passed."
 
 
-def _own_address(vehicle: str) -> str:
-    """Where to listen when nothing is said: this machine only, when the vehicle is simulated here."""
-    return f"127.0.0.1:{OWN_PORT}" if is_loopback(vehicle) else f"0.0.0.0:{OWN_PORT}"
+def _checked(option: str, value: str, check: Callable[[str], str]) -> str:
+    """An option's address in its plain form. Raises ConfigError naming the option."""
+    try:
+        return check(value)
+    except ValueError as error:
+        raise ConfigError(f"{option} {value}: {error}") from None

@@ -3,6 +3,8 @@
 And what the limits are for: with one turned off, a flight is lost that with it ends safe.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -11,6 +13,8 @@ from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.flight_modes import SPINNING, FlightMode
 from onboard.link_health import BLOCK_SAMPLES, BLOCKS, NOT_JUDGED, LinkHealth, LinkHealthConfig
+from onboard.preflight_record import CLEAR, Clearance
+from protocol.messages import Pose
 from sim_vehicle.lockstep import Lockstep
 from sim_vehicle.radio import Radio
 from sim_vehicle.vehicle import SimVehicle
@@ -22,13 +26,16 @@ REST = (0.0, 0.0, -9.81)
 # -- the judgement of the stream --------------------------------------------------------------------------------------
 
 
-def judged(samples=200, period_s=0.005, clock=1.0, force=REST, late=lambda k: 0.0):
+def judged(samples=200, period_s=0.005, clock=1.0, force=REST, rates=(0.02, 0.0, -0.01), late=lambda k: 0.0, stuck=()):
     """The fault after a stream of samples; `late(k)` is how much later than due sample k comes, s."""
-    health = LinkHealth(LinkHealthConfig())
+    health, rng = LinkHealth(LinkHealthConfig()), np.random.default_rng(1)
+    noise = np.array([0.2, 0.2, 0.2, 0.01, 0.01, 0.01])
+    noise[list(stuck)] = 0.0
     for k in range(samples):
         due_s = k * period_s
         arrival_ns = round((due_s + late(k)) * 1e9)
-        health.take(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, force)
+        felt = tuple(np.array([*force, *rates]) + rng.normal(0.0, 1.0, 6) * noise)
+        health.take(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, felt)
     return health.fault
 
 
@@ -45,7 +52,14 @@ def judged(samples=200, period_s=0.005, clock=1.0, force=REST, late=lambda k: 0.
         ({"late": lambda k: 0.004 * (k % 2)}, ""),
         ({"late": lambda k: 0.015 * (k % 10 == 0)}, "IMU jitter: 10%"),
         ({"late": lambda k: 0.05 * (k >= 120)}, "IMU gap of 55 ms"),
-        ({"force": (0.0, 0.0, -1.0)}, "accelerometer gives 1 m/s^2"),
+        ({"force": (0.0, 0.0, -1.0)}, "accelerometer gives 1"),
+        ({"force": (0.0, 0.0, 9.81)}, "accelerometer z gives +9.8 m/s^2 at rest, not -9.8"),
+        ({"force": (-9.8, 0.0, 0.1)}, "gravity is on accelerometer x"),
+        ({"force": (3.0, 0.0, -9.3)}, ""),
+        ({"rates": (0.0, 5.2, 0.0)}, "gyroscope y gives +5.2 rad/s"),
+        ({"rates": (0.15, -0.15, 0.1)}, ""),
+        ({"stuck": (1,)}, "accelerometer y never changes: stuck"),
+        ({"stuck": (5,)}, "gyroscope z never changes: stuck"),
         ({"force": (0.09, -0.06, -9.47)}, ""),
     ],
 )
@@ -71,11 +85,12 @@ def test_a_fault_is_forgiven_after_a_second():
 class RealFlight:
     """The simulated vehicle under the settings for a real one, with motion capture and a person at a ground station."""
 
-    def __init__(self, fault=None, assignments=(), poses=True):
+    def __init__(self, fault=None, assignments=(), poses=True, pose_fault=None, clearance=CLEAR):
         config = resolve("hover", Choices("pid", 3, None, assignments, real=True))
         self.vehicle = SimVehicle(config.vehicle, config.seed)
-        self.core = OnboardCore(config.onboard, 1, None)
+        self.core = OnboardCore(config.onboard, 1, None, clearance=clearance)
         self.fault, self.peer = fault or (lambda t, frames: frames), Peer()
+        self.pose_fault = pose_fault or (lambda message: message)
         self.peer.relays = poses
         self.station, self.heartbeats = mavlink.MAVLink(None, 255, 190), True
         self.tick, self.motors, self.waiting, self.typed = 0, [], [], []
@@ -111,7 +126,8 @@ class RealFlight:
         self.motors, self.waiting, self.typed = out.to_vehicle, [], []
         for datagram in out.to_offboard:
             self.waiting += self.peer.take_in(datagram, now)
-        self.waiting += self.peer.say(flown.truth, self.tick, now)
+        said = self.peer.say(flown.truth, self.tick, now)
+        self.waiting += [self.pose_fault(message) if isinstance(message, Pose) else message for message in said]
         self.modes.append(FlightMode(int(out.tick[0])))
         self.events += [text for _, text in out.events]
         self._read(out.to_ground)
@@ -181,6 +197,20 @@ def second_vehicle(behind_s):
     return fault
 
 
+def from_north_west_up(pose):
+    """Body forward, left, up, and its pose in axes north, west, up."""
+    w, x, y, z = pose.quaternion
+    return replace(pose, quaternion=np.array([-x, w, -z, y], dtype=np.float32))
+
+
+def in_millimetres(pose):
+    return replace(pose, position_ned_m=pose.position_ned_m * np.float32(1000.0))
+
+
+def from_the_ceiling(pose):
+    return replace(pose, position_ned_m=pose.position_ned_m + np.array([0.0, 0.0, 2.5], dtype=np.float32))
+
+
 SILENT = "vehicle.disturbances=[{{kind: sensor_fault, sensor: {}, fault: silent}}]"
 
 
@@ -196,6 +226,11 @@ SILENT = "vehicle.disturbances=[{{kind: sensor_fault, sensor: {}, fault: silent}
         ({"assignments": (SILENT.format("battery"),)}, "no battery report"),
         ({"assignments": ("onboard.supervisor.battery_arm_v=4.3",)}, "battery at 4."),
         ({"poses": False}, "no fresh pose"),
+        ({"pose_fault": from_north_west_up}, "pose and IMU are 180 deg apart"),
+        ({"pose_fault": in_millimetres}, "pose is "),
+        ({"pose_fault": from_the_ceiling}, "pose is -2.4"),
+        ({"assignments": (SILENT.format("flow"),)}, "no optical flow"),
+        ({"clearance": Clearance("no preflight_x.json: run dmrac preflight")}, "no preflight_x.json"),
         ({"assignments": (SILENT.format("imu"),)}, NOT_JUDGED),
     ],
 )
@@ -206,6 +241,12 @@ def test_arming_is_refused_and_the_reason_is_an_event_and_a_text(settings, reaso
     assert any(text.startswith(f"refused to arm: {reason}"[:50]) for text in flight.texts)
     assert any(text.startswith(f"not ready to arm: {reason}") for text in flight.events)
     assert flight.answers == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
+
+
+def test_an_overridden_preflight_is_said_to_log_and_pilot():
+    flight = RealFlight(clearance=Clearance(notice="PREFLIGHT OVERRIDDEN")).fly(0.2)
+    assert flight.events.count("PREFLIGHT OVERRIDDEN") == 1
+    assert flight.texts.count("PREFLIGHT OVERRIDDEN") == 1
 
 
 def test_a_sound_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_station_falls_silent():

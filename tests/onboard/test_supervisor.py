@@ -187,6 +187,8 @@ def test_arming_needs_health_for_half_a_second():
         ({"battery_remaining": 0.05}, "5%"),
         ({"preflight": "motors swapped"}, "motors swapped"),
         ({"battery_v": 0.0}, "battery"),
+        ({"battery_v": 40.8}, "battery at 40.8 V, which is not one cell"),
+        ({"distance_m": 11.2}, "11.2 m from the origin, the fence is at 10 m"),
         ({"battery_age_s": 20.0}, "too old"),
         ({"ground_age_s": 20.0}, "ground station"),
     ],

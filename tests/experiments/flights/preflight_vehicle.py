@@ -158,7 +158,8 @@ class HeldVehicle:
         if "pressure in Pa" not in bad:
             pressure = pressure * 0.01
         fields = (*map(float, force), *map(float, rates), 0.0, 0.0, 0.0, float(pressure), 0.0, 0.0, 20.0)
-        return self.pack(mavlink.MAVLink_hil_sensor_message(time_us, *fields, 0x3F | 0x200), codec)
+        updated = 0x3F if "no pressure" in bad else 0x3F | 0x200
+        return self.pack(mavlink.MAVLink_hil_sensor_message(time_us, *fields, updated), codec)
 
     def flow(self, rates):
         turned = rates * 0.015

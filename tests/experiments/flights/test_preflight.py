@@ -3,10 +3,11 @@
 import pytest
 
 from experiments import command_line
-from experiments.commands.preflight import PersonAtTerminal, table_of, verdict
+from experiments.commands.preflight import PersonAtTerminal, keep_record, table_of, verdict
 from experiments.flights.preflight_session import PreflightSession
 from onboard.preflight import MotorAnswer, PreflightConfig, Result, Step, check_still
 from onboard.preflight_motion import check_motion
+from onboard.preflight_record import objection, read_record
 from onboard.preflight_recording import Recorder
 from onboard.vehicle_link import VehicleLinkConfig
 from shell.errors import StartError
@@ -165,11 +166,20 @@ def test_a_silent_vehicle_ends_it_at_once():
         (("--vehicle", "serial:///dev/does-not-exist"), "cannot be opened"),
         (("--vehicle", "serial:///dev/null?baud=12345"), "no speed of 12345 baud"),
         (("--vehicle", "serial:///dev/null"), "no serial line"),
+        (
+            ("--vehicle", "udp://nobody.invalid:1", "--bind", "127.0.0.1:0x1"),
+            "--bind 127.0.0.1:0x1: expected HOST:PORT",
+        ),
+        (("--vehicle", "udp://127.0.0.1:1", "--pose", "14574"), "--pose 14574: expected HOST:PORT"),
+        (("--vehicle", "udp://127.0.0.1:1", "--bind", "192.0.2.1:14561"), "with --bind HOST:PORT"),
+        (("--vehicle", "udp://127.0.0.1:1", "--vehicle-key-file", "none.key"), "none.key: cannot be read"),
     ],
 )
-def test_bad_addresses_are_usage(options, said, capsys):
+def test_bad_addresses_are_usage(options, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     assert command_line.main(["preflight", *options, "--listen-only"]) == 2
     assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 class Typist:
@@ -206,3 +216,46 @@ def test_an_answer_is_asked_for_until_it_is_understood():
 def test_without_a_terminal_nothing_is_taken_for_an_answer():
     with pytest.raises(StartError, match="needs a terminal"):
         PersonAtTerminal(Typist()).consents()
+
+
+# -- the record -------------------------------------------------------------------------------------------------------
+
+
+def kept(path, checks, partly=False):
+    said = keep_record(path, "192.168.3.1:14560", True, checks, partly)
+    record = read_record(path.read_bytes(), str(path))
+    return said, objection(record, "192.168.3.1:14560", True, record.utc_s)
+
+
+def test_what_was_found_is_kept_for_onboard(tmp_path):
+    path = tmp_path / "preflight.json"
+    checks, _ = checked()
+    said, bar = kept(path, checks)
+    assert "written" in said
+    assert bar == ""
+    assert [row.name for row in read_record(path.read_bytes(), "").checks] == [check.name for check in checks]
+    checks, _ = checked("gyro z turned round")
+    assert kept(path, checks)[1] == "preflight failed: turn right: gyroscope"
+
+
+def test_a_look_at_the_stream_alone_does_not_undo_a_complete_check_unless_it_fails(tmp_path):
+    path = tmp_path / "preflight.json"
+    partial, _ = checked(motion=False, motors=False)
+    assert kept(path, partial, partly=True)[1].startswith("preflight is not complete: nose down")
+    complete, _ = checked()
+    assert kept(path, complete)[1] == ""
+    said, bar = kept(path, partial, partly=True)
+    assert ("left as it is" in said, bar) == (True, "")
+    failing, _ = checked("half rate", motion=False, motors=False)
+    assert "preflight failed: IMU rate" in kept(path, failing, partly=True)[1]
+
+
+def test_a_vehicle_without_a_pressure_sensor_can_pass():
+    rows = rows_of(Step.STILL, "no pressure")
+    assert {check.name: check.result for check in rows}["pressure"] is Result.ABSENT
+    assert verdict(rows) == "All checks passed."
+
+
+def test_a_place_where_nothing_can_be_written_is_named(tmp_path):
+    with pytest.raises(StartError, match=r"--record .*none/x\.json: cannot be written: No such file"):
+        kept(tmp_path / "none" / "x.json", [])
