@@ -21,7 +21,9 @@ class Target:
     feed_forward: Vector3
     """m/s^2: acceleration of the path t_ff ahead, which makes up for the lag of the loops below."""
     ahead: PathPoint
-    """Target t_ahead from now, for features evaluated where the vehicle will be."""
+    """Target t_ahead from now, for features of the position channel evaluated where the vehicle will be."""
+    attitude_ahead: PathPoint
+    """The same for the attitude channel, whose commands act sooner."""
     yaw_rad: float
 
 

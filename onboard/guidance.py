@@ -18,7 +18,8 @@ class GuidanceConfig(Record):
     trajectory: TrajectoryConfig
     land_after_s: Annotated[float, Field(gt=0, description="path time at which the landing begins")]
     feed_forward_lead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ff: lag of the loops below")]
-    look_ahead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ahead: how far ahead features are evaluated")]
+    look_ahead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ahead of the position channel's features")]
+    attitude_look_ahead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ahead of the attitude channel's")]
 
 
 class Guidance:
@@ -63,8 +64,9 @@ class Guidance:
         self._sunk_m += dt * self._sink_speed
         now = self._at(0.0)
         ahead = self._at(self._config.look_ahead_s)
+        attitude_ahead = self._at(self._config.attitude_look_ahead_s)
         lead = self._at(self._config.feed_forward_lead_s)
-        return Target(now, lead.acceleration, ahead, self._config.trajectory.yaw_rad)
+        return Target(now, lead.acceleration, ahead, attitude_ahead, self._config.trajectory.yaw_rad)
 
     def _at(self, lead_s: float) -> PathPoint:
         clock, sink = self._clock, self._sink_speed

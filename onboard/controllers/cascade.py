@@ -32,6 +32,7 @@ from onboard.controllers.baselines import (
 from onboard.records import VehicleState
 from onboard.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
 from onboard.rotation import Quaternion, attitude_for_thrust, quaternion_multiply, quaternion_to_rotation_vector
+from onboard.trajectory import PathPoint
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
@@ -104,7 +105,6 @@ class CascadedController:
         self._a1 = tuple(settings.attitude.gains.stiffness().tolist())
         self._a2 = tuple(settings.attitude.gains.rate_gain().tolist())
         self._tilt_max = tan(settings.tilt_max_rad)
-        self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
         self._output = ControlOutput()
         self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
         self._command: Vector3 = (0.0, 0.0, 0.0)
@@ -116,7 +116,8 @@ class CascadedController:
 
     def _channel(self, telemetry: ChannelTelemetry) -> ChannelState:
         """A channel whose model error and delivered u_hat are reported as they are: the arrays are the telemetry's."""
-        return ChannelState(model_error=telemetry.error, delivered=telemetry.delivered, signals=self._signals)
+        signals = np.zeros((SIGNAL_COUNT, 2))
+        return ChannelState(model_error=telemetry.error, delivered=telemetry.delivered, signals=signals)
 
     # --- the interface -------------------------------------------------------------------------------------------
 
@@ -244,11 +245,16 @@ class CascadedController:
         )
 
     def _look_ahead(self, inputs: ControlInputs) -> None:
-        """x_ahead = x + (x_d(t + t_ahead) - x_d(t))."""
-        signals, (now, now_rate, _), (ahead, ahead_rate, _) = self._signals, inputs.target.now, inputs.target.ahead
-        signals[:, 0] = inputs.signals
+        """x_ahead = x + (x_d(t + t_ahead) - x_d(t)), each channel with the t_ahead of its own lag."""
+        position, attitude = self._channels
+        self._see_ahead(inputs, inputs.target.ahead, position.signals)
+        self._see_ahead(inputs, inputs.target.attitude_ahead, attitude.signals)
+
+    def _see_ahead(self, inputs: ControlInputs, there: PathPoint, signals: Array) -> None:
+        """Signals at the present and there, [SIGNAL_COUNT, 2]."""
+        (now, now_rate, _), (ahead, ahead_rate, _) = inputs.target.now, there
+        signals[:, :] = inputs.signals[:, None]
         column = signals[:, 1]
-        column[:] = inputs.signals
         north, east, down = inputs.state.position.tolist()
         column[POSITION_N] = north + ahead[0] - now[0]
         column[POSITION_N + 1] = east + ahead[1] - now[1]

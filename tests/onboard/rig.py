@@ -89,7 +89,7 @@ class Rig:
         return ControlInputs(
             dt=DT,
             state=self.state,
-            target=Target(point, REST, point, self.yaw),
+            target=Target(point, REST, point, point, self.yaw),
             signals=signals,
             delivered_thrust_n=thrust,
             delivered_torque_nm=(torque[0], torque[1], torque[2]),

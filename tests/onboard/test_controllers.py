@@ -288,15 +288,18 @@ def test_a_turned_frame_starts_the_references_anew() -> None:
     assert np.abs(jump(True, yaw=0.3)).max() < 1e-3
 
 
-def test_the_look_ahead_moves_position_velocity_and_body_velocity() -> None:
+@pytest.mark.parametrize(("channel", "lead"), [(0, "ahead"), (1, "attitude_ahead")])
+def test_each_channel_looks_ahead_in_position_velocity_and_body_velocity(channel: int, lead: str) -> None:
     controller = shipped_controller("mrac")
     rig = Rig(controller)
     rig.attitude = rig.attitude * type(rig.attitude).from_euler("Z", np.pi / 2)
     rig.yaw = np.pi / 2
     inputs = rig.inputs()
     ahead = inputs.target.now._replace(position=(0.2, 0.0, -1.0), velocity=(1.0, 0.0, 0.0))
-    controller.step(dataclasses.replace(inputs, target=dataclasses.replace(inputs.target, ahead=ahead)))
-    now, then = controller._signals[:, 0], controller._signals[:, 1]
+    controller.step(dataclasses.replace(inputs, target=dataclasses.replace(inputs.target, **{lead: ahead})))
+    other = controller._channels[1 - channel].signals
+    np.testing.assert_array_equal(other[:, 0], other[:, 1])
+    now, then = controller._channels[channel].signals.T
     np.testing.assert_array_equal(now, inputs.signals)
     moved = then - now
     expected = {"position_n": 0.2, "velocity_n": 1.0, "body_velocity_y": -1.0}

@@ -12,7 +12,8 @@ FIGURE8 = {"kind": "figure8", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0}
 
 
 def guidance(over=None):
-    flight = {"land_after_s": 20.0, "feed_forward_lead_s": 0.1, "look_ahead_s": 0.17, "trajectory": {"path": FIGURE8}}
+    leads = {"feed_forward_lead_s": 0.1, "look_ahead_s": 0.17, "attitude_look_ahead_s": 0.06}
+    flight = {"land_after_s": 20.0, "trajectory": {"path": FIGURE8}} | leads
     tree = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), flight)
     return Guidance(fill(GuidanceConfig, merge(tree, over or {}), "test"))
 
@@ -67,10 +68,12 @@ def test_a_landing_that_is_broken_off_comes_to_rest():
 def test_the_leads_are_the_targets_own_future():
     flight = started()
     targets = fly(flight, (True, False, 12))
-    lead, ahead = round(0.10 / DT), round(0.17 / DT)
+    lead, ahead, attitude_ahead = round(0.10 / DT), round(0.17 / DT), round(0.06 / DT)
     for tick in (500, 1000, 2000):
         np.testing.assert_allclose(targets[tick].ahead.position, targets[tick + ahead].now.position, atol=1e-9)
         np.testing.assert_allclose(targets[tick].ahead.velocity, targets[tick + ahead].now.velocity, atol=1e-9)
+        sooner = targets[tick + attitude_ahead].now
+        np.testing.assert_allclose(targets[tick].attitude_ahead.position, sooner.position, atol=1e-9)
         np.testing.assert_allclose(targets[tick].feed_forward, targets[tick + lead].now.acceleration, atol=1e-9)
 
 
@@ -84,7 +87,7 @@ def test_a_shift_moves_target_and_look_ahead_alike():
     one, other = started(), started()
     other.shift((1.0, 2.0, -0.5))
     a, b = fly(one, (True, False, 8))[-1], fly(other, (True, False, 8))[-1]
-    for which in ("now", "ahead"):
+    for which in ("now", "ahead", "attitude_ahead"):
         moved = np.array(getattr(b, which).position) - getattr(a, which).position
         np.testing.assert_allclose(moved, (1.0, 2.0, -0.5))
     assert a.now.velocity == b.now.velocity
