@@ -56,7 +56,9 @@ class AdaptationConfig(Record):
         float, Field(ge=0, le=1e3, description="lambda, 1/s: nu_ad approaches Delta_hat; 0 = off")
     ]
     bias_weight: Annotated[float, Field(gt=0, le=1e4, description="kappa: Gamma of the bias against the others")]
-    leak: Annotated[float, Field(ge=0, le=10, description="sigma, 1/s: W drifts back to the trained last layer")]
+    leak: Annotated[
+        float, Field(ge=0, le=10, description="sigma, 1/s: W, the bias apart, drifts back to the trained last layer")
+    ]
     weight_norm_max: Annotated[float, Field(gt=0, description="W_max: radius of the ball W is kept in, units of u")]
     normalisation_floor: Annotated[float, Field(gt=0, description="eps in eps + Phi'Gamma Phi")] = 1e-3
     residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant of Delta_hat")] = 0.03
@@ -196,7 +198,7 @@ class LastLayer:
         W += change
         if config.leak > 0.0:
             share = config.leak * dt
-            W += (share / (1.0 + share)) * (self.memory - W)
+            W[:-1] += (share / (1.0 + share)) * (self.memory[:-1] - W[:-1])
         self._keep_in_ball()
 
     def _gain_along(self, Phi: Array) -> float:

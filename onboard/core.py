@@ -98,7 +98,7 @@ class OnboardCore:
         self.controller = config.controller.build(config.airframe, config.seed)
         self._mixer = Mixer(config.airframe)
         self._actuators = ActuatorModel(config.airframe, self._dt)
-        self._signals = SignalVector()
+        self._signals = SignalVector(self._dt)
         self._reception = FeatureReception(self.controller)
         self._samples = SampleQueue(config.samples)
         self._offboard_link = OffboardLink(config, session, key, self._reception, self._samples)

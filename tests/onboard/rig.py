@@ -73,7 +73,7 @@ class Rig:
         hover = AIRFRAME.mass_kg * GRAVITY / 4.0
         self.motors.thrusts[:] = self.belief.thrusts[:] = hover
         self.commands = [(hover,) * 4]
-        self.mixer, self.signals, self.state = Mixer(AIRFRAME), SignalVector(), VehicleState()
+        self.mixer, self.signals, self.state = Mixer(AIRFRAME), SignalVector(DT), VehicleState()
         self.target: Any = np.array([0.0, 0.0, -1.0])
         self.yaw = 0.0
         self.adapt, self.level_only, self.saturated = True, False, False

@@ -410,7 +410,10 @@ def test_the_leak_leads_to_the_trained_last_layer(leak):
     for _ in range(steps):
         last.step(np.ones(3), np.zeros(6), np.zeros(3), DT)
     share = 1.0 - float(np.exp(-1.0))
-    np.testing.assert_allclose(last.W, share * memory, rtol=0.03, atol=1e-12)
+    np.testing.assert_allclose(last.W[:-1], share * memory[:-1], rtol=0.03, atol=1e-12)
+    np.testing.assert_array_equal(
+        last.W[-1], 0.0, err_msg="the bias has no memory: a constant Delta is cancelled entirely"
+    )
 
 
 # --- the live bound --------------------------------------------------------------------------------------------------

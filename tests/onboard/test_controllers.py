@@ -426,7 +426,9 @@ def test_controllers_without_learnt_features_refuse_them(name: str) -> None:
 
 def test_a_swap_in_flight_does_not_kick_the_vehicle() -> None:
     def kick(naive: bool) -> float:
-        swap = {"augmentation": {"swap": {"naive": naive, "jump_max": 1e6}}}
+        # Little in the bias, much in the features: what a naive swap would throw away.
+        law = {"bias_weight": 1.0, "leak": 0.0}
+        swap = {"augmentation": {"swap": {"naive": naive, "jump_max": 1e6}, "law": law}}
         rig = Rig(shipped_controller("dmrac", {"position": swap, "attitude": swap}), FORCE, TORQUE)
         rig.fly(2.0)
         start = random_channel(

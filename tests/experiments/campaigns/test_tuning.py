@@ -102,7 +102,7 @@ def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
     assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
     record = search_record(search(24), parts)
     assert "--trials 24" in record[0]
-    assert "seeds 0 to 2" in record[1]
+    assert f"seeds 0 to {load_tuning(TUNE).seeds.count - 1}; " in record[1]
 
 
 def test_the_second_trial_starts_from_the_campaigns_cautious_gains(tmp_path: Path) -> None:
