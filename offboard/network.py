@@ -62,11 +62,11 @@ class InputPlan:
         return max(len(names) for names in self.names)
 
     def gather(self, signals: Array32, offset: Array32, scale: Array32) -> Array32:
-        """Scaled inputs z [C, n, m] from signals [n, SIGNAL_COUNT]; the padding is zero."""
-        z = np.zeros((len(self.channels), signals.shape[0], self.width), dtype=np.float32)
+        """Scaled inputs z [C, m, n] from signals [n, SIGNAL_COUNT]; the padding is zero."""
+        z = np.zeros((len(self.channels), self.width, signals.shape[0]), dtype=np.float32)
         for row, names in enumerate(self.names):
             used = len(names)
-            z[row, :, :used] = (signals[:, input_indices(names)] - offset[row, :used]) / scale[row, :used]
+            z[row, :used] = ((signals[:, input_indices(names)] - offset[row, :used]) / scale[row, :used]).T
         return z
 
 
@@ -123,39 +123,40 @@ class SpectralBound:
     """Keeps each inner layer's largest singular value below the bound while training.
 
     Between exact projections the norm is tracked by power iteration from the last vector (weights move little between
-    two calls): two products a layer. `exact` ends a round, so that what leaves the trainer is below the bound for sure.
+    two calls), all layers in one stack of zero-padded matrices. `exact` ends a round, so that what leaves the trainer
+    is below the bound for sure.
     """
 
     def __init__(self, weights: list[torch.Tensor], bound: float) -> None:
         self._weights = weights
         self._bound = bound
-        self._v = [torch.ones(W.shape[0], W.shape[2], 1) / W.shape[2] ** 0.5 for W in weights]
+        channels, side = weights[0].shape[0], max(max(W.shape[1:]) for W in weights)
+        self._padded = torch.zeros(len(weights), channels, side, side)
+        self._v = torch.ones(len(weights) * channels, side, 1)
 
     def approximate(self) -> None:
         """Shrink what exceeds the bound, by power iteration."""
-        with torch.no_grad():
-            for layer, W in enumerate(self._weights):
-                v, norm = self._iterate(W, self._v[layer])
-                self._v[layer] = v
-                W.mul_((self._bound / norm.clamp_min(self._bound)).clamp_max(1.0))
+        for padded, W in zip(self._padded, self._weights, strict=True):
+            padded[:, : W.shape[1], : W.shape[2]] = W
+        shrink = self._bound / self._norms().clamp_min(self._bound)
+        for W, factor in zip(self._weights, shrink, strict=True):
+            W.mul_(factor)
 
-    @staticmethod
-    def _iterate(W: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The right singular vector and the norm of each matrix of the stack, better than `v`."""
-        norm = torch.ones(1)
+    def _norms(self) -> torch.Tensor:
+        """Norms of the padded matrices, [layers, C, 1, 1], better than those before: so are the singular vectors v."""
+        W = self._padded.flatten(0, 1)
         for _ in range(POWER_ITERATIONS):
-            u = torch.bmm(W, v)
-            u = u / u.norm(dim=1, keepdim=True).clamp_min(1e-12)
-            v = torch.bmm(W.transpose(1, 2), u)
-            norm = v.norm(dim=1, keepdim=True)
-            v = v / norm.clamp_min(1e-12)
-        return v, norm
+            u = torch.bmm(W, self._v)
+            v = torch.bmm(W.mT, u)
+            length = torch.linalg.vector_norm(v, dim=1, keepdim=True)
+            self._v = v / length.clamp_min(1e-24)
+        norms = length / torch.linalg.vector_norm(u, dim=1, keepdim=True).clamp_min(1e-12)
+        return norms.view(*self._padded.shape[:2], 1, 1)
 
     def exact(self) -> None:
         """Shrink what exceeds the bound, by singular values."""
-        with torch.no_grad():
-            for W in self._weights:
-                W.copy_(torch.from_numpy(_below_bound(W.detach().numpy(), self._bound)))
+        for W in self._weights:
+            W.copy_(torch.from_numpy(_below_bound(W.numpy(), self._bound)))
 
 
 def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelFeatures:

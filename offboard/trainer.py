@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from offboard.buffer import TEST, TRAINING, VALIDATION, SampleTable
 from offboard.config import BufferConfig, NetworkConfig, TrainerConfig
 from offboard.gate import Evidence
-from offboard.gradient import Optimiser, Views, layer_outputs, loss_gradient, parameters_of
+from offboard.gradient import LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
 from offboard.network import (
     Array32,
     InputPlan,
@@ -105,9 +105,10 @@ class _Round:
         self._y = self._y_raw / self._label_scale
         self._held_out = [self._held_out_of(split) for split in (VALIDATION, TEST)]
         self._parameters = parameters_of(network)
-        self._parameters.last_layer.div_(self._label_scale)
-        self._parameters.last_bias.div_(self._label_scale)
+        self._parameters.last_layer.div_(self._label_scale.mT)
+        self._parameters.last_bias.div_(self._label_scale.mT)
         self._gradient = Views.of(torch.zeros_like(self._parameters.flat), network)
+        self._loss_gradient = LossGradient(self._parameters, self._gradient, job.config.batch_size)
         self._optimiser = Optimiser(job.config, self._parameters.flat.numel(), job.state.moments, job.state.steps)
         self._spectral = SpectralBound(self._parameters.weights, job.network_config.spectral_norm_max)
 
@@ -136,16 +137,16 @@ class _Round:
         return TrainingResult(state, candidate, evidence, losses, self._samples)
 
     def _inputs(self, table: SampleTable) -> tuple[torch.Tensor, torch.Tensor]:
-        """Scaled inputs [C, n, m] and labels [C, n, 3] of a table."""
+        """Scaled inputs [C, m, n] and labels [C, 3, n] of a table."""
         z = self._plan.gather(table.signals, self._network.offset, self._network.scale)
-        labels = table.labels[:, list(self._plan.channels)].transpose(1, 0, 2)
+        labels = table.labels[:, list(self._plan.channels)].transpose(1, 2, 0)
         return torch.from_numpy(z), torch.from_numpy(np.ascontiguousarray(labels))
 
     def _scale_of_labels(self) -> torch.Tensor:
-        """Root mean square of the labels of each channel and axis, at least the floor, [C, 1, 3]."""
+        """Root mean square of the labels of each channel and axis, at least the floor, [C, 3, 1]."""
         floors = (self._job.config.position_label_floor_m_s2, self._job.config.attitude_label_floor_rad_s2)
         floor = torch.tensor([floors[at] for at in self._plan.channels])[:, None, None]
-        return torch.maximum(self._y_raw.square().mean(dim=1, keepdim=True).sqrt(), floor)
+        return torch.maximum(self._y_raw.square().mean(dim=2, keepdim=True).sqrt(), floor)
 
     def _held_out_of(self, split: int) -> tuple[torch.Tensor, torch.Tensor]:
         return self._inputs(self._held_out_table(split))
@@ -167,42 +168,38 @@ class _Round:
 
     def _epoch(self, indices: torch.Tensor) -> Array:
         """Some mini-batches; training, validation and test loss, [3, 2]."""
-        squares = torch.zeros(len(self._plan.channels), indices.shape[1], 3)
+        squares = torch.zeros(len(self._plan.channels), 3, indices.shape[1])
         every = self._job.config.projection_every
-        inputs, labels = self._z[:, indices].unbind(1), self._y[:, indices].unbind(1)
+        inputs, labels = _batches_of(self._z, indices), _batches_of(self._y, indices)
         for number, (z, y) in enumerate(zip(inputs, labels, strict=True)):
-            errors = loss_gradient(z, y, self._parameters, self._gradient, self._dropout(z.shape[1]))
+            errors = self._loss_gradient.at(z, y, self._dropout(z.shape[2]))
             self._optimiser.step(self._parameters.flat, self._gradient.flat)
             squares.addcmul_(errors, errors)
             if number % every == every - 1:
                 self._spectral.approximate()
-        trained = self._to_channels(squares.mean(dim=1, keepdim=True) / max(len(indices), 1))
+        trained = self._to_channels(squares.mean(dim=2, keepdim=True) / max(len(indices), 1))
         return np.vstack([trained, self._held_out_losses()])
 
     def _dropout(self, rows: int) -> torch.Tensor | None:
         share = self._job.network_config.dropout
         if share == 0.0:
             return None
-        shape = (len(self._plan.channels), rows, self._job.network_config.features - 1)
+        shape = (len(self._plan.channels), self._job.network_config.features - 1, rows)
         return (torch.rand(shape, generator=self._generator) >= share) / (1.0 - share)
-
-    def _predict(self, z: torch.Tensor) -> torch.Tensor:
-        features = layer_outputs(z, self._parameters)[-1]
-        return torch.baddbmm(self._parameters.last_bias, features, self._parameters.last_layer)
 
     def _held_out_losses(self) -> Array:
         """Validation and test loss per channel, [2, 2]; NaN where there is no sample."""
         rows = []
         for z, y in self._held_out:
-            if z.shape[1] == 0:
+            if z.shape[2] == 0:
                 rows.append(np.full(len(CHANNELS), np.nan))
             else:
-                errors = self._predict(z) - y / self._label_scale
-                rows.append(self._to_channels(errors.square().mean(dim=1, keepdim=True)))
+                errors = predictions(z, self._parameters) - y / self._label_scale
+                rows.append(self._to_channels(errors.square().mean(dim=2, keepdim=True)))
         return np.array(rows)
 
     def _to_channels(self, squared: torch.Tensor) -> Array:
-        """Squared errors [C, 1, 3] of standardised labels, in the units of u, summed over the axes: [2]."""
+        """Squared errors [C, 3, 1] of standardised labels, in the units of u, summed over the axes: [2]."""
         losses = np.full(len(CHANNELS), np.nan)
         losses[list(self._plan.channels)] = (squared * self._label_scale.square()).sum(dim=(1, 2)).double().numpy()
         return losses
@@ -214,22 +211,22 @@ class _Round:
         """
         Phi, held_out = self._phi(self._z), self._phi(self._held_out[0][0])
         y_held_out = (self._held_out[0][1] / self._label_scale).double()
-        weighted = (Phi * self._draw[None, :, None]).transpose(1, 2)
-        gram, moment = weighted @ Phi, weighted @ self._y.double()
-        shrunk = torch.ones(Phi.shape[2], dtype=torch.float64)
+        weighted = Phi * self._draw
+        gram, moment = weighted @ Phi.mT, weighted @ self._y.double().mT
+        shrunk = torch.ones(Phi.shape[1], dtype=torch.float64)
         shrunk[-1] = 1e-6
         fits = [torch.linalg.solve(gram + ridge * torch.diag(shrunk), moment) for ridge in self._job.config.ridges]
-        scatters = torch.stack([_scatter(y_held_out - held_out @ theta) for theta in fits])
-        enough = held_out.shape[1] >= HELD_OUT_MINIMUM
+        scatters = torch.stack([_scatter(y_held_out - theta.mT @ held_out) for theta in fits])
+        enough = held_out.shape[2] >= HELD_OUT_MINIMUM
         best = scatters.argmin(dim=0).tolist() if enough else [0] * len(self._plan.channels)
         theta = torch.stack([fits[ridge][row] for row, ridge in enumerate(best)]).float()
         self._parameters.last_layer.copy_(theta[:, :-1])
         self._parameters.last_bias.copy_(theta[:, -1:])
 
     def _phi(self, z: torch.Tensor) -> torch.Tensor:
-        """Phi with its constant, [C, n, k], for the regression in double precision."""
+        """Phi with its constant, [C, k, n], for the regression in double precision."""
         features = layer_outputs(z, self._parameters)[-1].double()
-        return torch.cat([features, torch.ones(*features.shape[:2], 1, dtype=torch.float64)], dim=2)
+        return torch.cat([features, torch.ones_like(features[:, :1])], dim=1)
 
     def _network_now(self) -> NetworkState:
         return NetworkState(
@@ -237,8 +234,8 @@ class _Round:
             self._network.scale,
             tuple(W.numpy().copy() for W in self._parameters.weights),
             tuple(b.numpy().copy() for b in self._parameters.biases),
-            (self._parameters.last_layer * self._label_scale).numpy(),
-            (self._parameters.last_bias * self._label_scale).numpy(),
+            (self._parameters.last_layer * self._label_scale.mT).numpy(),
+            (self._parameters.last_bias * self._label_scale.mT).numpy(),
         )
 
     def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
@@ -267,9 +264,15 @@ class _Round:
         by_torch = layer_outputs(z, self._parameters)[-1].numpy()
         channels = [channel for channel in (trained.position, trained.attitude) if channel is not None]
         differences = [
-            np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row]).max() for row, channel in enumerate(channels)
+            np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row].T).max() for row, channel in enumerate(channels)
         ]
         return float(max(differences))
+
+
+def _batches_of(table: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Mini-batches [C, width, M] of the samples of a table [C, width, n] with these row numbers [batches, M]."""
+    taken = table.gather(2, rows.view(-1).expand(*table.shape[:2], -1))
+    return tuple(taken.unflatten(2, rows.shape).unbind(2))
 
 
 def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable) -> torch.Tensor:
@@ -293,8 +296,8 @@ def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array)
 
 
 def _scatter(errors: torch.Tensor) -> torch.Tensor:
-    """Squared errors about their mean, [C], of errors [C, n, 3]: a constant error is for the law on board to remove."""
-    return (errors - errors.mean(dim=1, keepdim=True)).square().sum(dim=(1, 2))
+    """Squared errors about their mean, [C], of errors [C, 3, n]: a constant error is for the law on board to remove."""
+    return (errors - errors.mean(dim=2, keepdim=True)).square().sum(dim=(1, 2))
 
 
 def _power(labels: Array, channels: tuple[int, ...]) -> Array:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from offboard.config import NetworkConfig
-from offboard.gradient import Views, layer_outputs, loss_gradient, parameters_of
+from offboard.gradient import LossGradient, Views, layer_outputs, parameters_of
 from offboard.network import (
     InputPlan,
     SpectralBound,
@@ -43,7 +43,7 @@ def test_numpy_features_equal_torchs(channels: tuple[str, ...]) -> None:
         Phi = phi(channel_features(state, plan, row), x)
         assert Phi.shape == (200, config.features)
         assert np.array_equal(Phi[:, -1], np.ones(200))
-        assert np.abs(Phi[:, :-1] - by_torch[row]).max() < 2e-6
+        assert np.abs(Phi[:, :-1] - by_torch[row].T).max() < 2e-6
 
 
 @settings(max_examples=25, deadline=None)
@@ -59,11 +59,11 @@ def test_lipschitz_bound_holds_on_random_pairs(seed: int, spread: float) -> None
         limit = float(np.prod([np.linalg.norm(W, 2) for W in weights]))
         assert all(np.linalg.norm(W, 2) <= BOUND for W in weights)
         z = torch.from_numpy(
-            rng.normal(0.0, spread, (len(CONFIG.channels), 64, weights[0].shape[0])).astype(np.float32)
+            rng.normal(0.0, spread, (len(CONFIG.channels), weights[0].shape[0], 64)).astype(np.float32)
         )
         features = layer_outputs(z, grown)[-1][row].double().numpy()
-        apart = np.linalg.norm(z[row].double().numpy()[:32] - z[row].double().numpy()[32:], axis=1)
-        moved = np.linalg.norm(features[:32] - features[32:], axis=1)
+        apart = np.linalg.norm(z[row].double().numpy()[:, :32] - z[row].double().numpy()[:, 32:], axis=0)
+        moved = np.linalg.norm(features[:, :32] - features[:, 32:], axis=0)
         assert (moved <= limit * apart + 1e-5).all()
         assert limit <= BOUND ** len(weights)
 
@@ -94,18 +94,18 @@ def test_gradient_by_hand_equals_autograd(dropout: bool) -> None:
         parameters_of(state).flat
         + 0.1 * torch.from_numpy(rng.normal(size=4096 * 4).astype(np.float32))[: parameters_of(state).flat.numel()]
     )
-    z = torch.from_numpy(rng.normal(size=(C, 64, m)).astype(np.float32))
-    y = torch.from_numpy(rng.normal(size=(C, 64, 3)).astype(np.float32))
-    kept = torch.from_numpy((rng.random((C, 64, k - 1)) > 0.3).astype(np.float32)) if dropout else None
+    z = torch.from_numpy(rng.normal(size=(C, m, 64)).astype(np.float32))
+    y = torch.from_numpy(rng.normal(size=(C, 3, 64)).astype(np.float32))
+    kept = torch.from_numpy((rng.random((C, k - 1, 64)) > 0.3).astype(np.float32)) if dropout else None
     gradient = Views.of(torch.zeros_like(flat), state)
-    errors = loss_gradient(z, y, Views.of(flat, state), gradient, kept)
+    errors = LossGradient(Views.of(flat, state), gradient, 64).at(z, y, kept)
     leaf = flat.clone().requires_grad_(True)
     views = Views.of(leaf, state)
-    h = z
+    h = z.mT  # a row for each sample, as in the textbook
     for W, b in zip(views.weights, views.biases, strict=True):
         h = torch.tanh(torch.baddbmm(b, h, W))
-    h = h if kept is None else h * kept
-    loss = (torch.baddbmm(views.last_bias, h, views.last_layer) - y).square().mean()
+    h = h if kept is None else h * kept.mT
+    loss = (torch.baddbmm(views.last_bias, h, views.last_layer) - y.mT).square().mean()
     loss.backward()  # type: ignore[no-untyped-call]
     assert leaf.grad is not None
     assert float(errors.square().mean()) == pytest.approx(float(loss.detach()), rel=1e-5)
