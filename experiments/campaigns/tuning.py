@@ -7,7 +7,7 @@ its value is the mean cost over those flights, where
     cost = crash_cost (2 - share of the flight flown)    of one that was lost,
 
 so that a crash is never worth a good lap, and a late crash is better than an early one. RMSE is taken over the window
-the case names. The first trial is the file as it stands, the second the same with the campaign's `second_start`. A
+the case names. The first trial is the file as it stands, the next are the same with the campaign's `starts` in it. A
 trial that does worse than the median of the others after a part of its seeds is given up (not before every case was
 flown once).
 
@@ -75,8 +75,8 @@ class TuneConfig(Record):
     """Searched for every controller, over the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
     """By controller name: its own gains."""
-    second_start: dict[str, float] = Field(default_factory=dict)
-    """Values of common parameters for the second trial of every search; the others as the file has them."""
+    starts: tuple[dict[str, float], ...] = ()
+    """Values of common parameters for the first trials of every search; the others as the file has them."""
 
     @model_validator(mode="after")
     def _training_seeds(self) -> Self:
@@ -85,11 +85,11 @@ class TuneConfig(Record):
         return self
 
     @model_validator(mode="after")
-    def _known_start(self) -> Self:
+    def _known_starts(self) -> Self:
         ranges = {one.name: one for one in self.common}
-        for name, value in self.second_start.items():
+        for name, value in (item for start in self.starts for item in start.items()):
             if name not in ranges or not ranges[name].low <= value <= ranges[name].high:
-                raise ValueError(f"second_start: {name}: {value} is not a common parameter within its range")
+                raise ValueError(f"starts: {name}: {value} is not a common parameter within its range")
         return self
 
     def space(self, controller: str) -> tuple[Parameter, ...]:
@@ -198,7 +198,7 @@ def fly_trial(
 
 
 def open_study(search: Search, folder: Path) -> optuna.Study:
-    """The search's study, new or as it was left."""
+    """The search's study, new or as it was left. One search at a time: what it was flying then is flown anew."""
     folder.mkdir(parents=True, exist_ok=True)
     backend = optuna.storages.journal.JournalFileBackend(str(folder / f"{Path(search.controller).stem}.journal"))
     study = optuna.create_study(
@@ -212,8 +212,13 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
         space = search.config.space(search.controller)
         start = present_values(space, search.controller)
         study.enqueue_trial(start, user_attrs={"origin": "as it stood"})
-        if search.config.second_start:
-            study.enqueue_trial(start | search.config.second_start, user_attrs={"origin": "second_start"})
+        for one in search.config.starts:
+            study.enqueue_trial(start | one, user_attrs={"origin": "starts"})
+    for left in study.get_trials(
+        deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)
+    ):  # by a search that was killed
+        study.tell(left.number, state=optuna.trial.TrialState.FAIL)
+        study.enqueue_trial(left.params)
     return study
 
 

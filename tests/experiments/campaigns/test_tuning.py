@@ -105,15 +105,27 @@ def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
     assert f"seeds 0 to {load_tuning(TUNE).seeds.count - 1}; " in record[1]
 
 
-def test_the_second_trial_starts_from_the_campaigns_cautious_gains(tmp_path: Path) -> None:
-    study = run_search(search(2), open_study(search(2), tmp_path), Inline(bowl), lambda study: None)
-    first, second = (trial.params for trial in study.trials)
-    changed = {name: second[name] for name in first if second[name] != first[name]}
-    assert changed == load_tuning(TUNE).second_start
+def test_the_first_trials_start_from_the_campaigns_loop_gains(tmp_path: Path) -> None:
+    study = run_search(search(3), open_study(search(3), tmp_path), Inline(bowl), lambda study: None)
+    first, *others = (trial.params for trial in study.trials)
+    changed = [{name: other[name] for name in first if other[name] != first[name]} for other in others]
+    assert changed == list(load_tuning(TUNE).starts)
 
 
-def test_a_second_start_outside_its_range_is_refused() -> None:
-    tree = read_tree(TUNE) | {"second_start": {"position_frequency": 40.0}}
+def test_a_killed_searchs_trial_is_flown_again(tmp_path: Path) -> None:
+    study = open_study(search(2), tmp_path)
+    flying = study.ask()  # and then the process is killed
+    values = {
+        one.name: flying.suggest_float(one.name, one.low, one.high, log=one.log)
+        for one in search(2).config.space("pid")
+    }
+    again = run_search(search(3), open_study(search(3), tmp_path), Inline(bowl), lambda study: None)
+    assert again.trials[0].state.name == "FAIL"
+    assert [trial.params for trial in again.trials[1:]].count(values) == 1
+
+
+def test_a_start_outside_its_range_is_refused() -> None:
+    tree = read_tree(TUNE) | {"starts": [{"position_frequency": 40.0}]}
     with pytest.raises(ValueError, match=r"position_frequency: 40\.0 is not a common parameter within its range"):
         tuning.TuneConfig.model_validate_json(__import__("json").dumps(tree), strict=False)
 
@@ -128,8 +140,8 @@ def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
     study = run_search(search(2), open_study(search(2), tmp_path), Inline(bowl), lambda study: None)
     states = [trial.state for trial in study.trials]
     assert states.count(optuna.trial.TrialState.FAIL) == 1
-    assert len(states) == 3
-    assert study.trials[1].params | load_tuning(TUNE).second_start == study.trials[1].params  # not flown before
+    assert states.count(optuna.trial.TrialState.COMPLETE) == 2
+    assert study.trials[1].params | load_tuning(TUNE).starts[0] == study.trials[1].params  # not flown before
 
 
 def test_a_wrong_path_ends_the_search_with_its_command(tmp_path: Path) -> None:
