@@ -283,13 +283,15 @@ def main(words: Sequence[str] | None = None) -> int:
         parser.error(f"--page {options.page}: no such page")
     if not options.no_flights:
         jobs = [] if options.jobs is None else ["--jobs", str(options.jobs)]
-        resume = ["--resume"] if options.out.exists() else []
+        resume = ["--resume", "--retry-errors"] if options.out.exists() else []
         flown = dmrac("campaign", CAMPAIGN, "--seeds", str(options.seeds), "--out", str(options.out), *jobs, *resume)
         if flown:
             return flown
         traces = options.out / TRACES_FILE
         if not traces.exists():
-            dmrac("dropouts", "--out", str(traces), *jobs)
+            dmrac("dropouts", "--out", str(traces), *jobs)  # its status says whether all survived: the table does, too
+            if not traces.exists():
+                return 2
     rebuild(options.out, options.page)
     return 0
 

@@ -21,7 +21,7 @@ from experiments.flights.scenario import Choices, FlightConfig, resolve
 from onboard.config import STATUS_BYTES, SYNC_REPLY_BYTES, SYNC_REQUEST_BYTES, OnboardConfig
 from onboard.core import OnboardCore
 from onboard.features import random_channel
-from onboard.flight_modes import FlightMode
+from onboard.flight_modes import Command, FlightMode
 from onboard.process import OnboardProcess
 from onboard.sampler import NETWORK_BYTES
 from onboard.tick_record import OFFSET
@@ -232,6 +232,21 @@ def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
     unanswered = [now_ns for now_ns in asked if now_ns < 2 * S]
     assert len(unanswered) == pytest.approx(2.0 / config.status_period_s, abs=2)
     assert len(asked) - len(unanswered) == pytest.approx(4.0 / config.time_sync_period_s, abs=2)
+
+
+def test_an_onboard_that_starts_anew_in_the_air_leaves_the_motors_off() -> None:
+    """Nothing tells it a fall from a throw by hand; docs/link.md says why it does not try."""
+    flight = Flight("mrac").fly(4.0)
+    successor = flight.lockstep._onboard = OnboardCore(flight.config.onboard, 99, None)
+    ticks, refusals = 0, set()
+    while not flight.lockstep.crash_reason and ticks < 400:
+        refusals.add(successor._supervisor.command(Command.ARM, flight.lockstep.result.now_ns))
+        tick = flight.lockstep.step().onboard.tick
+        assert tick[OFFSET["mode"]] == FlightMode.BOOT
+        assert not tick[OFFSET["motor_1"] : OFFSET["motor_1"] + 4].any()
+        ticks += 1
+    assert 40 < ticks < 200, "it falls for as long as that"
+    assert "" not in refusals, "nor may a person arm it"
 
 
 # --- an attacker with and without the key ----------------------------------------------------------------------------
