@@ -1,8 +1,8 @@
 """All of onboard's configuration: one record per block, each defined beside its block."""
 
-from typing import Annotated
+from typing import Annotated, Final, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from configs.loader import Record
 from configs.realtime import RealtimeConfig
@@ -15,6 +15,12 @@ from onboard.pose_health import PoseHealthConfig
 from onboard.sampler import SamplerConfig
 from onboard.supervisor import SupervisorConfig
 from onboard.vehicle_link import VehicleLinkConfig
+from protocol.endpoint import CHALLENGE_PERIOD_NS
+
+STATUS_BYTES: Final = 154
+"""The longest status, UDP and IP included."""
+SYNC_REQUEST_BYTES: Final = 82
+SYNC_REPLY_BYTES: Final = 100
 
 
 class OnboardConfig(Record):
@@ -36,3 +42,17 @@ class OnboardConfig(Record):
     controller: ControllerConfig
     samples: SamplerConfig
     realtime: RealtimeConfig
+
+    @model_validator(mode="after")
+    def _budget_holds_the_talk(self) -> Self:
+        """Status and time sync go whatever the samples need: they alone must keep to the budget."""
+        talk = STATUS_BYTES / self.status_period_s
+        talk += SYNC_REQUEST_BYTES / min(self.status_period_s, self.time_sync_period_s)
+        talk += SYNC_REPLY_BYTES * 1e9 / CHALLENGE_PERIOD_NS
+        if talk > self.samples.budget_bytes_s:
+            raise ValueError(
+                f"samples.budget_bytes_s {self.samples.budget_bytes_s:g}: status_period_s {self.status_period_s:g} and "
+                f"time_sync_period_s {self.time_sync_period_s:g} may take {talk:.0f} B/s; "
+                "allowed is no less than that, or make the periods longer"
+            )
+        return self

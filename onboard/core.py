@@ -299,7 +299,7 @@ class OnboardCore:
         self._output.to_offboard += self._offboard_link.send_samples(now_ns)
 
     def _report(self, now_ns: int) -> None:
-        """Status, time sync and telemetry, each at its own period; the answer to a challenge at once."""
+        """Status, time sync and telemetry, each at its own period."""
         link, state = self._offboard_link, self._estimator.state
         self._output.to_offboard += link.send_time_sync(now_ns)
         self._output.clock_offset = link.clock_record(now_ns)

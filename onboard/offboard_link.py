@@ -13,7 +13,7 @@ from onboard.feature_reception import FeatureReception
 from onboard.flight_modes import FlightMode
 from onboard.records import NEVER_NS
 from onboard.sampler import SampleQueue
-from protocol.endpoint import Endpoint
+from protocol.endpoint import CHALLENGE_PERIOD_NS, Endpoint
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.statistics import LinkStatistics
 
@@ -58,6 +58,7 @@ class OffboardLink:
         self._challenge: tuple[int, int] | None = None
         self._next_status_ns = 0
         self._next_sync_ns = 0
+        self._asked_ns = self._answered_ns = NEVER_NS
         self._next_clock_record_ns = 0
         self.last_heard_ns = NEVER_NS
 
@@ -88,11 +89,13 @@ class OffboardLink:
         return None
 
     def _meet_session(self, now_ns: int) -> None:
-        if self._peer_session is not None:
+        if self._peer_session is None:
+            self._next_sync_ns = now_ns
+        else:
             self._reception.peer_restarted()
             self._events.append((now_ns, "offboard restarted"))
+            self._next_sync_ns = min(self._next_sync_ns, self._asked_ns + self._status_period_ns)
         self._peer_session = self.endpoint.peer_session
-        self._next_sync_ns = now_ns
 
     def take_events(self) -> list[tuple[int, str]]:
         """What happened since the last call: (time_ns, text)."""
@@ -105,13 +108,14 @@ class OffboardLink:
         return [self.endpoint.encode(batch, now_ns) for batch in batches]
 
     def send_time_sync(self, now_ns: int) -> list[bytes]:
-        """The answer to a challenge, at once, and our own question when it is due."""
+        """Our own question and the answer to a challenge, each when it is due: nobody makes us talk more."""
         datagrams: list[bytes] = []
-        if self._challenge is not None:
+        if self._challenge is not None and now_ns - self._answered_ns >= CHALLENGE_PERIOD_NS:
             origin_ns, receive_ns = self._challenge
-            self._challenge = None
+            self._challenge, self._answered_ns = None, now_ns
             datagrams.append(self._send(TimeSyncReply(origin_ns, receive_ns, now_ns), now_ns))
         if now_ns >= self._next_sync_ns:
+            self._asked_ns = now_ns
             known = self.endpoint.clock_offset_ns is not None  # until then no pose can be used: ask with each status
             self._next_sync_ns = now_ns + (self._sync_period_ns if known else self._status_period_ns)
             datagrams.append(self._send(TimeSyncRequest(now_ns), now_ns))

@@ -5,6 +5,7 @@ what stands between the marks in the page, and the figure. Nothing in there is w
 """
 
 import argparse
+import contextlib
 import json
 import math
 import subprocess
@@ -18,6 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from configs.loader import ConfigError
 from experiments.campaigns.flight_row import Row, point_of
 from experiments.campaigns.store import read_table
 from experiments.results.statistics import Estimate, median, wilson
@@ -250,8 +252,18 @@ def replace_between_marks(text: str, name: str, content: str) -> str:
 
 
 def rebuild(folder: Path, page: Path) -> None:
-    """Rewrites the blocks of the page and the figure from what the folder holds."""
+    """Rewrites the blocks of the page and the figure from what the folder holds.
+
+    Raises
+    ------
+    ConfigError
+        If it holds no flight with a perfect link, which all others are held against.
+    """
     cells = read_cells(folder)
+    if not any(link == PERFECT_POINT for link, _ in cells):
+        raise ConfigError(
+            f"--out {folder}: holds no flight at {PERFECT_POINT} yet, so there is nothing to compare with"
+        )
     controllers = [name for name in ("mrac", "dmrac") if any(flown_by == name for _, flown_by in cells)]
     text = page.read_text(encoding="utf-8")
     text = replace_between_marks(text, "verdict", verdict(cells, controllers))
@@ -266,8 +278,11 @@ def rebuild(folder: Path, page: Path) -> None:
 
 
 def dmrac(*words: str) -> int:
-    """Run a subcommand as a person would; returns its exit status."""
-    return subprocess.run([sys.executable, "-m", "experiments.command_line", *words], check=False).returncode
+    """Run a subcommand as a person would; returns its exit status. Ctrl-C is its to answer: it keeps what is flown."""
+    process = subprocess.Popen([sys.executable, "-m", "experiments.command_line", *words])
+    while True:
+        with contextlib.suppress(KeyboardInterrupt):
+            return process.wait()
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -283,14 +298,19 @@ def main(words: Sequence[str] | None = None) -> int:
         parser.error(f"--page {options.page}: no such page")
     if not options.no_flights:
         jobs = [] if options.jobs is None else ["--jobs", str(options.jobs)]
-        resume = ["--resume"] if options.out.exists() else []
+        resume = ["--resume", "--retry-errors"] if options.out.exists() else []
         flown = dmrac("campaign", CAMPAIGN, "--seeds", str(options.seeds), "--out", str(options.out), *jobs, *resume)
         if flown:
             return flown
         traces = options.out / TRACES_FILE
         if not traces.exists():
-            dmrac("dropouts", "--out", str(traces), *jobs)
-    rebuild(options.out, options.page)
+            dmrac("dropouts", "--out", str(traces), *jobs)  # its status says whether all survived: the table does, too
+            if not traces.exists():
+                return 2
+    try:
+        rebuild(options.out, options.page)
+    except ConfigError as error:
+        parser.error(str(error))
     return 0
 
 

@@ -10,9 +10,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from experiments.flights.scenario import FlightConfig
+
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
 READY_LIMIT_S = 40.0
+
+
+def on_ports(config: FlightConfig, first: int) -> FlightConfig:
+    """The flight on addresses that no flight of a person uses: ports of this machine from `first` on."""
+    names = sorted(name for name in type(config.network).model_fields if not name.endswith("key_file"))
+    addresses = {name: f"127.0.0.1:{first + index}" for index, name in enumerate(names)}
+    network = config.network.model_validate(config.network.model_dump() | addresses)
+    return config.model_copy(update={"network": network})
 
 
 class Processes:

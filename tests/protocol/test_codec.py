@@ -9,7 +9,7 @@ import pytest
 from protocol.codec import TYPE_NUMBERS, decode_body, decode_feature_set, encode_body, encode_feature_set
 from protocol.errors import ProtocolError
 from protocol.feature_set import FeatureSet
-from protocol.messages import REFUSALS, Message, Pose, SampleBatch
+from protocol.messages import REFUSALS, FeatureChunk, Message, Pose, SampleBatch
 
 Make = Callable[..., FeatureSet]
 
@@ -174,3 +174,10 @@ def test_no_feature_set_at_all(data: bytes) -> None:
     with pytest.raises(ProtocolError) as caught:
         decode_feature_set(data)
     assert caught.value.reason == "undecodable"
+
+
+def test_every_form_that_msgpack_has_for_a_value_is_taken() -> None:
+    """Another language's library need not choose the shortest one."""
+    longest = b"\xdd\x00\x00\x00\x05" + b"".join(b"\xd3" + value.to_bytes(8, "big") for value in (1, 0, 8))
+    longest += b"\xc6\x00\x00\x00\x10" + bytes(16) + b"\xc6\x00\x00\x00\x01x"
+    assert decode_body(65, longest) == FeatureChunk(1, 0, 8, bytes(16), b"x")

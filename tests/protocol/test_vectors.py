@@ -6,6 +6,7 @@ The reader below shares no code with the package; it stands for an implementatio
 import hashlib
 import importlib.util
 import json
+import re
 import struct
 from pathlib import Path
 from types import ModuleType
@@ -13,9 +14,11 @@ from typing import Any
 
 import pytest
 
+from onboard.flight_modes import FlightMode
 from protocol.codec import decode_feature_set, encode_feature_set
 from protocol.endpoint import Endpoint
-from protocol.messages import TimeSyncRequest
+from protocol.messages import REFUSALS, TimeSyncRequest
+from protocol.signals import SIGNAL_NAMES
 
 HERE = Path(__file__).resolve().parent
 VECTORS: dict[str, Any] = json.loads((HERE.parent / "vectors" / "protocol_v1.json").read_text(encoding="utf-8"))
@@ -131,3 +134,15 @@ def make_vectors() -> ModuleType:
 
 def test_the_file_is_what_the_generator_makes() -> None:
     assert make_vectors().content() == VECTORS
+
+
+def test_the_page_names_every_signal_mode_and_refusal_by_its_number() -> None:
+    page = (HERE.parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    stated = re.findall(r"`([a-z_]+[a-z0-9_]*)`", page[page.index("| 0 - 2 |") : page.index("### 2 Status")])
+    thrusts = stated.index("motor_thrust_1")
+    stated[thrusts : thrusts + 2] = [f"motor_thrust_{number}" for number in range(1, 5)]  # "1 to 4"
+    assert tuple(stated) == SIGNAL_NAMES
+    assert ", ".join(f"{mode.value} {mode.name}" for mode in FlightMode) in page
+    assert re.findall(r"^\| (\d+) ([a-z_]+) \|", page, re.MULTILINE) == [
+        (str(number), name) for number, name in enumerate(REFUSALS) if name
+    ]

@@ -9,26 +9,19 @@ from typing import Any
 
 import pytest
 
-from configs.network import NetworkConfig
 from experiments.flights.realtime_flight import Supervisor
-from experiments.flights.scenario import Choices, FlightConfig, resolve
+from experiments.flights.scenario import Choices, resolve
 from experiments.replays.recorded_flight import read_recorded
 from experiments.replays.replay_check import check_flight
 from flight_record.reader import open_flight
 from onboard.flight_modes import FlightMode
+from tests.experiments.processes import on_ports
 
 pytestmark = pytest.mark.realtime
 
 DURATION_S = 15.0
 KILL_AT_S = 4.0
 RESTART_AT_S = 4.5
-
-
-def with_own_ports(config: FlightConfig) -> FlightConfig:
-    """The flight on addresses that no flight of a person uses."""
-    names = sorted(set(NetworkConfig.model_fields) - {"key_file"})
-    addresses = {name: f"127.0.0.1:{16460 + index}" for index, name in enumerate(names)}
-    return config.model_copy(update={"network": config.network.model_copy(update=addresses)})
 
 
 class KillAndRestart:
@@ -55,7 +48,7 @@ class KillAndRestart:
 
 
 def test_a_flight_survives_the_death_of_offboard_and_takes_up_another(tmp_path: Path) -> None:
-    config = with_own_ports(resolve("hover", Choices(duration_s=DURATION_S)))
+    config = on_ports(resolve("hover", Choices(duration_s=DURATION_S)), 16460)
     config_path = tmp_path / "config.yaml"
     config_path.write_text(config.to_yaml(), encoding="utf-8")
     supervisor = Supervisor(config_path, tmp_path, DURATION_S, lambda entry: observer(entry))
@@ -96,7 +89,7 @@ def read_summary(folder: Path, name: str) -> dict[str, Any]:
 
 
 def test_a_process_alone_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
-    config = with_own_ports(resolve("hover")).to_yaml()
+    config = on_ports(resolve("hover"), 16460).to_yaml()
     path = tmp_path / "config.yaml"
     wrong = {
         "onboard": (config.replace("priority: 40", "priority: 4000"), "onboard.realtime.priority: 4000"),

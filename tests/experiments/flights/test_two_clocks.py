@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from configs.network import NetworkConfig
 from experiments.flights import realtime_flight
 from experiments.flights.realtime_flight import run
 from experiments.flights.scenario import Choices, resolve
 from flight_record.log_file import read_log_file
 from flight_record.reader import open_flight
 from flight_record.schema import CLOCK_OFFSET
+from tests.experiments.processes import on_ports
 
 pytestmark = pytest.mark.realtime
 
@@ -38,15 +38,12 @@ def test_logs_of_machines_whose_clocks_differ_align(tmp_path: Path, monkeypatch:
     (tmp_path / "another_machine.py").write_text(ANOTHER_MACHINE, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), str(Path(__file__).resolve().parents[3]))))
     monkeypatch.setattr(realtime_flight, "MODULES", realtime_flight.MODULES | {"offboard": "another_machine"})
-    config = resolve("hover", Choices(duration_s=DURATION_S))
-    names = sorted(name for name, value in config.network.model_dump().items() if ":" in str(value))
-    addresses = {name: f"127.0.0.1:{16560 + index}" for index, name in enumerate(names)}
-    network = NetworkConfig.model_validate(config.network.model_dump() | addresses)
+    config = on_ports(resolve("hover", Choices(duration_s=DURATION_S)), 16560)
     config_path = tmp_path / "config.yaml"
-    config_path.write_text(config.model_copy(update={"network": network}).to_yaml(), encoding="utf-8")
+    config_path.write_text(config.to_yaml(), encoding="utf-8")
     folder = tmp_path / "flight"
     folder.mkdir()
-    result = run(network, config_path, DURATION_S, folder)
+    result = run(config.network, config_path, DURATION_S, folder)
     assert result.sim is not None
     assert result.sim["survived"], result.sim["crash_reason"]
 

@@ -17,7 +17,7 @@ from experiments.replays.recorded_flight import read_recorded
 from experiments.replays.replay_check import check_flight
 from onboard.flight_modes import FlightMode
 from shell.sockets import DatagramSocket
-from tests.experiments.processes import Processes
+from tests.experiments.processes import Processes, on_ports
 
 pytestmark = [pytest.mark.realtime, pytest.mark.full]
 
@@ -69,13 +69,10 @@ class FloodingRelay(threading.Thread):
 
 
 def test_a_real_flood_costs_no_tick(tmp_path: Path) -> None:
-    config = resolve("hover", Choices("mrac", 2, DURATION_S))
-    names = sorted(set(type(config.network).model_fields) - {"key_file"})
-    network = config.network.model_copy(update={name: f"127.0.0.1:{17660 + i}" for i, name in enumerate(names)})
-    config = config.model_copy(update={"network": network})
+    config = on_ports(resolve("hover", Choices("mrac", 2, DURATION_S)), 17660)
     path = tmp_path / "config.yaml"
     path.write_text(config.to_yaml(), encoding="utf-8")
-    relay = FloodingRelay(network.radio_onboard, network.onboard_link)
+    relay = FloodingRelay(config.network.radio_onboard, config.network.onboard_link)
     relay.start()
     with Processes(tmp_path) as processes:
         processes.start("sim", path)

@@ -15,19 +15,20 @@ import msgpack
 import numpy as np
 import pytest
 
+from configs.loader import ConfigError
 from experiments.flights.lockstep_flight import build, build_offboard
 from experiments.flights.scenario import Choices, FlightConfig, resolve
-from onboard.config import OnboardConfig
+from onboard.config import STATUS_BYTES, SYNC_REPLY_BYTES, SYNC_REQUEST_BYTES, OnboardConfig
 from onboard.core import OnboardCore
 from onboard.features import random_channel
-from onboard.flight_modes import FlightMode
+from onboard.flight_modes import Command, FlightMode
 from onboard.process import OnboardProcess
 from onboard.sampler import NETWORK_BYTES
 from onboard.tick_record import OFFSET
 from protocol.codec import HEADER, encode_feature_set
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX, Endpoint
 from protocol.feature_set import FeatureSet
-from protocol.messages import FeatureChunk, Pose, SampleBatch, TimeSyncReply, TimeSyncRequest
+from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.session import session_number
 from protocol.transfer import split
 
@@ -233,6 +234,21 @@ def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
     assert len(asked) - len(unanswered) == pytest.approx(4.0 / config.time_sync_period_s, abs=2)
 
 
+def test_an_onboard_that_starts_anew_in_the_air_leaves_the_motors_off() -> None:
+    """Nothing tells it a fall from a throw by hand; docs/link.md says why it does not try."""
+    flight = Flight("mrac").fly(4.0)
+    successor = flight.lockstep._onboard = OnboardCore(flight.config.onboard, 99, None)
+    ticks, refusals = 0, set()
+    while not flight.lockstep.crash_reason and ticks < 400:
+        refusals.add(successor._supervisor.command(Command.ARM, flight.lockstep.result.now_ns))
+        tick = flight.lockstep.step().onboard.tick
+        assert tick[OFFSET["mode"]] == FlightMode.BOOT
+        assert not tick[OFFSET["motor_1"] : OFFSET["motor_1"] + 4].any()
+        ticks += 1
+    assert 40 < ticks < 200, "it falls for as long as that"
+    assert "" not in refusals, "nor may a person arm it"
+
+
 # --- an attacker with and without the key ----------------------------------------------------------------------------
 
 
@@ -362,6 +378,16 @@ def test_what_a_tick_takes_in_is_bounded() -> None:
 # --- the budget of the up link ---------------------------------------------------------------------------------------
 
 
+def assert_within(up: list[tuple[int, int]], budget: float) -> None:
+    """No window of time holds more than the budget and one burst; `up`: (ns, bytes) of each datagram."""
+    times, sizes = (np.array(column) for column in zip(*up, strict=True))
+    total = np.concatenate([[0], np.cumsum(sizes)])
+    burst = 2 * 1200 + 300
+    for first in range(len(times)):
+        spans_s = (times[first:] - times[first]) * 1e-9
+        assert (total[first + 1 :] - total[first] <= burst + budget * spans_s).all()
+
+
 @pytest.mark.parametrize(("budget", "status_s"), [(1_500.0, 0.2), (6_000.0, 0.1)])
 def test_the_up_link_stays_within_its_budget(budget: float, status_s: float) -> None:
     """Samples, status and time sync with all headers, over every window; the newest samples go, gaps are marked."""
@@ -384,19 +410,37 @@ def test_the_up_link_stays_within_its_budget(budget: float, status_s: float) -> 
 
     flight.onboard.step = overheard  # type: ignore[method-assign]
     flight.fly(6.0)
-    times, sizes = (np.array(column) for column in zip(*flight.up, strict=True))
-    total = np.concatenate([[0], np.cumsum(sizes)])
-    burst = 2 * 1200 + 300
-    for first in range(len(times)):
-        spans_s = (times[first:] - times[first]) * 1e-9
-        assert (total[first + 1 :] - total[first] <= burst + budget * spans_s).all()
-    assert total[-1] > 0.8 * budget * 3.0, "and what there is is used"
+    assert_within(flight.up, budget)
+    assert sum(size for _, size in flight.up) > 0.8 * budget * 3.0, "and what there is is used"
     assert flight.onboard.summary()["samples"]["dropped"] > 0
     ages_s = [(now_ns - batch.time_ns) * 1e-9 for now_ns, batch in batches[3:]]
     assert max(ages_s) < 0.3, "the newest samples are kept"
     jumps = [later.first_index - sooner.first_index for (_, sooner), (_, later) in pairwise(batches[3:])]
     assert min(jumps) >= 1
     assert max(jumps) > batches[-1][1].signals.shape[0], "what is missing shows as a jump of the index"
+
+
+def test_a_peer_that_restarts_and_asks_without_end_does_not_make_us_exceed_it() -> None:
+    assignments = ("onboard.samples.budget_bytes_s=1500.0", "onboard.status_period_s=0.2")
+    onboard = OnboardCore(resolve("hover", Choices("pid", 3, None, assignments)).onboard, 5, KEY)
+    up: list[tuple[int, int]] = []
+    for tick in range(2_000):
+        now_ns = tick * 5 * MS
+        peer = Endpoint("offboard", tick + 1, KEY)
+        onboard.take_in_offboard(peer.encode(TimeSyncRequest(now_ns), now_ns), now_ns)
+        up += [(now_ns, len(datagram) + NETWORK_BYTES) for datagram in onboard.step(now_ns).to_offboard]
+    assert_within(up, 1_500.0)
+    assert len(up) > 100, "but it is answered"
+
+
+def test_a_budget_that_status_and_time_sync_alone_exceed_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"samples\.budget_bytes_s 1500: status_period_s 0\.1 .*may take 2560 B/s"):
+        resolve("hover", Choices(assignments=("onboard.samples.budget_bytes_s=1500.0",)))
+    most, count, endpoint = 2**32 - 1, 2**63 - 1, Endpoint("onboard", 1, KEY)
+    status = Status(most, most, most, bytes(8), most, 9, count, count, most, count, count, count)
+    longest = (status, TimeSyncRequest(count), TimeSyncReply(count, count, count))
+    stated = (STATUS_BYTES, SYNC_REQUEST_BYTES, SYNC_REPLY_BYTES)
+    assert tuple(len(endpoint.encode(message, 0)) + NETWORK_BYTES for message in longest) == stated
 
 
 def test_chunks_are_what_they_are() -> None:

@@ -18,6 +18,7 @@ from experiments.link.page import (
     age_table,
     draw,
     is_below,
+    main,
     name_of,
     replace_between_marks,
     sweep_table,
@@ -102,6 +103,16 @@ def test_the_page_has_a_block_for_each_table() -> None:
         assert replace_between_marks(text, name, "new").count("\n\nnew\n\n") == 1
     with pytest.raises(ValueError, match="no block 'other'"):
         replace_between_marks(text, "other", "")
+
+
+def test_a_folder_without_flights_leaves_the_page_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "link.md"
+    page.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["--no-flights", "--out", str(tmp_path / "none"), "--page", str(page)])
+    assert ended.value.code == 2
+    assert "holds no flight at loss_0 yet" in capsys.readouterr().err
+    assert page.read_text(encoding="utf-8") == PAGE.read_text(encoding="utf-8")
 
 
 def test_the_figure(tmp_path: Path) -> None:

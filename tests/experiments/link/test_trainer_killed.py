@@ -9,7 +9,7 @@ from experiments.flights.scenario import Choices, resolve
 from experiments.replays.recorded_flight import read_recorded
 from experiments.replays.replay_check import check_flight
 from onboard.flight_modes import FlightMode
-from tests.experiments.processes import Processes
+from tests.experiments.processes import Processes, on_ports
 
 pytestmark = [pytest.mark.realtime, pytest.mark.full]
 
@@ -18,11 +18,9 @@ LIVES = 4
 
 
 def test_a_trainer_killed_again_and_again_does_not_cost_the_vehicle(tmp_path: Path) -> None:
-    config = resolve("figure8_wind", Choices("dmrac", 2, DURATION_S))
-    names = sorted(set(type(config.network).model_fields) - {"key_file"})
-    network = config.network.model_copy(update={name: f"127.0.0.1:{17760 + i}" for i, name in enumerate(names)})
+    config = on_ports(resolve("figure8_wind", Choices("dmrac", 2, DURATION_S)), 17760)
     path, checkpoint = tmp_path / "config.yaml", tmp_path / "checkpoint.npz"
-    path.write_text(config.model_copy(update={"network": network}).to_yaml(), encoding="utf-8")
+    path.write_text(config.to_yaml(), encoding="utf-8")
     with Processes(tmp_path) as processes:
         processes.start("sim", path)
         processes.start("offboard", path)
