@@ -42,16 +42,13 @@ def test_a_browser_sees_the_flight_while_it_is_flown(tmp_path: Path) -> None:
             later = await page.picture()
         return first, later
 
-    with (
-        browser.running_browser(tmp_path, QUIET) as socket,
-        subprocess.Popen(
-            fly_command(folder), stdout=subprocess.PIPE, text=True, env={**os.environ, "BROWSER": "true"}
-        ) as fly,
-    ):
+    environment = {**os.environ, "BROWSER": "true"}  # no window of a person's own browser
+    with subprocess.Popen(fly_command(folder), stdout=subprocess.PIPE, text=True, env=environment) as fly:
         assert fly.stdout is not None
         url = fly.stdout.readline().strip()
         assert url.startswith("http://127.0.0.1:")
-        (first, later), _ = browser.look_at(socket, url, look)
+        with browser.running_browser(tmp_path, QUIET) as socket:
+            (first, later), _ = browser.look_at(socket, url, look)
         flown_already = (folder / END_FILE).exists()
         family = descendants(fly.pid)
         heard = listening_addresses(family)
