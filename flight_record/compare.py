@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flight_record.page import code, image, page, paragraph, section, table
+from flight_record.page import card, code, image, page, paragraph, section, table
 from flight_record.reader import Flight, FlightError, Table
 from flight_record.report import card_rows, repeat_command, title_of
 
@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000", "#e69f00", "#56b4e9", "#f0e442")
 STYLES: Final = ("-", "--", "-.", ":")
 SMOOTHING_S: Final = 0.5
+LEGEND_ROW_INCH: Final = 0.25
 
 
 def write_comparison(flights: Sequence[Flight], path: Path) -> None:
@@ -42,7 +43,7 @@ def build_comparison(flights: Sequence[Flight]) -> str:
         [
             section("Flights", table([[n, str(f.path)] for n, f in zip(names, flights, strict=True)])),
             section("Figure", image(draw(flights, names), "comparison")),
-            section("Flight cards", table(card_table(flights), ("", *names)), _without_card(flights, names)),
+            section("Flight cards", card(card_table(flights), ("", *names)), _without_card(flights, names)),
             section("Again", code("\n".join(repeat_command(flight) for flight in flights if flight.summary))),
         ],
     )
@@ -72,11 +73,12 @@ def draw(flights: Sequence[Flight], names: Sequence[str]) -> bytes:
     ticks = [flight.get("onboard/tick") for flight in flights]
     if all(tick is None for tick in ticks):
         raise FlightError("none of the flights has onboard/tick, so there is nothing to draw")
-    figure = Figure(figsize=(13, 9), layout="constrained")
+    figure = Figure(figsize=(13, 8 + LEGEND_ROW_INCH * len(flights)), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(4, 2, width_ratios=(1.7, 1.0))
     above = figure.add_subplot(grid[:, 1])
-    panels = [figure.add_subplot(grid[row, 0]) for row in range(4)]
+    panels = [figure.add_subplot(grid[0, 0])]
+    panels += [figure.add_subplot(grid[row, 0], sharex=panels[0]) for row in (1, 2, 3)]
     for i, (flight, tick) in enumerate(zip(flights, ticks, strict=True)):
         if tick is None:
             continue
@@ -93,9 +95,10 @@ def draw(flights: Sequence[Flight], names: Sequence[str]) -> bytes:
         panel.set_ylim(bottom=0.0)
         panel.grid(alpha=0.3)
     panels[-1].set_xlabel("time since the start of the path [s]")
-    above.set(xlabel="east [m]", ylabel="north [m]", title="path from above, target grey", aspect="equal")
+    above.set(xlabel="east [m]", ylabel="north [m]", title="path from above, target grey")
+    above.set_aspect("equal", adjustable="datalim")
     above.grid(alpha=0.3)
-    above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=8)
+    figure.legend(*above.get_legend_handles_labels(), loc="outside lower left")
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
     return buffer.getvalue()
@@ -105,7 +108,7 @@ def _draw_flight(panels: Sequence[Any], above: Any, flight: Flight, tick: Table,
     time_s = path_seconds(tick)
     position = true_position(flight, tick)
     target = tick.vector("target_n", "target_e", "target_d")
-    on_path = time_s >= 0.0
+    on_path = (time_s >= 0.0) & (time_s <= path_end_s(tick, time_s))
     error = np.linalg.norm(position - target, axis=1)
     adaptive = np.linalg.norm(tick.vector("position_adaptive_n", "position_adaptive_e", "position_adaptive_d"), axis=1)
     tilt = np.degrees(np.hypot(tick["euler_x"], tick["euler_y"]))
@@ -120,6 +123,12 @@ def path_seconds(tick: Table) -> Array:
     """[n], s since the path began; since the first record where it never did."""
     started = np.flatnonzero(tick["path_time"] > 0.0)
     return tick.seconds(int(tick.time_ns[started[0] if started.size else 0]))
+
+
+def path_end_s(tick: Table, time_s: Array) -> float:
+    """When the path was left, to land; the last record where it never was or never began."""
+    advanced = np.flatnonzero(np.diff(tick["path_time"]) > 0.0)
+    return float(time_s[advanced[-1] + 1 if advanced.size else -1])
 
 
 def true_position(flight: Flight, tick: Table) -> Array:

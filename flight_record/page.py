@@ -12,6 +12,7 @@ table { border-collapse: collapse; margin: .5rem 0; } th, td { text-align: left;
 td.number { text-align: right; font-variant-numeric: tabular-nums; } tr { border-bottom: 1px solid #8884; }
 pre, code { font: 13px/1.4 ui-monospace, monospace; } pre { overflow-x: auto; padding: .6rem; background: #8882; }
 img { max-width: 100%; background: white; } .good { color: #1a7f37; } .bad { color: #cf222e; font-weight: 600; }
+.card td { text-align: left; overflow-wrap: anywhere; min-width: 5rem; } .card td:first-child { white-space: nowrap; }
 .best { font-weight: 700; } .scroll { overflow-x: auto; } .quiet { opacity: .7; }
 """
 
@@ -41,9 +42,20 @@ def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     return f'<div class="scroll"><table>{top}{"".join(map(_row, rows))}</table></div>'
 
 
+def card(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """A table of names with their values, which are of all kinds: they stand to the left, and long ones are broken."""
+    body = table(rows, head)
+    return f'<div class="card">{body}</div>' if body else ""
+
+
 def folded(title: str, text: str) -> str:
     """Text that opens on a click."""
-    return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>" if text else ""
+    return opening(title, code(text)) if text else ""
+
+
+def opening(title: str, body: str) -> str:
+    """Something that opens on a click."""
+    return f"<details><summary>{escape(title)}</summary>{body}</details>"
 
 
 def code(text: str) -> str:

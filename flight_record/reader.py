@@ -226,16 +226,23 @@ class Flight:
     def faults(self) -> tuple[str, ...]:
         """What is wrong with the logs, one line each, gaps apart."""
         found = list(self._warnings)
-        for log in self.logs:
+        for log, to_base in zip(self.logs, self._maps, strict=True):
+            last = self._last_record(log, to_base)
             if log.damage:
-                found.append(f"{log.path.name}: {log.damage}; what follows is lost")
+                found.append(f"{log.path.name}: {log.damage}; what follows {last} is lost")
             elif not log.whole:
-                found.append(
-                    f"{log.path.name}: not closed (killed, still flying, or disk full); read up to its last chunk"
-                )
+                found.append(f"{log.path.name}: not closed (killed, still flying, or disk full); read up to {last}")
             if log.record_count == 0:
                 found.append(f"{log.path.name}: holds no records")
         return tuple(found)
+
+    def _last_record(self, log: LogFile, to_base: ClockMap) -> str:
+        """Where a log ends, in words."""
+        last_ns = max((int(topic.times_ns[-1]) for topic in log.vectors.values()), default=None)
+        if last_ns is None:
+            return "its last chunk"
+        time_ns = int(to_base(np.array([last_ns], dtype=np.int64))[0])
+        return f"{(time_ns - self.start_ns) * 1e-9:.3f} s"
 
     def _build(self, topic: str) -> Table:
         parts = [

@@ -54,7 +54,7 @@ def new_recording(name: str) -> rr.RecordingStream:
 def connect(name: str, address: str) -> rr.RecordingStream:
     """A recording that goes to a running viewer. The layout is that of `scene.GROUPS`, whatever comes of them."""
     recording = new_recording(name)
-    recording.connect_grpc(address, default_blueprint=blueprint(GROUPS))
+    recording.connect_grpc(address, default_blueprint=blueprint(GROUPS, live=True))
     return recording
 
 
@@ -103,7 +103,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
         _send(recording, curve_entity(curve), curve.time_ns[known], scene.start_ns, columns)
     if scene.events:
         times = np.array([event.time_ns for event in scene.events], dtype=np.int64)
-        texts = [f"{event.process}: {event.text}" for event in scene.events]
+        texts = [f"{(e.time_ns - scene.start_ns) * 1e-9:7.2f} s  {e.process}: {e.text}" for e in scene.events]
         _send(recording, "events", times, scene.start_ns, rr.TextLog.columns(text=texts))
 
 
@@ -156,10 +156,11 @@ def _word(text: str) -> str:
     return "".join(character if character.isascii() and character.isalnum() else "_" for character in text).strip("_")
 
 
-def blueprint(groups: tuple[str, ...], span_s: tuple[float, float] | None = None) -> rrb.Blueprint:
+def blueprint(groups: tuple[str, ...], span_s: tuple[float, float] | None = None, live: bool = False) -> rrb.Blueprint:
     """The layout: the room and the events to the left, curves to the right.
 
     span_s: what the curves show at first; all that there is so far, when None.
+    live: the cursor stays at the newest data.
     """
     tabs = []
     for name, wanted in TABS.items():
@@ -170,7 +171,7 @@ def blueprint(groups: tuple[str, ...], span_s: tuple[float, float] | None = None
         rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[3, 2]) if tabs else left,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
         auto_views=False,
     )
 
@@ -193,7 +194,7 @@ def _room() -> rrb.Spatial3DView:
 
 
 def _events() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
+    columns = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])  # a time's column is too narrow for it
     return rrb.TextLogView(origin="events", name="events", columns=columns)
 
 

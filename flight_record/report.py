@@ -11,7 +11,7 @@ import numpy as np
 from configs.loader import ConfigError, parse_yaml
 from flight_record.inspect import check
 from flight_record.log_file import FlightError
-from flight_record.page import code, folded, image, page, paragraph, section, table
+from flight_record.page import card, code, folded, image, opening, page, paragraph, section, table
 from flight_record.reader import TICK_TOPIC, Flight, Table, open_flight
 
 REPORT_NAME: Final = "report.html"
@@ -44,7 +44,7 @@ def build_report(flight: Flight) -> str:
         title_of(flight),
         [
             _fate(summary),
-            section("Flight card", table(card_rows(summary))),
+            section("Flight card", card(card_rows(summary))),
             section("Figures", *(image(file.read_bytes(), file.stem) for file in sorted(flight.path.glob("*.png")))),
             section("Training", _training(flight.get("offboard/training"))),
             section("Events", _events(flight)),
@@ -64,10 +64,12 @@ def title_of(flight: Flight) -> str:
 
 
 def card_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]]:
-    """Name and value of every entry of the flight card, nested ones by path."""
+    """Name and value of every entry of the flight card, nested ones by path; the command has a place of its own."""
     rows: list[list[str]] = []
     for key, value in summary.items():
         name = f"{prefix}{key}"
+        if name == "command":
+            continue
         if isinstance(value, Mapping):
             rows += card_rows(value, f"{name}.")
         elif isinstance(value, list | tuple) and value:
@@ -129,8 +131,7 @@ def _training(training: Table | None) -> str:
     shown = np.unique(np.linspace(0, len(training) - 1, TRAINING_ROUNDS_MAX).astype(int))
     names = [name for name in training.names if np.isfinite(training[name]).any()]
     rows = [[f"{training[name][i]:.4g}" for name in names] for i in shown]
-    note = f"{len(shown)} of {len(training)} rounds" if len(shown) < len(training) else ""
-    return paragraph(note, "quiet") + table(rows, names)
+    return opening(f"{len(shown)} of {len(training)} rounds", table(rows, names))
 
 
 def _events(flight: Flight) -> str:

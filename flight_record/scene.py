@@ -109,7 +109,7 @@ TABS: Final = {
     ),
     "adaptation": ("norm(W)", "norm(e), position [m, m/s]", "norm(e), attitude [rad, rad/s]"),
     "learning": ("features", "training loss, position [(m/s²)²]", "training loss, attitude [(rad/s²)²]"),
-    "link": ("datagrams lost in 1 s [%]", "link ages [s]", "link counts"),
+    "link": ("datagrams lost in 1 s [%]", "delay of datagrams [ms]", "link ages [s]", "link counts"),
     "vehicle": ("motors [share of maximum]", "loop [us]", "health"),
 }
 """Tab -> groups of curves, from top to bottom."""
@@ -129,7 +129,7 @@ def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
     if tick is not None and truth is not None:
         curves += _true_disturbance(tick, truth)
     if fate is not None:
-        curves += _losses(fate)
+        curves += _fates(fate)
     present = {curve.group for curve in curves}
     return Scene(
         motion=_motion(tick, truth),
@@ -232,17 +232,20 @@ def _smoothed(values: Array) -> Array:
     return mean
 
 
-def _losses(fate: Table) -> list[Curve]:
-    """Share of the datagrams of the last LOSS_WINDOW_NS that never arrived, by direction."""
+def _fates(fate: Table) -> list[Curve]:
+    """Each datagram's delay, and the share of those of the last LOSS_WINDOW_NS that never arrived, by direction."""
     curves = []
     for number, name in enumerate(("up", "down")):  # as in sim_vehicle.radio.DIRECTIONS
         rows = fate["direction"] == number
-        sent_ns, lost = fate.time_ns[rows], np.cumsum(fate["delay_ns"][rows] < 0)
+        sent_ns, delay_ns = fate.time_ns[rows], fate["delay_ns"][rows]
+        lost = np.cumsum(delay_ns < 0)
         first = np.searchsorted(sent_ns, sent_ns - LOSS_WINDOW_NS)
         count = np.arange(1, len(sent_ns) + 1) - first
         before = np.where(first > 0, lost[first - 1], 0) if len(sent_ns) else lost
         share = 100.0 * (lost - before) / np.maximum(count, 1)
         curves.append(Curve("datagrams lost in 1 s [%]", name, sent_ns, share))
+        delay_ms = np.where(delay_ns < 0, np.nan, delay_ns * 1e-6)
+        curves.append(Curve("delay of datagrams [ms]", name, sent_ns, delay_ms))
     return curves
 
 

@@ -1,64 +1,15 @@
-"""Every command that README and docs show is one that exists: its words are parsed, and the cheap ones run.
-
-The flights, campaigns and live processes among them are run by the tests of their packages.
-"""
+"""Every command that README and docs show is one that exists: its words are parsed. That they run: next file."""
 
 import argparse
-import os
 import re
 import shlex
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from experiments.command_line import SUBCOMMANDS, build_parser, main
-
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-START = r"(?:\.venv/bin/dmrac|dmrac|scripts/[a-z_]+)"
-NO_ARGUMENTS = {"scripts/test", "scripts/environment"}
-"""Scripts that are no subcommands of `dmrac`; scripts/replay_dropouts is `dmrac dropouts`."""
-PLACEHOLDERS = {"N": "3", "S": "20", "HOST:PORT": "127.0.0.1:14600", "GROUND:14550": "127.0.0.1:14550"}
-OPEN_END = {"...", "…", "[...]"}
-
-
-def text_of(page: Path) -> str:
-    """The page without its continued lines."""
-    return re.sub(r"\\\n\s*", " ", page.read_text(encoding="utf-8"))
-
-
-def block_commands(page: Path) -> Iterator[str]:
-    """Whole commands: lines of fenced or indented code, without prompt and comment."""
-    for line in text_of(page).splitlines():
-        if line.startswith("|"):  # a table's cells are prose; their commands stand in backticks
-            continue
-        for part in re.split(r"(?:&&|\||\s&)\s", line):
-            found = re.match(rf"^\s*(?:\$ )?({START}(?:\s.*)?)$", part)
-            if found and "`" not in part:
-                yield found.group(1)
-
-
-def inline_commands(page: Path) -> Iterator[str]:
-    """Commands in running text, which may leave arguments out."""
-    text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.MULTILINE | re.DOTALL)
-    for quoted in re.findall(r"(?<!`)`([^`]+)`(?!`)", text):
-        if re.fullmatch(rf"{START}(?:\s.*)?", quoted, flags=re.DOTALL):
-            yield " ".join(quoted.split())
-
-
-def words_of(command: str) -> list[str]:
-    """The arguments of `dmrac` that a command stands for; empty for scripts that are not `dmrac`."""
-    program, *words = shlex.split(command, comments=True)
-    if program in NO_ARGUMENTS:
-        return []
-    if program.startswith("scripts/"):
-        assert (ROOT / program).is_file(), f"{command}: there is no {program}"
-        assert os.access(ROOT / program, os.X_OK), f"{program} cannot be run"
-        name = program.removeprefix("scripts/")
-        words = ["dropouts" if name == "replay_dropouts" else name, *words]
-    return [PLACEHOLDERS.get(word.strip("[]"), word.strip("[]")) for word in words if word not in OPEN_END]
+from experiments.command_line import SUBCOMMANDS, build_parser
+from tests.docs_commands import BLOCKS, INLINE, PAGES, ROOT, words_of
 
 
 @cache
@@ -73,14 +24,6 @@ def parse(words: list[str]) -> None:
     except SystemExit as end:
         if end.code:
             pytest.fail(f"dmrac {shlex.join(words)}: the command line does not take this")
-
-
-def pages_with(commands: dict[Path, list[str]]) -> list[tuple[Path, str]]:
-    return [(page, command) for page, found in commands.items() for command in dict.fromkeys(found)]
-
-
-BLOCKS = pages_with({page: list(block_commands(page)) for page in PAGES})
-INLINE = pages_with({page: list(inline_commands(page)) for page in PAGES})
 
 
 def test_there_are_commands_to_look_at() -> None:
@@ -113,21 +56,15 @@ def test_a_mentioned_command_has_its_options(page: Path, command: str) -> None:
         assert option in parser._option_string_actions, f"{page.name}: {command}: no {option}"
 
 
-def cheap(command: str) -> bool:
-    """Whether a command takes a moment and needs nothing but this checkout."""
-    return words_of(command)[:1] in (["config"], ["keygen"]) or "--help" in command
+def test_the_readme_begins_with_a_flight_and_the_table_of_results() -> None:
+    first_screen = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## ")[0]
+    pictures = re.findall(r'src="([^"]+)"', first_screen)
+    assert [Path(picture).parent.name for picture in pictures] == ["pictures", "results"]
 
 
-CHEAP = list(dict.fromkeys(command for _, command in BLOCKS if cheap(command)))
-
-
-@pytest.mark.parametrize("command", CHEAP)
-def test_a_cheap_command_runs(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    if "key_file=" in command:
-        assert main(["keygen", "flight.key"]) == 0
-    try:
-        status = main(words_of(command))
-    except SystemExit as end:  # --help
-        status = int(end.code or 0)
-    assert status == 0
+def test_the_pictures_are_there() -> None:
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for picture in re.findall(r'!\[[^]]*(?:\[[^]]*\][^]]*)*\]\(([^)]+)\)|src="([^"]+)"', text):
+            path = page.parent / "".join(picture)
+            assert path.read_bytes().startswith(b"\x89PNG"), f"{page.name}: {path}"

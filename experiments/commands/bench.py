@@ -1,8 +1,9 @@
 """`dmrac bench`: how long an onboard step takes, block by block, how punctual the loop is, how fast lockstep runs.
 
 A call costs several times more once every 5 ms, with cold caches, than in a tight loop, so the step is measured both
-ways: replaying the datagrams of a recorded flight into a fresh core, at 200 Hz and back to back. Wake-up jitter is
-measured beside a bare loop in the same run, in turns, because it is the machine's as much as ours.
+ways: replaying the datagrams of a recorded flight into a fresh core, at 200 Hz and back to back, its log written as in
+flight. Wake-up jitter is measured beside a bare loop in the same run, in turns, because it is the machine's as much as
+ours.
 """
 
 import argparse

@@ -12,6 +12,8 @@ from experiments.flights.trace import FlightTrace
 Array = NDArray[np.float64]
 AXES = ("north", "east", "down")
 STYLES = ("-", "--", ":")
+WIND_SCALE = 12.0
+"""m/s that are drawn as a metre."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 
 
@@ -63,7 +65,19 @@ def _draw_position(panel: Any, trace: FlightTrace) -> None:
         panel.plot(trace.time_s, target[:, axis], color="0.6", linewidth=2.2)
         panel.plot(trace.time_s, actual[:, axis], color=colour, linestyle=STYLES[axis], linewidth=1.0, label=name)
     panel.set_ylabel("position [m]")
-    panel.legend(loc="upper left", ncols=3, fontsize=8, title="target grey; grey lines: swaps", title_fontsize=7)
+    _legend_above(panel, "target grey; grey lines: swaps")
+
+
+def _legend_above(panel: Any, note: str) -> None:
+    """The names in a row above the panel, where they cover nothing; the note at the row's right end."""
+    place: dict[str, Any] = {
+        "loc": "lower left",
+        "bbox_to_anchor": (0.0, 1.0),
+        "borderaxespad": 0.2,
+        "handlelength": 1.6,
+    }
+    panel.legend(ncols=3, fontsize=8, frameon=False, columnspacing=1.2, **place)
+    panel.set_title(note, fontsize=8, loc="right", pad=4)
 
 
 def _draw_error(panel: Any, trace: FlightTrace) -> None:
@@ -83,7 +97,7 @@ def _draw_attitude(panel: Any, trace: FlightTrace) -> None:
             trace.time_s, actual[:, axis], color=COLOURS[axis], linestyle=STYLES[axis], linewidth=0.8, label=name
         )
     panel.set_ylabel("attitude [deg]")
-    panel.legend(loc="upper left", ncols=2, fontsize=8, title="commanded grey", title_fontsize=7)
+    _legend_above(panel, "commanded grey")
 
 
 def _roll_pitch(q: Array) -> Array:
@@ -115,7 +129,7 @@ def _draw_adaptive(panel: Any, trace: FlightTrace, channel: int, label: str) -> 
         limit = max(float(np.nanpercentile(inside, 99.7)) * 1.2, 0.5)
         panel.set_ylim(-limit, limit)
     panel.set_ylabel(f"nu_ad,\n{label}")
-    panel.legend(loc="upper left", ncols=3, fontsize=8, title="true disturbance grey", title_fontsize=7)
+    _legend_above(panel, "true disturbance grey")
 
 
 def _smoothed(values: Array, window: int) -> Array:
@@ -139,15 +153,18 @@ def _draw_path(panel: Any, trace: FlightTrace) -> None:
             wind[rows, 0],
             angles="xy",
             scale_units="xy",
-            scale=12.0,
+            scale=WIND_SCALE,
             width=0.003,
             color=COLOURS[1],
-            label="wind (1 m: 12 m/s)",
+            label=f"wind (1 m: {WIND_SCALE:g} m/s)",
         )
+        tips = actual[rows, :2] + wind[rows, :2] / WIND_SCALE
+        panel.update_datalim(tips[:, ::-1])  # an arrow's tip is inside, too
+        panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel("east [m]")
     panel.set_ylabel("north [m]")
-    panel.legend(loc="upper right", fontsize=8)
+    _legend_above(panel, "")
     panel.grid(alpha=0.3)
 
 

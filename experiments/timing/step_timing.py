@@ -1,16 +1,22 @@
 """The onboard step under stopwatches: a recorded flight replayed into a fresh core, block by block, hot or paced."""
 
+import tempfile
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from experiments.flights.lockstep_flight import ONBOARD_SESSION, build
 from experiments.flights.scenario import FlightConfig
+from flight_record.writer import FlightLogWriter
 from onboard.core import OnboardCore, OnboardOutput
+from onboard.process import LOOP
 from onboard.realtime import PaceKeeper
+from onboard.tape import TOPIC, Entry, TapeWriter
+from onboard.tick_record import TICK
 
 STEP: Final = "whole tick"
 BLOCKS: Final = (
@@ -29,6 +35,8 @@ BLOCKS: Final = (
 """Name and method of onboard.core.OnboardCore."""
 LAW: Final = "adaptive law"
 """Both channels' augmentations, features and adaptation; a part of the controller."""
+LOG: Final = "flight log"
+"""What the process logs of a tick: its record, the loop's, every datagram. It comes on top of the whole tick."""
 Quantiles = tuple[float, float, float]
 """p50, p99 and max, us."""
 TURN_S: Final = 2.5
@@ -118,12 +126,17 @@ def _copying(take_in: Callable[[bytes, int], None], into: list[list[bytes]]) -> 
 
 
 class Replay:
-    """A fresh onboard core that flies a recording again, tick by tick, under stopwatches."""
+    """A fresh onboard core that flies a recording again, tick by tick, under stopwatches; `log` takes what it logs."""
 
-    def __init__(self, config: FlightConfig, recording: Recording, blocks: bool) -> None:
+    def __init__(
+        self, config: FlightConfig, recording: Recording, blocks: bool, log: FlightLogWriter | None = None
+    ) -> None:
         self._core = OnboardCore(config.onboard, ONBOARD_SESSION, None)
         self._recording = recording
         self._next = 0
+        self._log = log
+        self._tape = TapeWriter()
+        self._loop_record = np.zeros(len(LOOP.fields))
         self.observe: Observer | None = None
         """Called with the output of each tick."""
         self.watch = Stopwatch()
@@ -134,13 +147,22 @@ class Replay:
             for augmentation in getattr(self._core.controller, "augmentations", ()):
                 self.watch.wrap(augmentation, "step", LAW)
         self.watch.wrap(self, "tick", STEP)
+        self.watch.wrap(self, "keep", LOG)
 
     @property
     def left(self) -> int:
         """Ticks not flown yet."""
         return len(self._recording.now_ns) - self._next
 
-    def tick(self) -> None:
+    def step(self) -> None:
+        """One tick and what is kept of it, under the stopwatches."""
+        output = self.tick()
+        if self._log is not None:
+            self.keep(output, self._log)
+        self._next += 1
+        self.watch.end_tick()
+
+    def tick(self) -> OnboardOutput:
         """One tick as the process does it, sockets and log left out."""
         now, index = self._recording.now_ns[self._next], self._next
         for datagram in self._recording.vehicle[index]:
@@ -150,14 +172,33 @@ class Replay:
         output = self._core.step(now)
         if self.observe is not None:
             self.observe(output)
-        self._next += 1
+        return output
+
+    def keep(self, output: OnboardOutput, log: FlightLogWriter) -> None:
+        """The log of a tick as the process writes it."""
+        now, index, tape = self._recording.now_ns[self._next], self._next, self._tape
+        for datagram in self._recording.vehicle[index]:
+            tape.put(Entry.FROM_VEHICLE, datagram)
+        for datagram in self._recording.offboard[index]:
+            tape.put(Entry.FROM_OFFBOARD, datagram)
+        for entry, datagrams in (
+            (Entry.TO_VEHICLE, output.to_vehicle),
+            (Entry.TO_OFFBOARD, output.to_offboard),
+            (Entry.TO_GROUND, output.to_ground),
+        ):
+            for datagram in datagrams:
+                tape.put(entry, datagram)
+        log.write(TICK, now, output.tick)
+        for time_ns, text in output.events:
+            log.event(time_ns, text)
+        log.write_bytes(TOPIC, now, tape.end_tick(now, 0, False))
+        log.write(LOOP, now, self._loop_record)
 
 
 def run_hot(replay: Replay) -> None:
     """All ticks back to back."""
     while replay.left:
-        replay.tick()
-        replay.watch.end_tick()
+        replay.step()
 
 
 def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], list[int]]:
@@ -169,8 +210,7 @@ def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], 
         pace = PaceKeeper(period_ns, spin_ns, time.monotonic_ns() + period_ns)
         for _ in range(min(turn, replay.left)):
             pace.wait()
-            replay.tick()
-            replay.watch.end_tick()
+            replay.step()
             ours.append(pace.lateness_ns)
         pace = PaceKeeper(period_ns, spin_ns, time.monotonic_ns() + period_ns)
         for _ in range(turn):
@@ -184,18 +224,27 @@ def measure_step(
 ) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
     """us: {block: {paced, hot: (p50, p99, max)}} and the lateness of the loop and of the bare loop.
 
-    The whole tick is timed without the blocks' stopwatches, which cost a few us themselves.
+    The whole tick and its log are timed without the blocks' stopwatches, which cost a few us themselves.
     """
-    period_ns, spin_ns = config.onboard.period_ns, config.onboard.realtime.spin_us * 1000
-    steps: dict[str, dict[str, Quantiles]] = {name: {} for name in (STEP, *(name for name, _ in BLOCKS), LAW)}
-    lateness: dict[str, Quantiles] = {}
-    for blocks in (False, True):
-        hot, paced = Replay(config, recording, blocks), Replay(config, recording, blocks)
-        run_hot(hot)
-        ours, bare = run_paced(paced, period_ns, spin_ns)
-        if not blocks:
-            lateness = {"onboard loop": quantiles_us(ours), "bare loop": quantiles_us(bare)}
-        for name in steps if blocks else (STEP,):
-            if name != STEP or not blocks:
-                steps[name] = {"paced": paced.watch.quantiles_us(name), "hot": hot.watch.quantiles_us(name)}
+    blocks = (*(name for name, _ in BLOCKS), LAW)
+    whole, lateness = _timed(config, recording, blocks=False)
+    parts, _ = _timed(config, recording, blocks=True)
+    steps = {STEP: whole[STEP], **{name: parts[name] for name in blocks}, LOG: whole[LOG]}
     return steps, lateness
+
+
+def _timed(
+    config: FlightConfig, recording: Recording, blocks: bool
+) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
+    """The recording once back to back and once paced, logged as in flight."""
+    period_ns, spin_ns = config.onboard.period_ns, config.onboard.realtime.spin_us * 1000
+    with tempfile.TemporaryDirectory(prefix="dmrac_bench_") as folder:
+        with FlightLogWriter(Path(folder) / "hot.mcap", "onboard") as log:
+            run_hot(hot := Replay(config, recording, blocks, log))
+        with FlightLogWriter(Path(folder) / "paced.mcap", "onboard") as log:
+            ours, bare = run_paced(paced := Replay(config, recording, blocks, log), period_ns, spin_ns)
+    steps = {
+        name: {"paced": paced.watch.quantiles_us(name), "hot": hot.watch.quantiles_us(name)}
+        for name in paced.watch.ticks
+    }
+    return steps, {"onboard loop": quantiles_us(ours), "bare loop": quantiles_us(bare)}

@@ -113,5 +113,5 @@ def test_check_names_every_fault(flight_folder: Path) -> None:
     log = flight_folder / "onboard.mcap"
     log.write_bytes(log.read_bytes()[:20_000])
     assert check(open_flight(flight_folder)) == [
-        "onboard.mcap: not closed (killed, still flying, or disk full); read up to its last chunk"
+        "onboard.mcap: not closed (killed, still flying, or disk full); read up to 0.900 s"
     ]

@@ -86,6 +86,9 @@ def test_losses_are_counted_over_a_second(tmp_path: Path) -> None:
     down = curve(scene, "datagrams lost in 1 s [%]", "down")
     assert down.values[[99, 199, 399]] == pytest.approx([10.0, 100.0, 10.0], abs=1.0)
     assert len(curve(scene, "datagrams lost in 1 s [%]", "up").values) == 0
+    delay = curve(scene, "delay of datagrams [ms]", "down").values
+    assert delay[[99, 201]] == pytest.approx([10.0, 10.0])
+    assert np.isnan(delay[100:200]).all()
 
 
 def test_a_growing_log_is_read_piece_by_piece(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ from experiments.campaigns.store import JOURNAL, PARQUET, CampaignStore, read_ta
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.command_line import build_parser
 from experiments.flights.scenario import Choices, resolve
+from tests.dask_cluster import running_cluster
 
 TEXT = """
 description: A test.
@@ -308,34 +309,9 @@ def test_killed_campaign_resumes(tmp_path: Path) -> None:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[str]:
-    """A Dask scheduler and two workers, three processes of their own."""
     pytest.importorskip("distributed")
-    address_file = tmp_path / "scheduler.json"
-    common = ["--scheduler-file", str(address_file), "--no-dashboard"]
-    scheduler = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", *common]
-    worker = [sys.executable, "-m", "distributed.cli.dask_worker", *common, "--nthreads", "1", "--no-nanny"]
-    root = str(Path(__file__).resolve().parents[3])
-    environment = os.environ | {"PYTHONPATH": root, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    processes = [
-        subprocess.Popen(words, cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        for words in (scheduler, worker, worker)
-    ]
-    try:
-        deadline = time.monotonic() + 30.0
-        while not address_file.exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        time.sleep(0.2)
-        yield json.loads(address_file.read_text())["address"]
-    finally:
-        for process in reversed(processes):
-            process.terminate()
-        for process in processes:
-            try:
-                process.wait(30)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+    with running_cluster(tmp_path) as address:
+        yield address
 
 
 @pytest.mark.full

@@ -1,11 +1,14 @@
 """The instruments of `dmrac bench`."""
 
+from pathlib import Path
+
 import pytest
 
 from experiments.commands import bench
 from experiments.flights.scenario import Choices, resolve
 from experiments.timing.step_timing import (
     BLOCKS,
+    LOG,
     STEP,
     Replay,
     Stopwatch,
@@ -14,6 +17,9 @@ from experiments.timing.step_timing import (
     run_hot,
     run_paced,
 )
+from flight_record.reader import open_flight
+from flight_record.writer import FlightLogWriter
+from onboard.tape import TOPIC, Entry, read_tick
 
 CONFIG = resolve("hover", Choices(duration_s=5.0))
 
@@ -33,6 +39,20 @@ def test_a_replayed_flight_sends_the_same_motor_commands() -> None:
         assert 0.0 <= p50 <= p99 <= highest
     blocks_us = sum(replay.watch.quantiles_us(name)[0] for name, _ in BLOCKS)
     assert blocks_us < replay.watch.quantiles_us(STEP)[0]
+
+
+def test_what_is_logged_of_a_tick_is_timed_and_complete(tmp_path: Path) -> None:
+    recording = record_flight(CONFIG, 1.0)
+    with FlightLogWriter(tmp_path / "onboard.mcap", "onboard", threaded=False) as log:
+        replay = Replay(CONFIG, recording, False, log)
+        run_hot(replay)
+    p50, p99, _ = replay.watch.quantiles_us(LOG)
+    assert 0.0 < p50 <= p99
+    flight = open_flight(tmp_path)
+    assert [len(flight[topic]) for topic in ("onboard/tick", "onboard/loop")] == [200, 200]
+    tape = [read_tick(data) for _, data in flight.messages(TOPIC)]
+    assert [tick.of(Entry.FROM_VEHICLE) for tick in tape] == recording.vehicle
+    assert all(tick.of(Entry.TO_VEHICLE) for tick in tape[1:])
 
 
 def test_the_paced_loop_and_the_bare_loop_take_turns() -> None:

@@ -1,0 +1,44 @@
+"""A disk that runs full in the middle of a flight ends the log, with a line, and not the flight."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from configs.network import NetworkConfig
+from experiments.flights.scenario import Choices, resolve
+from flight_record.reader import open_flight
+from tests.experiments.processes import Processes
+
+DURATION_S = 8.0
+LIMIT_BYTES = 500_000
+"""About two seconds of onboard's log."""
+
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.realtime,
+    pytest.mark.skipif(shutil.which("prlimit") is None, reason="no prlimit on this machine"),
+]
+
+
+def test_the_flight_goes_on(tmp_path: Path) -> None:
+    names = sorted(name for name in NetworkConfig.model_fields if not name.endswith("key_file"))
+    addresses = tuple(f"network.{name}=127.0.0.1:{16760 + index}" for index, name in enumerate(names))
+    config = resolve("hover", Choices("pid", 1, DURATION_S, addresses))
+    path = tmp_path / "config.yaml"
+    path.write_text(config.to_yaml(), encoding="utf-8")
+    with Processes(tmp_path) as processes:
+        processes.start("sim", path)
+        processes.start("offboard", path)
+        processes.start("onboard", path, prefix=("prlimit", f"--fsize={LIMIT_BYTES}"))
+        assert processes.wait("sim", 60.0) == 0
+        processes.end("onboard", "offboard")
+        assert processes.running["onboard"].returncode == 0
+    said = (tmp_path / "onboard_said.txt").read_text(encoding="utf-8")
+    assert said.count("the flight log stopped, the flight goes on") == 1
+    assert processes.summary("sim")["survived"]
+    assert processes.summary("onboard")["escapes"] == 0
+    flight = open_flight(tmp_path)
+    assert 0.5 < (flight["onboard/tick"].time_ns[-1] - flight.start_ns) * 1e-9 < DURATION_S - 2.0
+    assert (flight["sim_vehicle/truth"].time_ns[-1] - flight.start_ns) * 1e-9 > DURATION_S - 0.5
+    assert any(fault.startswith("onboard.mcap: not closed") for fault in flight.faults)
