@@ -337,7 +337,7 @@ class VehicleLink:
         distance_m = f[3] * 0.01
         if not 0.0 < distance_m <= self._config.distance_max_m:
             return self._refuse("range")
-        if self._ranges.frozen(f[3]):
+        if self._ranges.frozen(f[3]) and f[3] > f[1]:  # at its least distance a sound sensor never changes
             return self._refuse_frozen("range", now_ns)
         return RangeReading(self._slow_time(f[0] * 1_000_000, now_ns), distance_m)
 

@@ -230,6 +230,15 @@ def test_a_frozen_range_is_refused():
     assert "ultrasonic frozen" in link.texts()
 
 
+def test_a_range_at_the_sensors_least_distance_is_not_frozen():
+    link, vehicle = Link(frozen_ranges=5), Vehicle()
+    vehicle.tick(link)
+    for count in range(10):
+        message = mavlink.MAVLink_distance_sensor_message(count, 44, 400, 44, 1, 0, 25, 4)
+        assert len(link.receive(vehicle.pack(message), link.now_ns)) == 1
+    assert "frozen" not in link.texts()
+
+
 def flow_frame(x, gyro=0.01, duration_us=16_000):
     return mavlink.MAVLink_hil_optical_flow_message(1, 0, duration_us, x, 0.0, gyro, 0.0, 0.0, 0, 200, 0, -1.0)
 
