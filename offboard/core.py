@@ -130,6 +130,7 @@ class OffboardCore:
         """A datagram from the motion capture; relayed in the next step."""
         now_ns = self._clock.at(now_ns)
         pose = self._relay.receive(datagram, now_ns)
+        self._out.events += self._relay.take_events()
         if pose is not None:
             self._poses.append(pose)
 

@@ -2,7 +2,8 @@
 
 Accepted: ODOMETRY in a local frame, ATT_POS_MOCAP, and VICON_POSITION_ESTIMATE, which states no frame and is taken as
 north-east-down. The capture's clock is mapped to ours by the least delay seen, so that a late datagram keeps the time
-at which its pose was true.
+at which its pose was true. A capture that has lost the vehicle may repeat the last pose with fresh times: then nothing
+is relayed, and onboard sees the pose grow old.
 """
 
 from collections import Counter, deque
@@ -29,8 +30,25 @@ LATE_NS: Final = 50_000_000
 LATE_POSES_MAX: Final = 50
 LATE_SPREAD_NS: Final = 20_000_000
 """So many poses in a row, all late by the same time within this spread, were not held up: a clock has jumped."""
+FROZEN_POSES: Final = 10
+"""So many poses in a row that are the same to the last bit are no measurements."""
 CLOCK_DRIFT: Final = 1e-4
 """Relative drift of the two clocks that the mapping follows."""
+SAY_EVERY_NS: Final = 10**9
+"""What is wrong is said no oftener than this, each reason for itself."""
+TROUBLES: Final = {
+    "length": "datagram of a wrong length",
+    "message": "message that holds no pose",
+    "frame_bytes": "spoilt frame, or several in one datagram",
+    "frame": "frame is not local north-east-down with body forward-right-down",
+    "not_finite": "gave nan or infinity",
+    "too_far": "position beyond position_limit_m",
+    "quaternion": "quaternion's length is not 1",
+    "old": "time does not go forward",
+    "late": "comes late",
+    "frozen": "frozen: repeats one pose",
+}
+"""Reasons in words."""
 LOCAL_FRAMES: Final = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
 
 
@@ -44,6 +62,10 @@ class PoseRelay:
         self._last_capture_ns: int | None = None
         self._last_arrival_ns = 0
         self._late: deque[int] = deque(maxlen=LATE_POSES_MAX)
+        self._last_place: tuple[Vector3, Quaternion] | None = None
+        self._same = 0
+        self._said_ns: dict[str, int] = {}
+        self._events: list[tuple[int, str]] = []
         self.relayed = 0
         self.rejected: Counter[str] = Counter()
 
@@ -53,15 +75,27 @@ class PoseRelay:
             pose = self._pose(datagram, now_ns)
         except _RejectedError as rejection:
             self.rejected[rejection.reason] += 1
+            self._say(rejection.reason, now_ns)
             return None
         self.relayed += 1
         return pose
+
+    def take_events(self) -> list[tuple[int, str]]:
+        """What was wrong since the last call: (time_ns, text)."""
+        events, self._events = self._events, []
+        return events
+
+    def _say(self, reason: str, now_ns: int) -> None:
+        if now_ns - self._said_ns.get(reason, -SAY_EVERY_NS) >= SAY_EVERY_NS:
+            self._said_ns[reason] = now_ns
+            self._events.append((now_ns, f"motion capture: {TROUBLES[reason]}, pose ignored"))
 
     def _pose(self, datagram: bytes, now_ns: int) -> Pose:
         frame = self._frame(datagram, now_ns)
         time_us, position, quaternion = _CONTENTS[frame.message_id](frame.fields)
         norm = self._checked_norm(position, quaternion)
         time_ns = self._map_time(time_us * 1000, now_ns)
+        self._require_life(position, quaternion)
         w, x, y, z = quaternion
         unit = (w / norm, x / norm, y / norm, z / norm)
         return Pose(time_ns, np.array(position, dtype=np.float32), np.array(unit, dtype=np.float32))
@@ -87,6 +121,14 @@ class PoseRelay:
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             raise _RejectedError("quaternion")
         return norm
+
+    def _require_life(self, position: Vector3, quaternion: Quaternion) -> None:
+        """Rejects a pose that has come unchanged too often."""
+        place = position, quaternion
+        self._same = self._same + 1 if place == self._last_place else 0
+        self._last_place = place
+        if self._same >= FROZEN_POSES:
+            raise _RejectedError("frozen")
 
     def _map_time(self, capture_ns: int, now_ns: int) -> int:
         """When the pose was true, in our clock; rejects what is older than what was relayed."""

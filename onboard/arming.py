@@ -7,6 +7,7 @@ began: whether a person has done the preflight check of this vehicle (preflight_
 from onboard.config import OnboardConfig
 from onboard.pose_health import PoseHealth
 from onboard.preflight_record import Clearance
+from onboard.records import NEVER_NS
 from onboard.vehicle_link import VehicleLink
 from protocol.messages import Pose
 
@@ -18,14 +19,16 @@ class ArmingChecks:
         self._link = vehicle_link
         self._clearance = clearance
         self._needs_pose = config.supervisor.arm_needs_pose
+        self._pose_stale_ns = round(config.supervisor.pose_stale_s * 1e9)
         self._pose_wait_ns = round(config.pose_wait_s * 1e9)
         self._flow_silent_ns = round(config.vehicle_link.health.flow_silent_s * 1e9)
         self._pose_health = PoseHealth(config.pose_health)
+        self._last_pose_ns = NEVER_NS
         self._started_ns: int | None = None
-        self._posed = False
 
     def take_in_pose(self, pose: Pose, now_ns: int) -> None:
         """A pose that came; whether it is fresh is the supervisor's to know."""
+        self._last_pose_ns = now_ns
         down_m, quaternion = float(pose.position_ned_m[2]), tuple(pose.quaternion.tolist())
         self._pose_health.take(down_m, quaternion, now_ns, self._link.health.force)
 
@@ -44,4 +47,6 @@ class ArmingChecks:
             return "no optical flow"
         if not posed and now_ns - self._started_ns < self._pose_wait_ns:
             return "waiting for the first pose"
-        return self._pose_health.fault if self._needs_pose else ""
+        if not self._needs_pose or now_ns - self._last_pose_ns > self._pose_stale_ns:
+            return ""  # what old poses were like does not matter
+        return self._pose_health.fault

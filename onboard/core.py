@@ -176,7 +176,8 @@ class OnboardCore:
         out = self._output
         out.to_vehicle, out.to_offboard, out.to_ground = [], [], []
         self._events += self._offboard_link.take_events()
-        self._events += self._vehicle_link.take_events()
+        for when_ns, text in self._vehicle_link.take_events():
+            self._say(when_ns, text)
         self._events += self._estimator.take_events()
         return out
 

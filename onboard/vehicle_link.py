@@ -6,8 +6,8 @@ become ours. The wire is already FRD and PX4's motor order, so nothing but units
 
 Bad input, and what happens:
   rubbish, wrong checksum, bad or missing signature   dropped, counted by reason
-  NaN, infinity, a value no such sensor can give      the reading is dropped and counted
-  frozen sensor (n bit-identical samples)             further ones are dropped, so its age grows and gates flight
+  NaN, infinity, a value no such sensor can give      the reading is dropped and counted, event
+  frozen sensor (n bit-identical samples)             further ones are dropped, so its age grows and gates flight, event
   time goes backwards a little                        that sample is dropped (a late datagram)
   time goes backwards a lot, for three samples        the vehicle restarted: its clock is mapped anew, event
   a second vehicle on the port                        only the first one is heard, event; silent for long: released
@@ -42,6 +42,8 @@ ORIENTATION_DOWN: Final = 25
 ARMED: Final = 128
 """HIL_ACTUATOR_CONTROLS.mode: MAV_MODE_FLAG_SAFETY_ARMED."""
 MOTOR_COUNT: Final = 4
+FROZEN: Final = {"imu": "IMU", "flow": "optical flow", "range": "ultrasonic", "pressure": "pressure"}
+"""What a frozen sensor is called."""
 _UNUSED: Final = (0.0,) * 12
 _UNKNOWN_VOLTAGE: Final = 0xFFFF
 _RESTART_SAMPLES: Final = 3
@@ -67,13 +69,30 @@ class VehicleLinkConfig(Record):
     distance_max_m: float = Field(default=12.0, gt=0, description="m; more is a fault of the sensor")
     flow_rate_max_rad_s: float = Field(default=20.0, gt=0, description="rad/s; more is a fault of the sensor")
     frozen_samples: int = Field(default=8, ge=0, description="identical IMU samples in a row that mean frozen; 0: off")
+    frozen_flows: int = Field(default=8, ge=0, description="identical flows, not all 0, that mean frozen; 0: off")
     frozen_ranges: int = Field(default=75, ge=0, description="identical ranges in a row that mean frozen; 0: off")
+    frozen_pressures: int = Field(default=400, ge=0, description="identical pressures that mean frozen; 0: off")
     clock_drift_ppm: float = Field(default=200.0, gt=0, description="1e-6; vehicle clock against ours")
     clock_restart_s: float = Field(default=0.5, gt=0, description="s; a step back of more is a restarted vehicle")
     late_max_s: float = Field(default=0.5, gt=0, description="s; slow sensors' time stamps further off are replaced")
     release_s: float = Field(default=10.0, gt=0, description="s of silence after which another vehicle is heard")
     signing_tolerance_s: float = Field(default=60.0, gt=0, description="s; vehicle's signing clock against ours")
     health: LinkHealthConfig = LinkHealthConfig()
+
+
+class Repetition:
+    """Counts how often in a row a sensor gave the very same values."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._last: object = None
+        self._same = 0
+
+    def frozen(self, values: object) -> bool:
+        """Takes a reading; whether it has come unchanged so often that the sensor must be stuck. Never with limit 0."""
+        self._same = self._same + 1 if values == self._last else 0
+        self._last = values
+        return 0 < self._limit <= self._same
 
 
 class VehicleClock:
@@ -169,10 +188,10 @@ class VehicleLink:
         self._events: list[tuple[int, str]] = []
         self._said_ns: dict[str, int] = {}
         self._restarted_ns = NEVER_NS
-        self._last_imu: tuple[float, ...] = ()
-        self._same_imu = 0
-        self._last_distance = -1
-        self._same_distance = 0
+        self._imus = Repetition(config.frozen_samples)
+        self._flows = Repetition(config.frozen_flows)
+        self._ranges = Repetition(config.frozen_ranges)
+        self._pressures = Repetition(config.frozen_pressures)
         self.rejected: Counter[str] = self._reader.rejected
         """What was dropped, by reason."""
         self.received = 0
@@ -264,24 +283,23 @@ class VehicleLink:
         fault = self._clock.accept(stamp_ns, now_ns)
         if fault and not self._handle_clock(fault, now_ns):
             return None
-        values = f[1:7]
-        if values == self._last_imu:
-            self._same_imu += 1
-            if config.frozen_samples and self._same_imu >= config.frozen_samples:
-                self._say("frozen_imu", "IMU frozen: identical samples are ignored", now_ns)
-                return self._refuse("imu_frozen")
-        else:
-            self._same_imu = 0
-            self._last_imu = values
-        pressure_pa = 0.0
-        if f[14] & PRESSURE_FIELD:
-            pressure_pa = f[10] * 100.0
-            if not config.pressure_min_pa <= pressure_pa <= config.pressure_max_pa:
-                self._refuse("pressure")
-                pressure_pa = 0.0
+        felt = f[1:7]
+        if self._imus.frozen(felt):
+            return self._refuse_frozen("imu", now_ns)
+        pressure_pa = self._pressure(f[10] * 100.0, now_ns) if f[14] & PRESSURE_FIELD else 0.0
         time_ns = self._clock.to_ours(stamp_ns)
-        self.health.take(stamp_ns, now_ns - time_ns, now_ns, f[1:7])
+        self.health.take(stamp_ns, now_ns - time_ns, now_ns, felt)
         return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
+
+    def _pressure(self, pressure_pa: float, now_ns: int) -> float:
+        """The pressure, Pa; 0 where it is not to be believed."""
+        if not self._config.pressure_min_pa <= pressure_pa <= self._config.pressure_max_pa:
+            self._refuse_sensor("pressure", pressure_pa, now_ns)
+        elif self._pressures.frozen(pressure_pa):
+            self._refuse_frozen("pressure", now_ns)
+        else:
+            return pressure_pa
+        return 0.0
 
     def _handle_clock(self, fault: str, now_ns: int) -> bool:
         """Reacts to a bad time stamp; True when the sample may be used all the same."""
@@ -306,7 +324,9 @@ class VehicleLink:
         limit = self._config.flow_rate_max_rad_s * integration_s
         for value in f[2:6]:
             if not -limit <= value <= limit:
-                return self._refuse("flow")
+                return self._refuse_sensor("flow", value, now_ns)
+        if self._flows.frozen(f[2:6]) and any(f[2:6]):  # a camera that sees nothing gives noughts
+            return self._refuse_frozen("flow", now_ns)
         self.last_flow_ns = now_ns
         return FlowReading(self._slow_time(f[0] * 1000, now_ns), integration_s, f[2], f[3], f[4], f[5], f[11])
 
@@ -317,10 +337,8 @@ class VehicleLink:
         distance_m = f[3] * 0.01
         if not 0.0 < distance_m <= self._config.distance_max_m:
             return self._refuse("range")
-        self._same_distance = self._same_distance + 1 if f[3] == self._last_distance else 0
-        self._last_distance = f[3]
-        if self._config.frozen_ranges and self._same_distance >= self._config.frozen_ranges:
-            return self._refuse("range_frozen")
+        if self._ranges.frozen(f[3]) and f[3] > f[1]:  # at its least distance a sound sensor never changes
+            return self._refuse_frozen("range", now_ns)
         return RangeReading(self._slow_time(f[0] * 1_000_000, now_ns), distance_m)
 
     def _battery(self, frame: Frame, now_ns: int) -> Reading | None:
@@ -353,6 +371,10 @@ class VehicleLink:
     def _refuse_sensor(self, sensor: str, value: float, now_ns: int) -> Reading | None:
         self._say(sensor, f"{sensor} gave {value:g}: sample ignored", now_ns)
         return self._refuse(sensor)
+
+    def _refuse_frozen(self, sensor: str, now_ns: int) -> Reading | None:
+        self._say(f"{sensor}_frozen", f"{FROZEN[sensor]} frozen: identical readings are ignored", now_ns)
+        return self._refuse(f"{sensor}_frozen")
 
     def _say(self, kind: str, text: str, now_ns: int) -> None:
         if now_ns - self._said_ns.get(kind, NEVER_NS) >= 10**9:

@@ -1,4 +1,4 @@
-"""`dmrac bench`: how long an onboard step takes, block by block, how punctual the loop is, how fast lockstep runs.
+"""`dmrac bench`: how long an onboard step takes, how punctual the loop is, how fast vehicle and lockstep run.
 
 A call costs several times more once every 5 ms, with cold caches, than in a tight loop, so the step is measured both
 ways: replaying the datagrams of a recorded flight into a fresh core, at 200 Hz and back to back, its log written as in
@@ -22,6 +22,7 @@ from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig
 from experiments.timing.law_floor import law_floor_us
 from experiments.timing.start_up import start_onboard
 from experiments.timing.step_timing import LAW, Quantiles, measure_step, record_flight
+from experiments.timing.vehicle_speed import vehicle_speeds
 from shell.kernel import ask_for_realtime, quiet_interpreter
 
 Report = dict[str, Any]
@@ -73,6 +74,8 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
     ratio = f"{law_us / floor_us:.1f} x its bare numpy calls, {floor_us:.1f} us"
     console.print(f"control law of both channels, hot p50: {law_us:.1f} us, {ratio}")
     console.print(f"onboard process: ready after {start_up.ready_s:.2f} s, {start_up.rss_mb:.0f} MB ({start_up.said})")
+    vehicle = vehicle_speeds()
+    console.print(f"simulated vehicle, steps/s: {'; '.join(f'{name} {rate:,.0f}' for name, rate in vehicle.items())}")
     speed = {name: lockstep_speed(config, flag) for name, flag in (("without trainer", False), ("with trainer", True))}
     for name, multiple in speed.items():
         console.print(f"lockstep {name}: {multiple:.1f} x real time")
@@ -85,6 +88,7 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
         "law_floor_hot_us": floor_us,
         "start_s": start_up.ready_s,
         "rss_mb": start_up.rss_mb,
+        "vehicle_steps_per_s": vehicle,
         "lockstep": speed,
     }
 

@@ -20,7 +20,7 @@ from offboard.config import PoseRelayConfig
 from offboard.pose_relay import PoseRelay
 from onboard.config import OnboardConfig
 from onboard.preflight import Check, MotorAnswer, PreflightConfig, Result, Step, skipped
-from onboard.preflight_record import record_name, write_record
+from onboard.preflight_record import objection, read_record, record_name, write_record
 from onboard.preflight_recording import PoseSample, Recorder
 from onboard.process import open_vehicle
 from onboard.vehicle_link import VehicleLinkConfig
@@ -72,6 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         link = onboard.vehicle_link
         config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
     key = load_key(key_file)
+    if arguments.record is not None and not arguments.record.parent.is_dir():  # not after the person's work
+        raise ConfigError(f"--record {arguments.record}: there is no folder {arguments.record.parent}")
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
     ask_for_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
     console = Console()
@@ -102,11 +104,14 @@ def keep_record(path: Path, vehicle: str, with_pose: bool, checks: list[Check], 
     """
     if partly and path.exists() and all(check.result is not Result.FAIL for check in checks):
         return f"{path}: left as it is, because not all checks were asked for"
+    utc_s = int(time.time())
+    content = write_record(vehicle, utc_s, with_pose, checks)
     try:
-        write_atomically(path, write_record(vehicle, int(time.time()), with_pose, checks))
+        write_atomically(path, content)
     except OSError as error:
         raise StartError(f"--record {path}: cannot be written: {error.strerror}") from None
-    return f"{path}: written; dmrac onboard reads it before it arms this vehicle"
+    bar = objection(read_record(content, str(path)), vehicle, True, utc_s)
+    return f"{path}: written; {f'not enough to be armed on: {bar}' if bar else 'dmrac onboard will arm on it'}"
 
 
 class UdpOrSerialWire:

@@ -228,7 +228,8 @@ def test_poses_that_are_all_late_alike_mean_that_a_clock_has_jumped() -> None:
     codec = mavlink.MAVLink(None, srcSystem=1)
 
     def receive(capture_ms: int, delay_ms: int) -> Pose | None:
-        frame = mavlink.MAVLink_att_pos_mocap_message(capture_ms * 1000, [1.0, 0.0, 0.0, 0.0], 0.5, 0.25, -1.0)
+        north_m = 1e-4 * capture_ms
+        frame = mavlink.MAVLink_att_pos_mocap_message(capture_ms * 1000, [1.0, 0.0, 0.0, 0.0], north_m, 0.25, -1.0)
         return relay.receive(bytes(frame.pack(codec)), (capture_ms + delay_ms) * MS)
 
     assert all(receive(10 * i, 5) for i in range(50))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from offboard.config import PoseRelayConfig
-from offboard.pose_relay import PoseRelay, quaternion_of_euler
+from offboard.pose_relay import FROZEN_POSES, TROUBLES, PoseRelay, quaternion_of_euler
 
 MS = 1_000_000
 HALF = math.sqrt(0.5)
@@ -31,6 +31,10 @@ def odometry(time_us: int = 1000, x: float = 0.5, q: tuple[float, ...] = (1.0, 0
             time_us, frame, child, x, -0.25, -1.0, list(q), 0, 0, 0, 0, 0, 0, [0.0] * 21, [0.0] * 21, 0, 6, 100
         )
     )
+
+
+def texts(taker: PoseRelay) -> list[str]:
+    return [text for _, text in taker.take_events()]
 
 
 def test_three_kinds_of_messages_give_the_same_pose() -> None:
@@ -74,7 +78,24 @@ def test_what_cannot_be_believed_is_counted_by_reason(datagram: bytes, reason: s
     taker = relay()
     assert taker.receive(datagram, 5 * MS) is None
     assert taker.rejected == {reason: 1}
+    assert texts(taker) == [f"motion capture: {TROUBLES[reason]}, pose ignored"]
     assert taker.receive(odometry(), 6 * MS) is not None
+
+
+def test_a_capture_that_repeats_one_pose_is_not_relayed_until_it_sees_again() -> None:
+    taker = relay()
+    relayed = [taker.receive(odometry(10_000 * k, x=0.7), 10 * k * MS) is not None for k in range(1, 41)]
+    assert relayed == [True] * FROZEN_POSES + [False] * (40 - FROZEN_POSES)
+    assert taker.rejected == {"frozen": 40 - FROZEN_POSES}
+    assert texts(taker) == ["motion capture: frozen: repeats one pose, pose ignored"]
+    assert taker.receive(odometry(410_000, x=0.70001), 410 * MS) is not None
+
+
+def test_what_is_wrong_is_said_once_a_second() -> None:
+    taker = relay()
+    for k in range(250):
+        assert taker.receive(odometry(10_000 * k, x=math.nan), 10 * k * MS) is None
+    assert [when // MS for when, _ in taker.take_events()] == [0, 1000, 2000]
 
 
 @settings(max_examples=60, deadline=None)

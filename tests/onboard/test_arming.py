@@ -95,6 +95,7 @@ class RealFlight:
         self.station, self.heartbeats = mavlink.MAVLink(None, 255, 190), True
         self.tick, self.motors, self.waiting, self.typed = 0, [], [], []
         self.modes, self.events, self.texts, self.answers = [], [], [], []
+        self.far_m = 0.0
 
     def type(self, command, *parameters):
         values = [*map(float, parameters), *(0.0,) * 7][:7]
@@ -106,8 +107,13 @@ class RealFlight:
 
     def fly(self, seconds):
         for _ in range(round(seconds * 200)):
+            if self.vehicle.crash_reason:
+                break
             self.step()
         return self
+
+    def take_off(self):
+        return self.fly(2.0).arm().fly(0.5).type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(4.0)
 
     def step(self):
         now = self.tick * PERIOD_NS
@@ -128,6 +134,7 @@ class RealFlight:
             self.waiting += self.peer.take_in(datagram, now)
         said = self.peer.say(flown.truth, self.tick, now)
         self.waiting += [self.pose_fault(message) if isinstance(message, Pose) else message for message in said]
+        self.far_m = float(np.hypot(*flown.truth[:2]))
         self.modes.append(FlightMode(int(out.tick[0])))
         self.events += [text for _, text in out.events]
         self._read(out.to_ground)
@@ -142,10 +149,10 @@ class RealFlight:
                 self.answers.append(message.result)
 
 
-def changed(frame, change):
-    """A HIL_SENSOR frame with `change(message)` made to it; other frames as they are."""
+def changed(frame, change, kind="HIL_SENSOR"):
+    """A frame of a kind with `change(message)` made to it; other frames as they are."""
     message = mavlink.MAVLink(None).decode(bytearray(frame))
-    if message.get_type() != "HIL_SENSOR":
+    if message.get_type() != kind:
         return frame
     change(message)
     return bytes(message.pack(mavlink.MAVLink(None, message.get_srcSystem(), message.get_srcComponent())))
@@ -267,7 +274,7 @@ def test_a_sound_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_sta
 
 
 def test_flight_termination_stops_the_motors_in_the_air_for_good():
-    flight = RealFlight().fly(2.0).arm().fly(0.5).type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(3.0)
+    flight = RealFlight().take_off()
     flight.type(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, 1).fly(0.1)
     assert flight.modes[-1] is FlightMode.TERMINATED
     controls = mavlink.MAVLink(None).decode(bytearray(flight.motors[0]))
@@ -315,3 +322,48 @@ def test_without_the_limit_on_tilt_a_weak_rotor_turns_the_vehicle_over_at_take_o
     assert (crash, mode) == ("", FlightMode.EMERGENCY)
     crash, _, _ = alone(6.0, WEAK_ROTOR, "onboard.supervisor.tilt_max_rad=3.1")
     assert "tilted" in crash
+
+
+def carried_along(t, frames):
+    """What the camera sees moves by 0.4 m/s, such as a cloth in the wind."""
+
+    def shift(message):
+        message.integrated_y += 0.4 * message.integration_time_us * 1e-6
+
+    return [changed(frame, shift, "HIL_OPTICAL_FLOW") for frame in frames]
+
+
+@pytest.mark.parametrize("limit_s", [0.5, 1000.0])
+def test_without_the_limit_on_the_age_of_the_pose_a_vehicle_flies_on_after_a_moving_floor(limit_s):
+    settings = (f"onboard.supervisor.pose_stale_s={limit_s}", "onboard.guidance.land_after_s=300")
+    flight = RealFlight(carried_along, settings).take_off()
+    assert flight.modes[-1] is FlightMode.FLYING
+    flight.peer.relays = False
+    flight.fly(30.0)
+    if limit_s < 1.0:
+        assert "FLYING -> HOLD: position lost" in flight.events
+        assert "not ready to arm: no fresh pose" in flight.events
+        assert not flight.vehicle.crash_reason
+        assert flight.far_m < 5.0
+    else:
+        assert "m from the origin" in flight.vehicle.crash_reason
+
+
+DYING_BATTERY = (
+    "vehicle.disturbances=[{kind: battery_sag, drop_v: 2.0, time_constant_s: 4.0, onset_s: 16.0},"
+    "{kind: sensor_fault, sensor: battery, fault: silent, onset_s: 4.5}]"
+)
+
+
+def test_without_the_limit_on_the_age_of_the_battery_report_a_dying_battery_drops_the_vehicle():
+    settings = (DYING_BATTERY, "onboard.guidance.trajectory.altitude_m=3.0", "onboard.guidance.land_after_s=300")
+    crash, mode, _ = alone(18.0, *settings, "onboard.supervisor.battery_silent_s=3")
+    assert (crash, mode in (FlightMode.LANDED, FlightMode.BOOT, FlightMode.READY)) == ("", True)
+    crash, _, _ = alone(30.0, *settings)
+    assert "hit the floor" in crash
+
+
+def test_without_the_limit_on_the_age_of_the_ground_station_a_vehicle_flies_on_that_nobody_can_end():
+    flight = RealFlight(assignments=("onboard.supervisor.ground_silent_s=0",)).take_off()
+    flight.heartbeats = False
+    assert flight.fly(8.0).modes[-1] is FlightMode.FLYING

@@ -151,6 +151,27 @@ def test_an_imu_that_stays_bad_stops_the_motors_within_a_tenth_of_a_second(kind)
     assert kind != "frozen" or flight.said("IMU frozen")
 
 
+FROZEN_FLOW = (
+    f"vehicle.disturbances=[{{kind: sensor_fault, sensor: flow, fault: frozen, onset_s: {FAULT_S}}},"
+    f"{{kind: wind, velocity_ned_m_s: [0.0, 2.0, 0.0], onset_s: {FAULT_S}}}]"
+)
+
+
+@pytest.mark.parametrize("noticed", [True, False])
+def test_a_frozen_flow_brings_the_vehicle_down_where_it_is_and_unnoticed_it_is_blown_away(noticed):
+    limit = f"onboard.vehicle_link.frozen_flows={8 if noticed else 0}"
+    flight = FlightTest(assignments=(FROZEN_FLOW, limit)).fly(14.0)
+    far = float(np.linalg.norm(flight.truths[-1][:2]))
+    assert flight.said("optical flow frozen") == noticed
+    if noticed:
+        assert not flight.lockstep.crash_reason
+        assert flight.said("HOLD_LEVEL: no velocity aid")
+        assert FlightMode.LANDED in flight.modes
+        assert far < 4.0
+    else:
+        assert flight.lockstep.crash_reason or far > 4.0
+
+
 def test_without_the_limit_on_the_age_of_the_imu_a_silent_one_flies_into_the_floor_with_turning_motors():
     def fault(t, frames):
         return [f for f in frames if t < FAULT_S or not is_imu(f)]

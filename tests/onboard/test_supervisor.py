@@ -397,8 +397,10 @@ def test_commands_before_the_first_step():
         ("battery_low_v", 0.1, {"battery_v": 2.5}),
         ("fence_m", 1e9, {"distance_m": 100.0}),
         ("ceiling_m", 1e9, {"height_m": 100.0}),
+        ("ground_silent_s", 0.0, {"ground_age_s": 20.0}),
+        ("battery_silent_s", 0.0, {"battery_age_s": 20.0}),
     ],
 )
 def test_without_the_limit_the_fault_goes_unnoticed(limit, off, cause):
-    assert Pilot(M.FLYING, **{limit: off}).step(3.0, **cause) is M.FLYING
-    assert Pilot(M.FLYING).step(3.0, **cause) is not M.FLYING
+    assert Pilot(M.FLYING, **(ALL_LIMITS | {limit: off})).step(3.0, **cause) is M.FLYING
+    assert Pilot(M.FLYING, **ALL_LIMITS).step(3.0, **cause) is not M.FLYING

@@ -190,6 +190,7 @@ def test_bad_pressure_costs_the_pressure_only(link, bad):
     (reading,) = Vehicle().tick(link, pressure_hpa=bad)
     assert reading.pressure_pa == 0.0
     assert link.rejected["pressure"] == 1
+    assert "pressure gave" in link.texts()
 
 
 def test_missing_fields_and_second_imus_are_refused(link):
@@ -226,6 +227,39 @@ def test_a_frozen_range_is_refused():
         message = mavlink.MAVLink_distance_sensor_message(count, 44, 400, 100, 1, 0, 25, 4)
         assert len(link.receive(vehicle.pack(message), link.now_ns)) == (count < 5)
     assert link.rejected["range_frozen"] == 5
+    assert "ultrasonic frozen" in link.texts()
+
+
+def test_a_range_at_the_sensors_least_distance_is_not_frozen():
+    link, vehicle = Link(frozen_ranges=5), Vehicle()
+    vehicle.tick(link)
+    for count in range(10):
+        message = mavlink.MAVLink_distance_sensor_message(count, 44, 400, 44, 1, 0, 25, 4)
+        assert len(link.receive(vehicle.pack(message), link.now_ns)) == 1
+    assert "frozen" not in link.texts()
+
+
+def flow_frame(x, gyro=0.01, duration_us=16_000):
+    return mavlink.MAVLink_hil_optical_flow_message(1, 0, duration_us, x, 0.0, gyro, 0.0, 0.0, 0, 200, 0, -1.0)
+
+
+def test_a_frozen_flow_is_refused_and_one_that_sees_nothing_is_not(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    taken = [len(link.receive(vehicle.pack(flow_frame(0.1)), link.now_ns)) for _ in range(12)]
+    assert taken == [1] * 8 + [0] * 4
+    assert link.rejected["flow_frozen"] == 4
+    assert "optical flow frozen" in link.texts()
+    blind = [len(link.receive(vehicle.pack(flow_frame(0.0, gyro=0.0)), link.now_ns)) for _ in range(12)]
+    assert blind == [1] * 12
+
+
+def test_a_frozen_pressure_costs_the_pressure_only():
+    link, vehicle = Link(frozen_pressures=3), Vehicle()
+    given = [vehicle.tick(link)[0].pressure_pa > 0.0 for _ in range(6)]
+    assert given == [True] * 3 + [False] * 3
+    assert link.rejected["pressure_frozen"] == 3
+    assert "pressure frozen" in link.texts()
 
 
 @pytest.mark.parametrize(
@@ -242,9 +276,9 @@ def test_flows_and_batteries_that_are_none(link):
     vehicle = Vehicle()
     vehicle.tick(link)
     for duration, x in ((0, 0.1), (900_000, 0.1), (16_000, math.nan), (16_000, 5.0)):
-        flow = mavlink.MAVLink_hil_optical_flow_message(1, 0, duration, x, 0.0, 0.0, 0.0, 0.0, 0, 200, 0, -1.0)
-        assert link.receive(vehicle.pack(flow), link.now_ns) == []
+        assert link.receive(vehicle.pack(flow_frame(x, duration_us=duration)), link.now_ns) == []
     assert (link.rejected["flow_time"], link.rejected["flow"]) == (2, 2)
+    assert "flow gave nan: sample ignored" in link.texts()
     for millivolts, percent in (([0xFFFF] * 10, 50), ([65_000] * 10, 50), ([4000] + [0xFFFF] * 9, 101)):
         battery = mavlink.MAVLink_battery_status_message(0, 0, 1, 0, millivolts, 0, 0, -1, percent)
         assert link.receive(vehicle.pack(battery), link.now_ns) == []

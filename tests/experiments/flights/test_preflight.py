@@ -173,6 +173,7 @@ def test_a_silent_vehicle_ends_it_at_once():
         (("--vehicle", "udp://127.0.0.1:1", "--pose", "14574"), "--pose 14574: expected HOST:PORT"),
         (("--vehicle", "udp://127.0.0.1:1", "--bind", "192.0.2.1:14561"), "with --bind HOST:PORT"),
         (("--vehicle", "udp://127.0.0.1:1", "--vehicle-key-file", "none.key"), "none.key: cannot be read"),
+        (("--vehicle", "udp://127.0.0.1:1", "--record", "nowhere/x.json"), "there is no folder nowhere"),
     ],
 )
 def test_bad_addresses_are_usage(options, said, capsys, tmp_path, monkeypatch):
@@ -231,11 +232,13 @@ def test_what_was_found_is_kept_for_onboard(tmp_path):
     path = tmp_path / "preflight.json"
     checks, _ = checked()
     said, bar = kept(path, checks)
-    assert "written" in said
+    assert said == f"{path}: written; dmrac onboard will arm on it"
     assert bar == ""
     assert [row.name for row in read_record(path.read_bytes(), "").checks] == [check.name for check in checks]
     checks, _ = checked("gyro z turned round")
-    assert kept(path, checks)[1] == "preflight failed: turn right: gyroscope"
+    said, bar = kept(path, checks)
+    assert bar == "preflight failed: turn right: gyroscope"
+    assert said == f"{path}: written; not enough to be armed on: {bar}"
 
 
 def test_a_look_at_the_stream_alone_does_not_undo_a_complete_check_unless_it_fails(tmp_path):

@@ -17,6 +17,7 @@ from configs.network import load_network
 from experiments import command_line
 from experiments.flights.scenario import Choices, resolve
 from onboard.frame_stream import FrameStream
+from onboard.preflight_record import AGE_MAX_S, record_name
 from sim_vehicle.vehicle import SimVehicle
 from tests.experiments.processes import ROOT, Processes
 
@@ -67,6 +68,11 @@ def test_the_pages_limits_are_those_of_the_configuration(name, words):
     value = getattr(resolve("hover", Choices(real=True)).onboard.supervisor, name)
     numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?", words)]
     assert value in numbers or value * 1000 in numbers
+
+
+def test_the_page_says_what_preflight_leaves_for_onboard():
+    assert record_name("192.168.3.1:14560") in PAGE
+    assert f"{AGE_MAX_S // 3600} hours" in PAGE
 
 
 def config_file(folder: Path, *assignments: str) -> Path:
@@ -126,7 +132,8 @@ def test_onboard_flies_a_vehicle_on_a_serial_line(tmp_path):
     vehicle = SerialVehicle(far, resolve("hover", Choices("pid", 1)).vehicle)
     processes = Processes(tmp_path)
     try:
-        processes.start("onboard", path, "--vehicle", f"serial://{os.ttyname(near)}?baud=921600")
+        url = f"serial://{os.ttyname(near)}?baud=921600"
+        processes.start("onboard", path, "--vehicle", url, "--no-preflight")  # nobody has tilted it by hand
         with punctual():
             vehicle.fly(7.0)
         height = vehicle.height
@@ -171,7 +178,8 @@ def test_preflight_listens_to_the_simulated_vehicle(tmp_path):
         command = [sys.executable, "-m", "experiments.command_line", "preflight", *words, "--listen-only"]
         command += ["--pose", PORTS["motion_capture"], "--config", str(path)]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "160"}
-        result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=environment)
+        run = {"capture_output": True, "text": True, "timeout": 60, "check": False, "env": environment}
+        result = subprocess.run(command, cwd=tmp_path, **run)
     finally:
         processes.end(*processes.running)
     assert result.returncode in (0, 1), result.stderr  # 1: a busy machine, whose jitter is the simulated vehicle's
@@ -180,3 +188,5 @@ def test_preflight_listens_to_the_simulated_vehicle(tmp_path):
     for row in ("time base", "accelerometer at rest", "battery", "pose upright"):
         assert f"pass {row}" in result.stdout
     assert "not ready to fly" in result.stdout or failed
+    assert (tmp_path / record_name(PORTS["vehicle"])).is_file()
+    assert "not enough to be armed on" in result.stdout

@@ -17,6 +17,7 @@ from experiments.timing.step_timing import (
     run_hot,
     run_paced,
 )
+from experiments.timing.vehicle_speed import vehicle_speeds
 from flight_record.reader import open_flight
 from flight_record.writer import FlightLogWriter
 from onboard.tape import TOPIC, Entry, read_tick
@@ -79,6 +80,12 @@ def test_a_stopwatch_adds_up_the_calls_of_a_tick() -> None:
 
 def test_quantiles_are_in_microseconds() -> None:
     assert quantiles_us(range(0, 101_000, 1000)) == (50.0, 99.0, 100.0)
+
+
+def test_the_vehicle_is_timed_bare_whole_and_in_a_batch() -> None:
+    rates = vehicle_speeds(runs=1)
+    assert [name.split()[0] for name in rates] == ["rigid", "with", "in"]
+    assert all(0.0 < rate < float("inf") for rate in rates.values())
 
 
 def test_bad_options_end_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

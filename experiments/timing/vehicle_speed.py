@@ -1,0 +1,70 @@
+"""How fast the simulated vehicle steps: the rigid body alone, the whole vehicle with world and sensors, and a batch."""
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any, Final
+
+import numpy as np
+
+import sim_vehicle.layout as at
+from sim_vehicle.advance import WORK_ROWS, advance
+from sim_vehicle.batch import VehicleBatch
+from sim_vehicle.config import load_vehicle
+from sim_vehicle.packing import pack_parameters
+from sim_vehicle.vehicle import SimVehicle, initial_state
+
+WORLD: Final[list[dict[str, Any]]] = [
+    {"kind": "gusts", "sigma_m_s": 0.3, "length_scale_m": 0.5},
+    {"kind": "wind", "velocity_ned_m_s": [1.0, 0.0, 0.0]},
+    {"kind": "cloth"},
+    {"kind": "rotor_chip", "thrust_factor": 0.9},
+]
+HIGH: Final[dict[str, Any]] = {"initial": {"position_ned_m": [0.0, 0.0, -4.0], "hovering": True}, "box_m": 1e9}
+PERIOD_NS: Final = 5_000_000
+SUBSTEPS: Final = 5
+HOVER: Final = 0.47
+"""Fraction of full thrust, about that of hover."""
+BATCH: Final = 100
+
+
+def vehicle_speeds(runs: int = 200) -> dict[str, float]:
+    """Control steps (200 Hz, five sub-steps of 1 ms) a second of one vehicle: best of `runs` short runs each.
+
+    The best, because what else the machine does only ever makes a run slower.
+    """
+    step_batch = _batch()
+    return {
+        "rigid body": _best_rate(_rigid_body(), 100, runs),
+        "with world, sensors, frames": _best_rate(_whole_vehicle(), 50, runs),
+        f"in a batch of {BATCH}": BATCH * _best_rate(step_batch, 2, runs),
+    }
+
+
+def _best_rate(step: Callable[[], object], steps: int, runs: int) -> float:
+    """Calls a second in the fastest run of `steps` calls, after one that compiles."""
+    step()
+    best_s = np.inf
+    for _ in range(runs):
+        start = perf_counter()
+        for _ in range(steps):
+            step()
+        best_s = min(best_s, perf_counter() - start)
+    return float(steps / best_s)
+
+
+def _rigid_body() -> Callable[[], object]:
+    config = load_vehicle("mambo", HIGH)
+    state, parameters, sums = initial_state(config), pack_parameters(config), np.zeros(at.SUMS_SIZE)
+    work, commands = np.zeros((WORK_ROWS, at.RIGID)), np.full(4, HOVER)
+    rows, row_state, noise = np.zeros((0, at.ROW_SIZE)), np.zeros((0, at.ROW_STATE_SIZE)), np.zeros((SUBSTEPS, 0, 3))
+    return lambda: advance(state, commands, parameters, rows, row_state, noise, sums, work, 0.0, SUBSTEPS)
+
+
+def _whole_vehicle() -> Callable[[], object]:
+    vehicle, ticks = SimVehicle(load_vehicle("mambo", HIGH | {"disturbances": WORLD}), 1), iter(range(1, 10**9))
+    return lambda: vehicle.step(next(ticks) * PERIOD_NS)
+
+
+def _batch() -> Callable[[], object]:
+    batch, commands = VehicleBatch(load_vehicle("mambo", HIGH), range(BATCH)), np.full((BATCH, 4), HOVER)
+    return lambda: batch.step(commands)
