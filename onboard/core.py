@@ -208,7 +208,7 @@ class OnboardCore:
                 climb_m_s=-float(state.velocity[2]),
                 distance_m=(north * north + east * east) ** 0.5,
                 position_sigma_m=state.position_sigma_m,
-                thrust_to_weight=sum(self._command) / (self._config.airframe.mass_kg * GRAVITY),
+                thrust_to_weight=self._actuators.wrench()[0] / (self._config.airframe.mass_kg * GRAVITY),
                 initialised=state.initialised,
                 preflight=self._arming.objection(now_ns, self._posed),
                 fault=not self._estimator.healthy,
@@ -276,18 +276,20 @@ class OnboardCore:
         return self.controller.step(inputs)
 
     def _mix(self, mode: FlightMode, control: ControlOutput, now_ns: int) -> None:
-        """Motor thrusts within their limits, onto the wire."""
+        """Motor thrusts within their limits, driven against the motors' lag, onto the wire."""
         self._command_before = self._command
         most = self._config.airframe.motor_thrust_max_n
+        self._saturated = False
         if mode in AIRBORNE:
-            self._command = self._mixer.thrusts(control.thrust_n, control.torque_nm)
+            demand = control.thrust_n, control.torque_nm
+            wanted = self._mixer.thrusts(*demand)
+            self._saturated = self._mixer.falls_short(wanted, *demand)
+            self._command = self._actuators.overdriven(wanted)
         elif mode is _ARMED:
             idle = self._config.airframe.motor_thrust_min_share * most
             self._command = (idle, idle, idle, idle)
         else:
             self._command = ZERO
-        flying, demand = mode in AIRBORNE, (control.thrust_n, control.torque_nm)
-        self._saturated = flying and self._mixer.falls_short(self._command, *demand)
         fractions = [thrust / most for thrust in self._command]
         self._output.to_vehicle.append(self._vehicle_link.encode_motors(fractions, mode in SPINNING, now_ns))
 

@@ -90,7 +90,7 @@ class SupervisorInputs(NamedTuple):
     """From the origin, horizontally."""
     position_sigma_m: float
     thrust_to_weight: float
-    """Collective thrust commanded last, over weight."""
+    """Collective thrust as the actuator model has it, over weight."""
     initialised: bool
     """The estimator has found the attitude."""
     preflight: str = ""

@@ -114,3 +114,22 @@ def test_the_airframe_can_hover_and_turn():
     hover = AIRFRAME.mass_kg * GRAVITY
     got = wrench(Mixer(AIRFRAME).thrusts(hover, (1e-3, -1e-3, 1e-4)))
     np.testing.assert_allclose(got, (hover, 1e-3, -1e-3, 1e-4), atol=1e-12)
+
+
+@pytest.mark.parametrize(("start", "wanted"), [(0.15, 0.16), (0.16, 0.15)])
+def test_driven_motors_follow_with_the_response_and_not_with_their_lag(start, wanted):
+    model = ActuatorModel(AIRFRAME, 0.0005)
+    model.thrusts[:] = start
+    for _ in range(round(AIRFRAME.motor_response_s / 0.0005)):
+        model.step(model.overdriven((wanted,) * 4))
+    share = (model.thrusts - start) / (wanted - start)
+    np.testing.assert_allclose(share, 1.0 - np.exp(-1.0), atol=0.01)
+
+
+def test_driven_motors_keep_their_limits_and_stand_where_they_are_wanted():
+    model = ActuatorModel(AIRFRAME, 0.005)
+    model.thrusts[:] = 0.15
+    assert model.overdriven((0.15,) * 4) == pytest.approx((0.15,) * 4)
+    most = AIRFRAME.motor_thrust_max_n
+    least = AIRFRAME.motor_thrust_min_share * most
+    assert model.overdriven((most, least, most, least)) == pytest.approx((most, least, most, least))
