@@ -105,8 +105,8 @@ class ActuatorModel:
         self._config = config
         self._up = 1.0 - exp(-period_s / config.motor_lag_up_s)
         self._down = 1.0 - exp(-period_s / config.motor_lag_down_s)
-        self._overdrive_up = max(config.motor_lag_up_s / config.motor_response_s, 1.0)
-        self._overdrive_down = max(config.motor_lag_down_s / config.motor_response_s, 1.0)
+        self._lead_up = max(config.motor_lag_up_s / config.motor_response_s, 1.0) - 1.0
+        self._lead_down = max(config.motor_lag_down_s / config.motor_response_s, 1.0) - 1.0
         self._max = config.motor_thrust_max_n
         self._min = config.motor_thrust_min_share * self._max
         self.thrusts: Array = np.zeros(4)
@@ -130,7 +130,7 @@ class ActuatorModel:
 
     def _driven(self, now: float, wanted: float) -> float:
         gap = wanted - now
-        command = now + (self._overdrive_up if gap > 0.0 else self._overdrive_down) * gap
+        command = wanted + (self._lead_up if gap > 0.0 else self._lead_down) * gap
         return min(max(command, self._min), self._max)
 
     def wrench(self) -> tuple[float, float, float, float]:

@@ -11,6 +11,7 @@ from configs.loader import CONFIG_DIRECTORY, fill, read_tree
 from onboard.airframe import GRAVITY, ActuatorModel, AirframeConfig, Mixer
 
 AIRFRAME = fill(AirframeConfig, read_tree(CONFIG_DIRECTORY / "onboard.yaml")["airframe"], "onboard.yaml")
+DRIVEN = AIRFRAME.model_copy(update={"motor_response_s": 0.02})
 LOW, HIGH = AIRFRAME.motor_thrust_min_share * AIRFRAME.motor_thrust_max_n, AIRFRAME.motor_thrust_max_n
 SETTINGS = settings(max_examples=200, deadline=None, derandomize=True)
 motors = st.tuples(*[st.floats(LOW, HIGH)] * 4)
@@ -118,16 +119,22 @@ def test_the_airframe_can_hover_and_turn():
 
 @pytest.mark.parametrize(("start", "wanted"), [(0.15, 0.16), (0.16, 0.15)])
 def test_driven_motors_follow_with_the_response_and_not_with_their_lag(start, wanted):
-    model = ActuatorModel(AIRFRAME, 0.0005)
+    model = ActuatorModel(DRIVEN, 0.0005)
     model.thrusts[:] = start
-    for _ in range(round(AIRFRAME.motor_response_s / 0.0005)):
+    for _ in range(round(DRIVEN.motor_response_s / 0.0005)):
         model.step(model.overdriven((wanted,) * 4))
     share = (model.thrusts - start) / (wanted - start)
     np.testing.assert_allclose(share, 1.0 - np.exp(-1.0), atol=0.01)
 
 
+def test_motors_are_left_as_they_are_where_the_response_is_no_shorter_than_the_lag():
+    model, wanted = ActuatorModel(AIRFRAME, 0.005), (0.1, 0.15, 0.2, 0.25)
+    model.thrusts[:] = 0.17
+    assert model.overdriven(wanted) == wanted
+
+
 def test_driven_motors_keep_their_limits_and_stand_where_they_are_wanted():
-    model = ActuatorModel(AIRFRAME, 0.005)
+    model = ActuatorModel(DRIVEN, 0.005)
     model.thrusts[:] = 0.15
     assert model.overdriven((0.15,) * 4) == pytest.approx((0.15,) * 4)
     most = AIRFRAME.motor_thrust_max_n
