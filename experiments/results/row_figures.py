@@ -9,6 +9,9 @@ from experiments.results.figure_style import finish, legend_below, new_figure, s
 from experiments.results.statistics import SEPARATION_RIDGE, logistic_fit
 from experiments.results.tables import metric_name
 
+LOGARITHMIC_FROM = 8.0
+"""Largest over smallest value from which a comparison's axis is logarithmic."""
+
 
 def _sweep(data: CampaignData, name: str) -> tuple[str, list[Any], bool]:
     sweep = next(sweep for sweep in data.config.sweeps if sweep.name == name)
@@ -143,10 +146,24 @@ def compare(data: CampaignData, metric: str, controllers: list[str] | None = Non
         )
     _split(panel, len(cases))
     panel.set_xticks(range(len(cases)), [_wrap(data.label(case), 60 // len(cases)) for case in cases], fontsize=8)
-    panel.set_ylim(bottom=0.0)
+    shown = [value for case in cases for group in data.select(case) for value in group.values(metric).values()]
+    _upward_axis(panel, [value for value in shown if np.isfinite(value)])
     finish(panel, "", metric_name(metric))
     legend_below(figure, [panel])
     return figure
+
+
+def _upward_axis(panel: Any, values: list[float]) -> None:
+    """From zero; logarithmic where the values lie so far apart that small ones could not be told from each other."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    if not values or min(values) <= 0.0 or max(values) < LOGARITHMIC_FROM * min(values):
+        panel.set_ylim(bottom=0.0)
+        return
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
 
 
 def compare_cases(data: CampaignData, metric: str, controllers: list[str] | None = None) -> Any:
