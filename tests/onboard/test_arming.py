@@ -305,7 +305,7 @@ BLIND_IN_THE_WIND = (
     "vehicle.disturbances=[{kind: wind, velocity_ned_m_s: [0.0, 2.0, 0.0], onset_s: 3.0},"
     "{kind: sensor_fault, sensor: flow, fault: silent, onset_s: 4.0}]"
 )
-WEAK_ROTOR = "vehicle.disturbances=[{kind: rotor_chip, rotor: 1, thrust_factor: 0.3}]"
+WEAK_ROTOR = "vehicle.disturbances=[{kind: rotor_chip, rotor: 1, thrust_factor: 0.2}]"
 
 
 def test_without_the_limit_on_lost_velocity_a_blind_vehicle_is_blown_away():
