@@ -1,4 +1,5 @@
-"""`dmrac bench`: how long an onboard step takes, how punctual the loop is, how fast vehicle and lockstep run.
+"""`dmrac bench`: how long an onboard step takes, how punctual the loop is, how fast vehicle, trainer
+and lockstep run.
 
 A call costs several times more once every 5 ms, with cold caches, than in a tight loop, so the step is measured both
 ways: replaying the datagrams of a recorded flight into a fresh core, at 200 Hz and back to back, its log written as in
@@ -20,6 +21,7 @@ from configs.loader import ConfigError
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.timing.law_floor import law_floor_us
+from experiments.timing.learning_speed import BATCH_SIZE, BATCHES, CAPACITY, admission_ms, training_round_ms
 from experiments.timing.start_up import start_onboard
 from experiments.timing.step_timing import LAW, Quantiles, measure_step, record_flight
 from experiments.timing.vehicle_speed import vehicle_speeds
@@ -76,6 +78,9 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
     console.print(f"onboard process: ready after {start_up.ready_s:.2f} s, {start_up.rss_mb:.0f} MB ({start_up.said})")
     vehicle = vehicle_speeds()
     console.print(f"simulated vehicle, steps/s: {'; '.join(f'{name} {rate:,.0f}' for name, rate in vehicle.items())}")
+    learning = {"round_ms": training_round_ms(config), "admission_ms": admission_ms()}
+    console.print(f"training round, {BATCHES} mini-batches of {BATCH_SIZE}: {learning['round_ms']:.0f} ms of a core")
+    console.print(f"a sample into a full buffer of {CAPACITY}: {learning['admission_ms']:.2f} ms of a core")
     speed = {name: lockstep_speed(config, flag) for name, flag in (("without trainer", False), ("with trainer", True))}
     for name, multiple in speed.items():
         console.print(f"lockstep {name}: {multiple:.1f} x real time")
@@ -89,6 +94,7 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
         "start_s": start_up.ready_s,
         "rss_mb": start_up.rss_mb,
         "vehicle_steps_per_s": vehicle,
+        "learning": learning,
         "lockstep": speed,
     }
 

@@ -1,7 +1,5 @@
 """The incremental novelty tests and the swap against brute force."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -82,24 +80,3 @@ def test_history_test_admits_what_moves_or_adds_a_direction() -> None:
     novelty.add(np.array([1.1, 0.01, 0.0]))
     assert not novelty.is_new(np.array([1.1, 0.02, 0.0]))
     assert novelty.is_new(np.array([0.5, 0.5, 0.0]))  # a large step
-
-
-@pytest.mark.realtime
-def test_admission_takes_at_most_a_millisecond_at_a_thousand() -> None:
-    rng = np.random.default_rng(3)
-    p, k = 1000, 39
-    novelty = KernelNovelty(p, 6)
-    for slot in range(p):
-        novelty.add(slot, rng.normal(0.0, 2.0, 6))
-    Phi = np.tanh(rng.normal(0.0, 1.0, (p, k)))
-    gram = Phi.T @ Phi
-    times = []
-    for _ in range(100):
-        x, phi_new = rng.normal(0.0, 2.0, 6), np.tanh(rng.normal(0.0, 1.0, k))
-        start = time.thread_time_ns()
-        novelty.gamma(x)
-        slot = best_swap(Phi, gram, phi_new)
-        novelty.replace(slot, x)
-        times.append(time.thread_time_ns() - start)
-    print(f"admission with swap: median {np.median(times) * 1e-3:.0f} us, p99 {np.quantile(times, 0.99) * 1e-3:.0f} us")
-    assert np.median(times) < 4e6  # four times the aim of 1 ms: a shared machine must not fail this test

@@ -6,6 +6,7 @@ import pytest
 
 from experiments.commands import bench
 from experiments.flights.scenario import Choices, resolve
+from experiments.timing.learning_speed import admission_ms, training_round_ms
 from experiments.timing.step_timing import (
     BLOCKS,
     LOG,
@@ -86,6 +87,13 @@ def test_the_vehicle_is_timed_bare_whole_and_in_a_batch() -> None:
     rates = vehicle_speeds(runs=1)
     assert [name.split()[0] for name in rates] == ["rigid", "with", "in"]
     assert all(0.0 < rate < float("inf") for rate in rates.values())
+
+
+def test_learning_is_timed_on_a_flights_own_samples() -> None:
+    assert training_round_ms(resolve("hover", Choices("dmrac")), runs=1) > 0.0
+    assert admission_ms(samples=2) > 0.0
+    with pytest.raises(RuntimeError, match="hover with pid: nothing to train on"):
+        training_round_ms(resolve("hover", Choices("pid", None, None, ("offboard.trainer.minimum_samples=100000",))))
 
 
 def test_bad_options_end_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,65 @@
+"""How long offboard takes: a round of training on what a flight gave, and a sample's way into a full buffer."""
+
+from dataclasses import replace
+from time import thread_time
+from typing import Any, Final
+
+import numpy as np
+
+from experiments.flights.lockstep_flight import build
+from experiments.flights.scenario import FlightConfig
+
+BATCHES: Final = 100
+BATCH_SIZE: Final = 64
+CAPACITY: Final = 1000
+FEATURES: Final = 39
+"""Of both channels."""
+INPUTS: Final = 6
+FLIGHT_MAX_S: Final = 20.0
+
+
+def training_round_ms(config: FlightConfig, runs: int = 5) -> float:
+    """A round of 100 mini-batches of 64, both channels, on the first samples of a flight: best of `runs`, ms of a core.
+
+    Raises
+    ------
+    RuntimeError
+        If the flight brings no samples to train on.
+    """
+    job = _first_job(config)
+    job = replace(job, config=job.config.model_copy(update={"batch_size": BATCH_SIZE, "batches": BATCHES}))
+    return min(_timed_ms(job.run) for _ in range(runs))
+
+
+def _first_job(config: FlightConfig) -> Any:
+    lockstep, *_ = build(config)
+    for _ in range(round(FLIGHT_MAX_S * 1e9 / config.onboard.period_ns)):
+        output = lockstep.step().offboard
+        if output is not None and output.job is not None:
+            return output.job
+    raise RuntimeError(f"{config.scenario} with {config.controller}: nothing to train on in {FLIGHT_MAX_S:g} s")
+
+
+def admission_ms(samples: int = 100) -> float:
+    """Kernel test, best swap and replacement in a buffer of 1000 that is full: median over `samples`, ms of a core."""
+    from offboard.novelty import KernelNovelty, best_swap
+
+    rng = np.random.default_rng(3)
+    novelty = KernelNovelty(CAPACITY, INPUTS)
+    for slot in range(CAPACITY):
+        novelty.add(slot, rng.normal(0.0, 2.0, INPUTS))
+    Phi = np.tanh(rng.normal(0.0, 1.0, (CAPACITY, FEATURES)))
+    gram = Phi.T @ Phi
+
+    def admit() -> None:
+        x = rng.normal(0.0, 2.0, INPUTS)
+        novelty.gamma(x)
+        novelty.replace(best_swap(Phi, gram, np.tanh(rng.normal(0.0, 1.0, FEATURES))), x)
+
+    return float(np.median([_timed_ms(admit) for _ in range(samples)]))
+
+
+def _timed_ms(work: Any) -> float:
+    start = thread_time()
+    work()
+    return (thread_time() - start) * 1e3
