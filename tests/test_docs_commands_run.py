@@ -233,6 +233,13 @@ def test_the_processes_of_a_page_run_together(page: Path, place: Path) -> None:
         assert [processes.running[name].returncode for name in ("onboard", "offboard")] == [0, 0]
 
 
+def test_no_script_lets_the_environment_see_its_own_arguments() -> None:
+    """A file sourced without any word sees the script's: `scripts/onboard --config x` would install an extra `x`."""
+    for script in (ROOT / "scripts").iterdir():
+        lines = script.read_text(encoding="utf-8").splitlines()
+        assert all('/environment" with' in line for line in lines if line.startswith(". ")), script.name
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("script", sorted((ROOT / "scripts").iterdir()), ids=lambda script: script.name)
 def test_a_script_starts(script: Path) -> None:
