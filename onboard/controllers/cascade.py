@@ -7,7 +7,6 @@ Order within a step (k): the reference models advance with what was commanded at
 residual, error and augmentation at the present; then the command.
 """
 
-from math import tan
 from typing import Annotated
 
 import numpy as np
@@ -29,6 +28,7 @@ from onboard.controllers.baselines import (
     NoAugmentation,
     NoneConfig,
 )
+from onboard.controllers.demand_limits import DemandLimits, DemandLimitsConfig
 from onboard.records import VehicleState
 from onboard.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
 from onboard.rotation import Quaternion, attitude_for_thrust, quaternion_multiply, quaternion_to_rotation_vector
@@ -46,8 +46,6 @@ POSITION_N = SIGNAL_INDEX["position_n"]
 VELOCITY_N = SIGNAL_INDEX["velocity_n"]
 BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
-FALL_MIN_M_S2 = 2.0
-"""Specific thrust never falls below this: without thrust there is no torque and no direction to tilt to."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Beyond this the attitude error is no longer linear: the reference model starts over at the vehicle."""
 
@@ -66,9 +64,7 @@ class CascadeSettings(Record):
     attitude: ChannelSettings
     hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
-    tilt_max_rad: Annotated[float, Field(gt=0.1, le=1.2)] = 0.7
-    climb_acceleration_max_m_s2: Annotated[float, Field(gt=0, le=20)] = 5.0
-    sink_acceleration_max_m_s2: Annotated[float, Field(gt=0, le=9)] = 5.0
+    limits: DemandLimitsConfig = DemandLimitsConfig()
     level_sink_speed_m_s: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
@@ -104,7 +100,7 @@ class CascadedController:
         self._k2 = tuple(settings.position.gains.rate_gain().tolist())
         self._a1 = tuple(settings.attitude.gains.stiffness().tolist())
         self._a2 = tuple(settings.attitude.gains.rate_gain().tolist())
-        self._tilt_max = tan(settings.tilt_max_rad)
+        self._limits = DemandLimits(settings.limits)
         self._output = ControlOutput()
         self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
         self._command: Vector3 = (0.0, 0.0, 0.0)
@@ -137,6 +133,7 @@ class CascadedController:
         self._restart_models(inputs)
         p, q, r = inputs.state.rates.tolist()
         self._last_rates = (p, q, r)
+        self._limits.reset()
         for augmentation in self.augmentations:
             augmentation.reset()
 
@@ -350,16 +347,8 @@ class CascadedController:
 
     def _thrust_vector(self, inputs: ControlInputs, u: Vector3) -> tuple[float, Quaternion]:
         """Collective thrust [N] along the present body axis, and the attitude that would realise u, within limits."""
-        settings = self._settings
-        ux, uy, uz = u
-        # The limits are on what the loop asks for: what nu_ad makes up for (weak motors, a payload) comes on top.
-        nu_z = float(self._output.position.adaptive[2])
-        uz = min(max(uz + nu_z, -settings.climb_acceleration_max_m_s2), settings.sink_acceleration_max_m_s2) - nu_z
-        fx, fy, fz = -ux, -uy, max(GRAVITY - uz, FALL_MIN_M_S2)
-        horizontal = (fx * fx + fy * fy) ** 0.5
-        most = fz * self._tilt_max
-        if horizontal > most:
-            fx, fy = fx * most / horizontal, fy * most / horizontal
+        self._limits.step(inputs.saturated, inputs.dt)
+        fx, fy, fz = self._limits.specific_thrust(u, float(self._output.position.adaptive[2]))
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
         commanded = attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()
