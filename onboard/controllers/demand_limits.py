@@ -2,9 +2,9 @@
 
 The limits are on what the loop asks for; what nu_ad makes up for (weak motors, a payload) comes on top vertically.
 
-A motor that has lost thrust holds the attitude with little to spare. A position loop that then asks for a wide tilt and a
-hard climb spends what is left: the attitude is lost, and with it the vehicle. So while the mixer has to give up thrust,
-roll or pitch, the loop asks for little tilt and climb, and gets its limits back gradually after.
+A motor that has lost thrust holds the attitude with little to spare. A position loop that then asks for a wide tilt
+and a hard climb spends what is left: the attitude is lost, and with it the vehicle. So while the mixer has to give up
+thrust, roll or pitch, the loop asks for little tilt and climb, and gets its limits back gradually after.
 """
 
 from math import tan
