@@ -61,7 +61,10 @@ def test_short_limits_wider_than_the_others_change_nothing() -> None:
     assert tilt(limits.specific_thrust((20.0, 0.0, 0.0), 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
 
 
-WEAK = "vehicle.disturbances=[{kind: rotor_chip, rotor: 1, thrust_factor: 0.62, onset_s: 7.0}]"
+WEAK = (
+    "vehicle.disturbances=[{kind: rotor_chip, rotor: random, thrust_factor: 0.65, onset_s: 7.0},"
+    " {kind: motor_gain, common: 0.95, spread: 0.05}]"
+)
 WITHOUT = tuple(
     f"onboard.controller.settings.limits.{key}={value}"
     for key, value in (("short_tilt_max_rad", 1.2), ("climb_acceleration_max_m_s2", 5), ("short_climb_max_m_s2", 5))
@@ -69,10 +72,11 @@ WITHOUT = tuple(
 
 
 def survivors(*assignments: str) -> int:
-    flights = (resolve("rotor_chip", Choices("bias", seed, 12.0, (WEAK, *assignments))) for seed in range(4))
+    flights = (resolve("rotor_chip", Choices("mrac", seed, 11.0, (WEAK, *assignments))) for seed in range(7))
     return sum(not fly_lockstep(flight, with_offboard=False).crash_reason for flight in flights)
 
 
+@pytest.mark.full
 def test_they_save_a_vehicle_that_has_little_thrust_to_spare() -> None:
-    """The ablation too: with wide limits all the while, most are lost."""
+    """The ablation too: with wide limits all the while, more are lost (2 of these 7 flights, measured)."""
     assert survivors() >= survivors(*WITHOUT) + 2
