@@ -11,6 +11,7 @@ from experiments.results import row_figures, trace_figures
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_style import save
 from experiments.results.tables import Table, metric_name
+from experiments.results.thrust_limit import limit_table
 
 Drawer = Callable[..., Any]
 
@@ -68,21 +69,27 @@ def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) ->
             pictures += found[0]
             tables += found[1]
             continue
+        if kind == "thrust_limit":
+            tables.append(_called(limit_table, data, number, options))
+            continue
         if kind not in KINDS:
-            raise ConfigError(
-                f"{data.name}: figures.{number}.kind: {kind!r}: allowed are {', '.join([*KINDS, 'features'])}"
-            )
+            allowed = ", ".join([*KINDS, "features", "thrust_limit"])
+            raise ConfigError(f"{data.name}: figures.{number}.kind: {kind!r}: allowed are {allowed}")
         drawer, caption = KINDS[kind]
         if not _has_flights(data, kind, options):
             report(f"{name}: left out, the flights it shows were not flown or kept no traces")
             continue
-        try:
-            figure = drawer(data, **options)
-        except TypeError as error:
-            raise ConfigError(f"{data.name}: figures.{number}: {error}") from None
+        figure = _called(drawer, data, number, options)
         pictures.append(_picture(data, folder, name, caption, options, figure))
         report(name)
     return pictures, tables
+
+
+def _called(drawer: Drawer, data: CampaignData, number: int, options: dict[str, Any]) -> Any:
+    try:
+        return drawer(data, **options)
+    except TypeError as error:
+        raise ConfigError(f"{data.name}: figures.{number}: {error}") from None
 
 
 def _picture(

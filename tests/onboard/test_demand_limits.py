@@ -1,4 +1,4 @@
-"""Limits of the position loop's demand, and what they are worth to a vehicle whose rotor has lost much of its thrust."""
+"""Limits of the position loop's demand, and what they are worth to a vehicle with a rotor that gives little thrust."""
 
 import math
 

@@ -1,0 +1,89 @@
+"""How much thrust a chipped rotor must keep for the vehicle to hover at all: the limit that no controller can pass.
+
+Hovering level without turning takes a quarter of the weight from every rotor: with less from one, the rotor opposite
+must give less too, and yaw is lost. The chipped rotor gives at most
+
+    f g (V / V_rated)^2 T_max        f: thrust factor, g: gain of its motor,
+
+and the voltage V falls with the power of all four, which is taken as the simulated battery takes it
+(sim_vehicle/motors.py): V = V_open - (R + R_slow)(I_idle + k sum(T^1.5) / V), T the thrust that a sound rotor would
+give. What is left over is the reserve, with which the attitude is held.
+"""
+
+import json
+from collections.abc import Sequence
+from statistics import median
+from typing import Any
+
+from experiments.campaigns.campaign import unfold
+from experiments.flights.scenario import Choices, resolve
+from experiments.results.campaign_data import CampaignData
+from experiments.results.tables import Table
+from sim_vehicle import layout as at
+from sim_vehicle.config import SimVehicleConfig
+from sim_vehicle.packing import GRAVITY
+from sim_vehicle.world import World
+
+LONG_AFTER_NS = 10**15
+"""Every fault of the scenario is present."""
+
+
+def reserve(vehicle: SimVehicleConfig, seed: int) -> float:
+    """Thrust that the chipped rotor can give above a quarter of the weight, as a share of that; negative: no hover.
+
+    Parameters
+    ----------
+    vehicle: with one chipped rotor among its disturbances.
+    seed: of the flight; it draws the rotor and the motors' gains.
+
+    Raises
+    ------
+    ValueError
+        If the vehicle has no chipped rotor.
+    """
+    world = World(vehicle, seed)
+    world.apply(LONG_AFTER_NS)
+    chipped = world.chipped_rotors()
+    if not chipped:
+        raise ValueError("no rotor of this vehicle is chipped")
+    P = world.parameters
+    rotor = chipped[0] - 1
+    factor, gain = float(P[at.THRUST_FACTOR + rotor]), float(P[at.GAIN + rotor])
+    quarter = 0.25 * vehicle.body.mass_kg * GRAVITY
+    most = vehicle.motors.max_thrust_n * gain
+    volts = vehicle.battery.full_v
+    for _ in range(100):  # a contraction: the drop is a tenth of the voltage
+        full = most * (volts / vehicle.battery.rated_v) ** 2
+        volts = loaded_voltage(vehicle, [quarter] * 3 + [full], volts)
+    return factor * full / quarter - 1.0
+
+
+def loaded_voltage(vehicle: SimVehicleConfig, thrusts: Sequence[float], volts: float) -> float:
+    """Terminal voltage of a charged battery under four sound-rotor thrusts [N]; one step of the iteration in V."""
+    battery = vehicle.battery
+    amperes = battery.idle_a + battery.power_w_n15 * sum(thrust**1.5 for thrust in thrusts) / volts
+    open_circuit = battery.full_v + (battery.empty_v - battery.full_v) * battery.charge_used
+    return open_circuit - (battery.resistance_ohm + battery.polarisation_ohm) * amperes
+
+
+def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
+    """For each step of the sweep: how many of the campaign's seeds can hover at all, and with what reserve."""
+    reserves: dict[str, list[float]] = {}
+    seeds = len({row["seed"] for row in data.rows})
+    first = data.controllers[0]
+    for job in unfold(data.config, data.name, seeds):
+        if job.case != case or job.controller != first:
+            continue
+        flight = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
+        step: Any = dict(job.point)[sweep]
+        reserves.setdefault(json.dumps(step), []).append(reserve(flight.vehicle, flight.seed))
+    rows = tuple(
+        (step, f"{sum(one >= 0.0 for one in found)} of {len(found)}", f"{100 * median(found):+.0f} %")
+        for step, found in reserves.items()
+    )
+    label = next(one.label or one.name for one in data.config.sweeps if one.name == sweep)
+    caption = (
+        "The limit of thrust: with how much the chipped rotor, at full command, exceeds the quarter of the weight that "
+        "hovering without turning takes (fully charged battery under that load)"
+    )
+    return Table(caption, (label, "flights that can hover", "reserve, median"), rows)
