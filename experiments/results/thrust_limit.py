@@ -12,6 +12,7 @@ give. What is left over is the reserve, with which the attitude is held.
 
 import json
 from collections.abc import Sequence
+from math import sqrt
 from statistics import median
 from typing import Any
 
@@ -61,7 +62,7 @@ def reserve(vehicle: SimVehicleConfig, seed: int) -> float:
 def loaded_voltage(vehicle: SimVehicleConfig, thrusts: Sequence[float], volts: float) -> float:
     """Terminal voltage of a charged battery under four sound-rotor thrusts [N]; one step of the iteration in V."""
     battery = vehicle.battery
-    amperes = battery.idle_a + battery.power_w_n15 * sum(thrust**1.5 for thrust in thrusts) / volts
+    amperes = battery.idle_a + battery.power_w_n15 * sum(thrust * sqrt(thrust) for thrust in thrusts) / volts
     open_circuit = battery.full_v + (battery.empty_v - battery.full_v) * battery.charge_used
     return open_circuit - (battery.resistance_ohm + battery.polarisation_ohm) * amperes
 
