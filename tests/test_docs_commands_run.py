@@ -47,6 +47,7 @@ SHORTER: dict[str, list[str]] = {
 """What is added to a subcommand's words; of two values of an option the last one holds."""
 PLACES = {
     "udp://192.168.3.1:14560": f"udp://{ADDRESSES['vehicle']}",
+    "10.0.0.7:14573": ADDRESSES["offboard_link"],
     "0.0.0.0:14574": ADDRESSES["motion_capture"],
     "SCENARIO": "hover",
     "FLIGHT": "flight",
@@ -59,6 +60,8 @@ TOGETHER = ("sim", "offboard", "onboard")
 """Processes that need each other: those that a page shows run side by side."""
 BARE = ("fly", "bench", "reproduce")
 """Complete without a further word; `dmrac tune` and the like are names of a subcommand."""
+BINDS = ["--bind-vehicle", ADDRESSES["onboard_vehicle"], "--bind-link", ADDRESSES["onboard_link"]]
+"""Of an onboard process that is shown without a configuration."""
 END_LIMIT_S = 60.0
 
 
@@ -226,7 +229,10 @@ def test_the_processes_of_a_page_run_together(page: Path, place: Path) -> None:
     words = [short_form(command) for command in commands if way_of(command) == "together"]
     with Processes(place) as processes:
         for name, *options in words:
-            processes.start(name, place / "flight.yaml", *options)
+            if name in processes.running:  # shown in another way: first the one, then the other
+                processes.end(name)
+                assert processes.running[name].returncode == 0
+            processes.start(name, *((place / "flight.yaml",) if "--config" in options else (None, *BINDS)), *options)
         if "sim" in processes.running:
             assert processes.wait("sim", END_LIMIT_S) == 0
         processes.end("onboard", "offboard")

@@ -32,10 +32,11 @@ class Processes:
         self.out = out
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self, name: str, config: Path, *options: str, prefix: tuple[str, ...] = ()) -> None:
-        """Starts a process and waits until it says that it is ready."""
+    def start(self, name: str, config: Path | None, *options: str, prefix: tuple[str, ...] = ()) -> None:
+        """Starts a process and waits until it says that it is ready; without `config`: by its options alone."""
         said = self.out / f"{name}_said.txt"
-        command = [*prefix, sys.executable, "-m", MODULES[name], "--config", str(config), "--out", str(self.out)]
+        command = [*prefix, sys.executable, "-m", MODULES[name], "--out", str(self.out)]
+        command += ["--config", str(config)] if config else []
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         with said.open("wb") as file:
             self.running[name] = subprocess.Popen(
