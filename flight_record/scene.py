@@ -1,12 +1,14 @@
 """What a viewer shows of a flight, as plain arrays: the vehicle in space and curves in groups. No viewer in here."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from configs.loader import ConfigError, parse_yaml
 from flight_record.reader import Event, Flight, Table
 
 Array = NDArray[np.float64]
@@ -125,7 +127,7 @@ def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
     if flown is not None:
         curves += [_curve("position [m]", name, thinned(flown), f"position_{axis}") for name, axis in _NED]
     if tick is not None:
-        curves += _commanded(tick) + _bounds(tick)
+        curves += _commanded(tick) + _bounds(tick) + _weight_limits(flight, tick)
     if tick is not None and truth is not None:
         curves += _true_disturbance(tick, truth)
     if fate is not None:
@@ -199,6 +201,24 @@ def _bounds(tick: Table) -> list[Curve]:
         group = f"norm(e), {channel} {units}"
         curves.append(Curve(group, "norm(e)", thin.time_ns, norm))
         curves.append(Curve(group, "live bound", thin.time_ns, bound, True))
+    return curves
+
+
+def _weight_limits(flight: Flight, tick: Table) -> list[Curve]:
+    """W_max of each channel that has one, by the configuration that onboard logged."""
+    config = flight.attachments.get("onboard", {}).get("config.yaml")
+    if config is None or len(tick) == 0:
+        return []
+    ends, curves = tick.time_ns[[0, -1]], []
+    tree: Any = None
+    with suppress(ConfigError, ValueError):
+        tree = parse_yaml(config.decode(), "config.yaml")
+    for channel in ("position", "attitude"):
+        node = tree
+        for key in ("onboard", "controller", "settings", channel, "augmentation", "law", "weight_norm_max"):
+            node = node.get(key) if isinstance(node, dict) else None
+        if isinstance(node, int | float):
+            curves.append(Curve("norm(W)", f"W_max, {channel}", ends, np.full(2, float(node)), True))
     return curves
 
 

@@ -47,6 +47,17 @@ def test_a_flight_becomes_motion_target_curves_and_events(full_flight: Path) -> 
     assert np.isnan(age.values[:200]).all()
 
 
+def test_w_max_is_drawn_where_the_configuration_has_one(tmp_path: Path) -> None:
+    law = "{augmentation: {law: {weight_norm_max: 40.0}}}"
+    config = f"onboard: {{controller: {{settings: {{position: {law}, attitude: {{augmentation: {{kind: none}}}}}}}}}}"
+    attachments = {"config.yaml": config.encode()}
+    with FlightLogWriter(tmp_path / "onboard.mcap", "onboard", attachments=attachments, threaded=False) as log:
+        for i in range(3):
+            log.write(tick_record.TICK, i * 5_000_000, np.zeros(len(tick_record.TICK.names)))
+    curves = [one for one in build_scene(open_flight(tmp_path)).curves if one.name.startswith("W_max")]
+    assert [(one.name, one.values.tolist()) for one in curves] == [("W_max, position", [40.0, 40.0])]
+
+
 def test_a_flight_without_truth_shows_the_estimate(full_flight: Path) -> None:
     (full_flight / "sim_vehicle.mcap").unlink()
     scene = build_scene(open_flight(full_flight))
