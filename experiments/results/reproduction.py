@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import pyarrow.parquet as pq
+
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
+from experiments.campaigns.store import read_table
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.page import machine, versions, write_page
@@ -44,6 +47,7 @@ class Reproduction:
         words = ["dmrac reproduce"]
         words += ["--quick"] if self.quick else []
         words += [f"--seeds {self.seeds}"] if self.seeds is not None else []
+        words += ["--only", *self.only] if self.only != CAMPAIGNS else []
         return " ".join(words)
 
     def run(self, name: str) -> CampaignRun:
@@ -82,12 +86,27 @@ def draw(plan: Reproduction, name: str, report: Callable[[str], None]) -> Sectio
     shown.mkdir(parents=True, exist_ok=True)
     for picture in pictures:
         shutil.copyfile(picture.png, shown / picture.png.name)
+    publish_rows(plan, name)
     return Section(data, tuple(pictures), tuple(extra))
 
 
 def picture_folder(plan: Reproduction) -> Path:
     """Where the page's pictures lie."""
     return plan.page.parent / "pictures" / "results"
+
+
+def row_file(plan: Reproduction, name: str) -> Path:
+    """Where one campaign's rows lie beside the page, for those who want to look at the numbers in another way."""
+    return plan.page.parent / "data" / f"{name}.parquet"
+
+
+def publish_rows(plan: Reproduction, name: str) -> Path:
+    """Writes one campaign's rows beside the page."""
+    file = row_file(plan, name)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_suffix(".part")
+    pq.write_table(read_table(plan.folder / name), part, compression="zstd")
+    return part.replace(file)
 
 
 def write_results(plan: Reproduction, sections: Sequence[Section], seconds: float) -> None:
@@ -99,6 +118,8 @@ def write_results(plan: Reproduction, sections: Sequence[Section], seconds: floa
         listed = [(Path("pictures/results") / one.png.name, one.caption) for one in section.pictures]
         parts.append(markdown_report(section.data, listed, f"dmrac campaign {section.data.name}"))
         parts += [table.markdown() for table in section.extra]
+        rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
+        parts.append(f"All of these flights, a row each: [{rows}]({rows}).\n")
     plan.page.parent.mkdir(parents=True, exist_ok=True)
     part = plan.page.with_suffix(".md.part")
     part.write_text("\n".join(parts), encoding="utf-8")

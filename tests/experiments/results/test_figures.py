@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from configs.loader import ConfigError, fill, parse_yaml
@@ -23,6 +24,7 @@ from experiments.results.reproduction import (
     END_TARGETS,
     Reproduction,
     Section,
+    publish_rows,
     write_results,
     write_targets,
 )
@@ -196,7 +198,18 @@ def test_results_page_begins_with_the_losses(folder: Path, tmp_path: Path) -> No
     text = plan.page.read_text()
     assert text.split("\n")[2].startswith("- Made up: **DMRAC loses here:**")
     assert "`dmrac reproduce --quick`" in text
+    data = load_data(folder)
+    assert f"[data/{data.name}.parquet](data/{data.name}.parquet)" in text
     assert "numpy" in text
+
+
+def test_the_rows_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
+    plan = Reproduction(folder.parent, tmp_path / "results.md", quick=True, only=("retention",))
+    assert plan.command == "dmrac reproduce --quick --only retention"
+    file = publish_rows(plan, folder.name)
+    assert file.parent == tmp_path / "data"
+    data = load_data(folder)
+    assert pq.read_table(file).num_rows == len(data.rows) + len(data.failed)
 
 
 def test_a_folder_without_flights_is_an_error(tmp_path: Path) -> None:
