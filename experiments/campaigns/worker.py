@@ -57,6 +57,11 @@ def one_thread_each() -> None:
         os.environ.setdefault(name, "1")
 
 
+def configuration(job: FlightJob) -> FlightConfig:
+    """The flight that a job is. Raises ConfigError."""
+    return resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
+
+
 def fly_job(job: FlightJob) -> FlightResult:
     """Flies a job; whatever goes wrong is in the row."""
     row = empty_row() | {
@@ -72,7 +77,7 @@ def fly_job(job: FlightJob) -> FlightResult:
     trace = experience = None
     config_text = ""
     try:
-        config = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
+        config = configuration(job)
         link = LinkBytes()
         outcome = fly_lockstep(config, (link,), experience=job.experience)
         row |= flight_row(config, outcome, link)

@@ -17,7 +17,7 @@ from statistics import median
 from typing import Any
 
 from experiments.campaigns.campaign import unfold
-from experiments.flights.scenario import Choices, resolve
+from experiments.campaigns.worker import configuration
 from experiments.results.campaign_data import CampaignData
 from experiments.results.tables import Table
 from sim_vehicle import layout as at
@@ -75,7 +75,7 @@ def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
     for job in unfold(data.config, data.name, seeds):
         if job.case != case or job.controller != first:
             continue
-        flight = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
+        flight = configuration(job)
         step: Any = dict(job.point)[sweep]
         reserves.setdefault(json.dumps(step), []).append(reserve(flight.vehicle, flight.seed))
     rows = tuple(

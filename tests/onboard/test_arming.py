@@ -305,7 +305,7 @@ BLIND_IN_THE_WIND = (
     "vehicle.disturbances=[{kind: wind, velocity_ned_m_s: [0.0, 2.0, 0.0], onset_s: 3.0},"
     "{kind: sensor_fault, sensor: flow, fault: silent, onset_s: 4.0}]"
 )
-WEAK_ROTOR = "vehicle.disturbances=[{kind: rotor_chip, rotor: 1, thrust_factor: 0.2}]"
+WEAK_ROTOR = "vehicle.disturbances=[{kind: rotor_chip, rotor: 1, thrust_factor: 0.02}]"
 
 
 def test_without_the_limit_on_lost_velocity_a_blind_vehicle_is_blown_away():
@@ -356,7 +356,8 @@ DYING_BATTERY = (
 
 
 def test_without_the_limit_on_the_age_of_the_battery_report_a_dying_battery_drops_the_vehicle():
-    settings = (DYING_BATTERY, "onboard.guidance.trajectory.altitude_m=3.0", "onboard.guidance.land_after_s=300")
+    high = ("onboard.guidance.trajectory.altitude_m=3.0", "onboard.guidance.trajectory.takeoff_s=4")
+    settings = (DYING_BATTERY, *high, "onboard.guidance.land_after_s=300")
     crash, mode, _ = alone(18.0, *settings, "onboard.supervisor.battery_silent_s=3")
     assert (crash, mode in (FlightMode.LANDED, FlightMode.BOOT, FlightMode.READY)) == ("", True)
     crash, _, _ = alone(30.0, *settings)
