@@ -1,7 +1,7 @@
-"""How much thrust a chipped rotor must keep for the vehicle to hover at all: the limit that no controller can pass.
+"""How much thrust a chipped rotor must keep for the vehicle to hover without turning.
 
 Hovering level without turning takes a quarter of the weight from every rotor: with less from one, the rotor opposite
-must give less too, and yaw is lost. The chipped rotor gives at most
+must give less too, and yaw is lost (a slow turn makes up for a hundredth or so). The chipped rotor gives at most
 
     f g (V / V_rated)^2 T_max        f: thrust factor, g: gain of its motor,
 
@@ -30,7 +30,7 @@ LONG_AFTER_NS = 10**15
 
 
 def reserve(vehicle: SimVehicleConfig, seed: int) -> float:
-    """Thrust that the chipped rotor can give above a quarter of the weight, as a share of that; negative: no hover.
+    """Thrust that the chipped rotor can give above a quarter of the weight, as a share of that; negative: it turns.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def loaded_voltage(vehicle: SimVehicleConfig, thrusts: Sequence[float], volts: f
 
 
 def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
-    """For each step of the sweep: how many of the campaign's seeds can hover at all, and with what reserve."""
+    """For each step of the sweep: how many of the campaign's seeds can hover without turning, and with what reserve."""
     reserves: dict[str, list[float]] = {}
     seeds = len({row["seed"] for row in data.rows})
     first = data.controllers[0]
@@ -87,4 +87,4 @@ def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
         "The limit of thrust: with how much the chipped rotor, at full command, exceeds the quarter of the weight that "
         "hovering without turning takes (fully charged battery under that load)"
     )
-    return Table(caption, (label, "flights that can hover", "reserve, median"), rows)
+    return Table(caption, (label, "flights that can hover without turning", "reserve, median"), rows)
