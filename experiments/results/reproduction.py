@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import pyarrow.parquet as pq
-
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
-from experiments.campaigns.store import read_table
+from experiments.campaigns.store import read_table, write_atomically, write_bytes_atomically
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.page import machine, versions, write_page
@@ -104,9 +102,8 @@ def publish_rows(plan: Reproduction, name: str) -> Path:
     """Writes one campaign's rows beside the page."""
     file = row_file(plan, name)
     file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_suffix(".part")
-    pq.write_table(read_table(plan.folder / name), part, compression="zstd")
-    return part.replace(file)
+    write_atomically(file, read_table(plan.folder / name))
+    return file
 
 
 def write_results(plan: Reproduction, sections: Sequence[Section], seconds: float) -> None:
@@ -120,10 +117,7 @@ def write_results(plan: Reproduction, sections: Sequence[Section], seconds: floa
         parts += [table.markdown() for table in section.extra]
         rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
         parts.append(f"All of these flights, a row each: [{rows}]({rows}).\n")
-    plan.page.parent.mkdir(parents=True, exist_ok=True)
-    part = plan.page.with_suffix(".md.part")
-    part.write_text("\n".join(parts), encoding="utf-8")
-    part.replace(plan.page)
+    write_bytes_atomically(plan.page, "\n".join(parts).encode())
 
 
 def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool:
@@ -135,9 +129,7 @@ def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool
     if not begin or not end:
         return False
     text = f"{before}{begin}\n`{command}`\n\n{_targets(sections).markdown()}\n{end}{after}"
-    part = path.with_suffix(".md.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_bytes_atomically(path, text.encode())
     return True
 
 
