@@ -348,3 +348,14 @@ class ErrorStateFilter:
     def inflate(self, start: int, sigma: float, size: int = 3) -> None:
         """Adds an uncertainty of `sigma` to `size` errors from `start` on."""
         self._P_diagonal[start : start + size] += sigma * sigma
+
+    def inflate_motion(self, sigma: float, seconds: float) -> None:
+        """Adds an uncertainty of `sigma` to the velocity, of an error that has been there for so many seconds."""
+        variance = sigma * sigma
+        P = self.P
+        for axis in range(3):
+            p, v = POSITION + axis, VELOCITY + axis
+            P[p, p] += variance * seconds * seconds
+            P[p, v] += variance * seconds
+            P[v, p] += variance * seconds
+            P[v, v] += variance

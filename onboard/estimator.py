@@ -38,6 +38,8 @@ _AIR_PA_PER_M = 11.6
 _ROTA = 8
 """Slow aids take turns: each is fused every eighth IMU sample, 25 Hz."""
 _PRESSURE_TURN = 7
+_WRONG_FOR_S = 0.02
+"""For so long a velocity has been wrong when poses show it: two of them."""
 _REFUSED_MIN = 8
 """Fewer refusals in a row are outliers, however far apart."""
 
@@ -298,6 +300,8 @@ class Estimator:
         config, f = self._config, self._filter
         before = f.position
         variance = config.pose_position_sigma_m**2 + config.pose_time_sigma_s**2 * squared(f.velocity)
+        if self.state.vibration > config.vibration_white_max_m_s2:
+            self._distrust_velocity(position, delay_s)
         variance = _softened(variance, squared(position), config.pose_near_m, config.pose_gate)
         score = f.correct_position(position, delay_s, variance, config.pose_gate)
         self.scores["pose_position"] = score
@@ -315,6 +319,19 @@ class Estimator:
                 self.counts["pose_attitude_refused"] += 1
                 return False
         return True
+
+    def _distrust_velocity(self, innovation: Vector, delay_s: float) -> None:
+        """Widens the velocity where vibration is strong and a pose says that the velocity must be wrong.
+
+        A rotor's imbalance, folded by the sampling to a low frequency, is not white: it adds up in the velocity far
+        beyond the variance. An innovation larger than the variances allow is then a velocity that was wrong since the
+        poses before, and no reason to give the pose less weight.
+        """
+        f, config = self._filter, self._config
+        n, e, d = f.P.diagonal()[:3].tolist()
+        off = squared(innovation)
+        if off > 2.0 * (n + e + d + 3.0 * config.pose_position_sigma_m**2):
+            f.inflate_motion(math.sqrt(off) / _WRONG_FOR_S, _WRONG_FOR_S + delay_s)
 
     def _accept_pose(self, now_ns: int) -> None:
         state = self.state

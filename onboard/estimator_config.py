@@ -13,6 +13,9 @@ class EstimatorConfig(Record):
     )
     accelerometer_sigma_max: float = Field(default=3.0, gt=0, description="m/s^2, limit of that growth")
     vibration_to_sigma: float = Field(default=0.74, ge=0, description="1; accelerometer sigma per vibration measure")
+    vibration_white_max_m_s2: float = Field(
+        default=4.0, gt=0, description="m/s^2; with more, poses that disagree say that the velocity is wrong"
+    )
     gyro_sigma: float = Field(default=0.03, gt=0, description="rad/s per sample, in flight")
     gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
     accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")

@@ -195,3 +195,15 @@ def test_scalar_corrections_by_index_and_by_row_agree():
     assert one.correct_scalar(4, 0.1, 0.01, 99.0) == pytest.approx(two.correct_scalar(h, 0.1, 0.01, 99.0))
     np.testing.assert_allclose(one.P, two.P, atol=1e-14)
     assert one.velocity == pytest.approx(two.velocity)
+
+
+def test_a_velocity_that_may_have_been_wrong_for_a_while_is_found_by_a_position():
+    """Inflated along (T v, v), an innovation of 1 cm is explained by T s of a wrong velocity, up to the delay."""
+    f, _ = flown(np.random.default_rng(1))
+    f.restart_error(0, 1e-4)
+    f.restart_error(3, 1e-4)
+    before = f.velocity
+    f.inflate_motion(5.0, 0.03)
+    assert np.linalg.eigvalsh(f.P).min() > -1e-12
+    f.correct_position((0.01, 0.0, 0.0), 0.01, 1e-8, math.inf)
+    assert f.velocity[0] - before[0] == pytest.approx(0.01 / 0.02, rel=0.01)

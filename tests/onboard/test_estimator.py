@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from onboard.estimator import EstimatorConfig
+from onboard.records import ImuReading
 from protocol.messages import Pose
 from tests.onboard.estimator_flights import RATE, Flight, Noise, Truth
 
@@ -147,6 +148,33 @@ def test_a_pose_with_a_swapped_attitude_is_refused():
     flight = Flight(truth=Truth(8.0)).run(pose_fault=fault)
     assert flight.estimator.counts["pose_attitude_refused"] >= 2
     assert np.nanmax(np.abs(flight.errors[800:, 6:9])) < 0.02
+
+
+def chipped_rotor(t, imu):
+    """From 5 s on a rotor's imbalance, 25 m/s^2, folded by the sampling to a frequency that wanders from 40 Hz to 0."""
+    if t < 5.0:
+        return imu
+    phase = 2.0 * math.pi * 20.0 * (t - 5.0) + 20.0 / 0.7 * (1.0 - math.cos(2.0 * math.pi * 0.7 * (t - 5.0)))
+    x, y, z = imu.accelerometer
+    shaken = (x + 25.0 * math.cos(phase), y + 25.0 * math.sin(phase), z)
+    return ImuReading(imu.time_ns, shaken, imu.gyroscope, imu.pressure_pa)
+
+
+def test_a_chipped_rotor_does_not_carry_the_velocity_away():
+    """The poses, of motion capture, say what the velocity is; believing the accelerometer, the estimate would leave."""
+
+    def flight(config):
+        noise = Noise(pose_m=0.0007, pose_delay_s=0.015, pose_rate=100)
+        flown = Flight(truth=Truth(10.0), noise=noise, config=config).run(imu_fault=chipped_rotor)
+        off = flown.errors[5 * RATE :]
+        return np.linalg.norm(off[:, 0:3], axis=1).max(), np.linalg.norm(off[:, 3:6], axis=1).max()
+
+    position_m, velocity_m_s = flight(EstimatorConfig())
+    assert position_m < 0.08
+    assert velocity_m_s < 2.5
+    position_m, velocity_m_s = flight(EstimatorConfig(vibration_white_max_m_s2=1e6))
+    assert position_m > 0.5
+    assert velocity_m_s > 5.0
 
 
 def test_a_room_that_moved_is_believed_after_some_poses_and_announced():
