@@ -274,14 +274,11 @@ def flown_keys(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def fingerprint(tree: Mapping[str, Any]) -> str:
-    """SHA-256 of a campaign without its seeds, and of every configuration file it may draw on.
+    """SHA-256 of what changes a campaign's flights, and of every configuration file it may draw on.
 
     Flights made under another fingerprint are not the same flights: resuming refuses to mix them.
     """
-    stable = {
-        key: value for key, value in tree.items() if key not in ("seeds", "quick_seeds", "figures", "description")
-    }
-    digest = hashlib.sha256(json.dumps(stable, sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(flown_keys(tree), sort_keys=True).encode())
     for path in sorted(CONFIG_DIRECTORY.rglob("*.yaml")):
         if path.parent.name != "campaigns":
             digest.update(path.read_bytes())

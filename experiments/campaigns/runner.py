@@ -19,6 +19,7 @@ import yaml
 from configs.loader import ConfigError, read_tree
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, fingerprint, unfold
 from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore, write_bytes_atomically
 from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
 
@@ -139,15 +140,24 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
     tree = run.campaign.model_dump(mode="json")
     mark = fingerprint(tree)
     path = run.folder / CAMPAIGN_FILE
+    flown_on: list[str] = []
     if path.exists():
         if not resume:
             raise ConfigError(f"--out {run.folder}: holds a campaign already; add --resume, or choose another folder")
-        if read_tree(path).get("fingerprint") != mark:
+        before = read_tree(path)
+        flown_on = list(before.get("flown_on", ()))
+        if before.get("fingerprint") != mark:
             raise ConfigError(
                 f"--resume {run.folder}: its flights were made with other settings: campaign or configs have changed "
                 "since; choose another folder"
             )
-    about = {"name": run.name, "fingerprint": mark, "seeds": run.seeds or run.campaign.seeds.count, "campaign": tree}
+    about: dict[str, Any] = {
+        "name": run.name,
+        "fingerprint": mark,
+        "seeds": run.seeds or run.campaign.seeds.count,
+        "flown_on": list(dict.fromkeys([*flown_on, here()])),
+        "campaign": tree,
+    }
     text = yaml.safe_dump(about, sort_keys=False, allow_unicode=True, width=110)
     write_bytes_atomically(path, text.encode())
 

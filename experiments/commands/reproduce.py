@@ -13,6 +13,8 @@ EXAMPLES = """examples:
   dmrac reproduce                  the full one, hours; goes on where it was interrupted
   dmrac reproduce --seeds 20       fewer seeds a point
   dmrac reproduce --only retention transfer
+  dmrac reproduce --extend --seeds 40
+                                   from the rows in docs/data on: fly what they lack of 40 seeds
 """
 
 
@@ -21,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few seeds a point; leaves docs/results.md alone")
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds a point (default: each campaign's own)")
     parser.add_argument("--only", nargs="+", metavar="CAMPAIGN", help="these campaigns alone")
+    parser.add_argument("--extend", action="store_true", help="go on from the rows published beside the page")
     parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster")
     parser.add_argument("--out", type=Path, metavar="DIR", help="flights (default: campaigns/full or campaigns/quick)")
@@ -32,7 +35,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 done, 1 some flights failed, 130 interrupted (call again to go on)."""
     from experiments.campaigns.runner import DaskWorkers, LocalPool, Workers
     from experiments.commands.campaign import cores, progress_bar
-    from experiments.results.reproduction import CAMPAIGNS, Reproduction, draw, fly, write_results, write_targets
+    from experiments.results.reproduction import (
+        CAMPAIGNS,
+        Reproduction,
+        draw,
+        fly,
+        take_up,
+        write_results,
+        write_targets,
+    )
 
     unknown = [name for name in arguments.only or () if name not in CAMPAIGNS]
     if unknown:
@@ -49,11 +60,13 @@ def run(arguments: argparse.Namespace) -> int:
     started, sections, failed = time.monotonic(), [], 0
     try:
         for name in plan.only:
+            if arguments.extend and (rows := take_up(plan, name)):
+                console.print(f"{name}: {rows} flights taken up from those published beside the page", highlight=False)
             if not arguments.draw_only:
                 with progress_bar(name, console) as report:
                     failed += fly(plan, name, open_workers, report).errors
             sections.append(draw(plan, name, lambda text: console.print(f"  {text}", highlight=False)))
-            write_results(plan, sections, time.monotonic() - started)
+            write_results(plan, sections)
     except KeyboardInterrupt:
         console.print("interrupted; everything flown is kept, the same command goes on")
         return 130

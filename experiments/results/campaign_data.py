@@ -73,6 +73,8 @@ class CampaignData:
     rows: tuple[Row, ...]
     """Flights that were flown; failed ones are in `failed`."""
     failed: tuple[Row, ...] = field(default=())
+    flown_on: tuple[str, ...] = ()
+    """Machines and versions, a line each."""
 
     @cached_property
     def groups(self) -> list[Group]:
@@ -154,7 +156,7 @@ def load_data(folder: Path) -> CampaignData:
         raise ConfigError(f"{folder}: holds no flights yet")
     flown = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
-    return CampaignData(folder, str(tree["name"]), config, flown, failed)
+    return CampaignData(folder, str(tree["name"]), config, flown, failed, tuple(tree.get("flown_on", ())))
 
 
 def _presented(config: CampaignConfig, name: str) -> CampaignConfig:

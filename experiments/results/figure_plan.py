@@ -23,7 +23,6 @@ class Picture:
     name: str
     caption: str
     png: Path
-    svg: Path
 
 
 BAND: Final = "Mean and standard deviation over the seeds kept; grey: onsets of the fault; dotted: vehicle lost."
@@ -51,7 +50,9 @@ KINDS: Final[dict[str, tuple[Drawer, str]]] = {
 
 
 def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) -> tuple[list[Picture], list[Table]]:
-    """Draws what the campaign's file lists; a figure whose flights are missing is left out and reported.
+    """Draws what the campaign's file lists.
+
+    A figure whose flights or traces are missing stays as it was drawn before, or is left out; both are reported.
 
     Raises
     ------
@@ -76,12 +77,16 @@ def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) ->
             allowed = ", ".join([*KINDS, "features", "thrust_limit"])
             raise ConfigError(f"{data.name}: figures.{number}.kind: {kind!r}: allowed are {allowed}")
         drawer, caption = KINDS[kind]
-        if not _has_flights(data, kind, options):
+        picture = Picture(name, _caption(data, caption, options), folder / f"{name}.png")
+        if _has_flights(data, kind, options):
+            save(_called(drawer, data, number, options), folder, name)
+            report(name)
+        elif picture.png.exists():
+            report(f"{name}: kept as it was drawn before, the traces it shows are not here")
+        else:
             report(f"{name}: left out, the flights it shows were not flown or kept no traces")
             continue
-        figure = _called(drawer, data, number, options)
-        pictures.append(_picture(data, folder, name, caption, options, figure))
-        report(name)
+        pictures.append(picture)
     return pictures, tables
 
 
@@ -92,14 +97,11 @@ def _called(drawer: Drawer, data: CampaignData, number: int, options: dict[str, 
         raise ConfigError(f"{data.name}: figures.{number}: {error}") from None
 
 
-def _picture(
-    data: CampaignData, folder: Path, name: str, caption: str, options: dict[str, Any], figure: Any
-) -> Picture:
-    png, svg = save(figure, folder, name)
+def _caption(data: CampaignData, caption: str, options: dict[str, Any]) -> str:
     case = data.label(options["case"]) if "case" in options else ""
     at = ", ".join(f"{key} {value}" for key, value in options.get("point", {}).items())
     words = caption.format(metric=metric_name(options.get("metric", "")), case=f"{case}, {at}" if at else case)
-    return Picture(name, words[0].upper() + words[1:], png, svg)
+    return words[0].upper() + words[1:]
 
 
 def _has_flights(data: CampaignData, kind: str, options: dict[str, Any]) -> bool:
@@ -132,8 +134,9 @@ def _draw_features(
         return [], []
     pictures = []
     for channel, words in enumerate(CHANNELS):
-        figure = feature_figure(data, case, spans, channel)
+        stem = f"{name}_{words}"
+        save(feature_figure(data, case, spans, channel), folder, stem)
         caption = f"The {words} channel's features in {', '.join(spans)}: t-SNE and PCA."
-        pictures.append(_picture(data, folder, f"{name}_{words}", caption, {}, figure))
-        report(f"{name}_{words}")
+        pictures.append(Picture(stem, caption, folder / f"{stem}.png"))
+        report(stem)
     return pictures, [probe_table(data, case, spans)]

@@ -86,13 +86,11 @@ def legend_below(figure: Any, panels: Sequence[Any], columns: int = 7, neutral: 
         )
 
 
-def save(figure: Any, folder: Path, name: str) -> list[Path]:
+def save(figure: Any, folder: Path, name: str) -> None:
     """Writes PNG and SVG; the SVG carries no date, so that it only changes when its content does."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
-    figure.savefig(paths[0], dpi=DPI)
+    figure.savefig(folder / f"{name}.png", dpi=DPI)
     import matplotlib
 
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
-        figure.savefig(paths[1], metadata={"Date": None})
-    return paths
+        figure.savefig(folder / f"{name}.svg", metadata={"Date": None})

@@ -3,22 +3,18 @@
 import base64
 import html
 import math
-import os
-import platform
 import re
-import sys
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
 import yaml
 
+from experiments.campaigns.store import write_bytes_atomically
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_plan import Picture
 from experiments.results.tables import Table, first_paragraph, tables
 
-PACKAGES: Final = ("async-dmrac", "numpy", "scipy", "numba", "torch", "pyarrow", "scikit-learn", "matplotlib")
 STYLE: Final = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#111}
 table{border-collapse:collapse;margin:1.5rem 0;font-size:13px;display:block;overflow-x:auto}
@@ -27,28 +23,6 @@ td,th{border-bottom:1px solid #ddd;padding:.25rem .6rem;text-align:left;white-sp
 figure{margin:1.5rem 0}img{max-width:100%}figcaption{color:#444;font-size:13px}
 pre{background:#f6f6f6;padding:1rem;overflow-x:auto;font-size:12px}
 """
-
-
-def machine() -> str:
-    """Processor, cores, system."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        found = re.search(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8", errors="replace"))
-        model = found.group(1).strip() if found else model
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model}, {cores} cores in use, {platform.system()} {platform.release()}"
-
-
-def versions() -> dict[str, str]:
-    """Python and the packages that flights depend on."""
-    found = {"python": sys.version.split()[0]}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def write_page(path: Path, data: CampaignData, pictures: Sequence[Picture], extra: Sequence[Table]) -> None:
@@ -61,9 +35,7 @@ def write_page(path: Path, data: CampaignData, pictures: Sequence[Picture], extr
     body.append(f"<h2>Made with</h2><pre>{html.escape(_provenance(data))}</pre>")
     text = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
     text += f"<style>{STYLE}</style></head><body>{''.join(body)}</body></html>\n"
-    part = path.with_suffix(".html.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_bytes_atomically(path, text.encode())
 
 
 def _figure(picture: Picture) -> str:
@@ -76,7 +48,6 @@ def _figure(picture: Picture) -> str:
 
 def _provenance(data: CampaignData) -> str:
     seconds = sum(row["cpu_s"] for row in data.rows if math.isfinite(row["cpu_s"]))
-    lines = [machine(), *(f"{name} {number}" for name, number in versions().items())]
-    lines.append(f"{len(data.rows)} flights, {seconds:.0f} s of processor time, {len(data.failed)} failed")
+    lines = [*data.flown_on, f"{len(data.rows)} flights, {seconds:.0f} s of processor time, {len(data.failed)} failed"]
     config = yaml.safe_dump(data.config.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=110)
     return "\n".join([*lines, "", config])

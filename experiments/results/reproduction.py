@@ -2,18 +2,28 @@
 
 import math
 import shutil
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from experiments.campaigns.campaign import load_campaign
-from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
-from experiments.campaigns.store import read_table, write_atomically, write_bytes_atomically
+import pyarrow.parquet as pq
+
+from configs.loader import ConfigError, parse_yaml
+from experiments.campaigns.campaign import fingerprint, load_campaign
+from experiments.campaigns.runner import (
+    CAMPAIGN_FILE,
+    CampaignRun,
+    Progress,
+    Workers,
+    open_store,
+    prepare_folder,
+    run_campaign,
+)
+from experiments.campaigns.store import PARQUET, read_table, write_atomically, write_bytes_atomically
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
-from experiments.results.page import machine, versions, write_page
+from experiments.results.page import write_page
 from experiments.results.tables import Table, first_paragraph, markdown_report, show, target_ratio
 
 CAMPAIGNS: Final = (
@@ -24,6 +34,8 @@ CAMPAIGNS: Final = (
 
 BEGIN_TARGETS: Final = "<!-- begin targets: written by dmrac reproduce -->"
 END_TARGETS: Final = "<!-- end targets -->"
+ABOUT: Final = b"campaign.yaml"
+"""Under this key published rows carry the campaign that they are of, and where they were flown."""
 
 
 @dataclass(frozen=True)
@@ -99,16 +111,43 @@ def row_file(plan: Reproduction, name: str) -> Path:
 
 
 def publish_rows(plan: Reproduction, name: str) -> Path:
-    """Writes one campaign's rows beside the page."""
+    """Writes one campaign's rows beside the page, with what they are of in the file's metadata."""
     file = row_file(plan, name)
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(file, read_table(plan.folder / name))
+    about = (plan.folder / name / CAMPAIGN_FILE).read_bytes()
+    write_atomically(file, read_table(plan.folder / name).replace_schema_metadata({ABOUT: about}))
     return file
 
 
-def write_results(plan: Reproduction, sections: Sequence[Section], seconds: float) -> None:
+def take_up(plan: Reproduction, name: str) -> int:
+    """Lays published rows and pictures into a campaign's folder that is not there yet; returns the number of rows.
+
+    Raises ConfigError if they were flown with other settings.
+    """
+    folder, file = plan.folder / name, row_file(plan, name)
+    if (folder / CAMPAIGN_FILE).exists() or not file.exists():
+        return 0
+    table = pq.read_table(file)
+    about = (table.schema.metadata or {}).get(ABOUT, b"")
+    campaign, _ = load_campaign(name)
+    mark = fingerprint(campaign.model_dump(mode="json"))
+    if not about or parse_yaml(about.decode(), str(file)).get("fingerprint") != mark:
+        raise ConfigError(
+            f"--extend {file}: its flights were made with other settings: campaign or configs have changed since; "
+            f"fly them anew without --extend: dmrac reproduce --only {name}"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / PARQUET, table)
+    for picture in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*.png"):
+        (folder / "figures").mkdir(exist_ok=True)
+        shutil.copyfile(picture, folder / "figures" / picture.name)
+    write_bytes_atomically(folder / CAMPAIGN_FILE, about)
+    return len(table)
+
+
+def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:
     """Writes the page, complete or not at all."""
-    parts = ["# Results\n", _opening(sections), _provenance(plan, sections, seconds)]
+    parts = ["# Results\n", _opening(sections), _provenance(plan, sections)]
     targets = _targets(sections)
     parts += [targets.markdown()] if targets.rows else []
     for section in sections:
@@ -116,7 +155,7 @@ def write_results(plan: Reproduction, sections: Sequence[Section], seconds: floa
         parts.append(markdown_report(section.data, listed, f"dmrac campaign {section.data.name}"))
         parts += [table.markdown() for table in section.extra]
         rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
-        parts.append(f"All of these flights, a row each: [{rows}]({rows}).\n")
+        parts.append(f"All of these flights, a row each: [{rows}]({rows}). {_flown_on(section.data)}\n")
     write_bytes_atomically(plan.page, "\n".join(parts).encode())
 
 
@@ -143,18 +182,20 @@ def _opening(sections: Sequence[Section]) -> str:
     return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
 
 
-def _provenance(plan: Reproduction, sections: Sequence[Section], seconds: float) -> str:
+def _provenance(plan: Reproduction, sections: Sequence[Section]) -> str:
     flights = sum(len(section.data.rows) for section in sections)
     failed = sum(len(section.data.failed) for section in sections)
     used = [row["cpu_s"] for section in sections for row in section.data.rows if math.isfinite(row["cpu_s"])]
-    packages = ", ".join(f"{name} {number}" for name, number in versions().items())
     return (
-        f"Made by `{plan.command}`, no number or picture is edited by hand. {machine()}. {packages}. "
-        f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; "
-        f"{seconds / 60.0:.0f} minutes for what was missing, {time.strftime('%Y-%m-%d')}. Medians are over survivors, "
-        "with 95 % bootstrap intervals (six flights at least); survival has Wilson intervals; ratios are paired by "
-        "seed. What each column means: [experiments.md](experiments.md).\n"
+        f"Made by `{plan.command}`, no number or picture is edited by hand. "
+        f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; each section says where. "
+        "Medians are over survivors, with 95 % bootstrap intervals (six flights at least); survival has Wilson "
+        "intervals; ratios are paired by seed. What each column means: [experiments.md](experiments.md).\n"
     )
+
+
+def _flown_on(data: CampaignData) -> str:
+    return f"Flown on {' and on '.join(data.flown_on)}." if data.flown_on else ""
 
 
 def _targets(sections: Sequence[Section]) -> Table:

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.command_line import build_parser
 from experiments.flights.scenario import Choices, resolve
 from tests.dask_cluster import running_cluster
+from tests.experiments.inline_workers import InlineWorkers
 
 TEXT = """
 description: A test.
@@ -59,36 +59,6 @@ def campaign_run(folder: Path, text: str = TEXT) -> CampaignRun:
 
 def silent(progress: Progress) -> None:
     pass
-
-
-class Workers:
-    """An executor that answers at once, in this process."""
-
-    count = 2
-
-    def __init__(self, fly: Callable[[FlightJob], FlightResult]) -> None:
-        self.fly = fly
-        self.flown: list[str] = []
-        self.opened = 0
-
-    def open(self) -> Executor:
-        self.opened += 1
-        workers = self
-
-        class Inline(Executor):
-            def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> "Future[Any]":
-                future: Future[Any] = Future()
-                try:
-                    future.set_result(workers.fly(*args))
-                    workers.flown.append(args[0].key)
-                except Exception as error:
-                    future.set_exception(error)
-                return future
-
-        return Inline()
-
-    def close(self) -> None:
-        pass
 
 
 def pretend(job: FlightJob) -> FlightResult:
@@ -148,12 +118,12 @@ def test_interrupted_campaign_resumes_without_repeating_or_losing(tmp_path: Path
     kept: list[str] = []
     for count in (1, 5, 9):
         with pytest.raises(KeyboardInterrupt):
-            fly_all(tmp_path, Workers(pretend), report=stop_after(count))
+            fly_all(tmp_path, InlineWorkers(pretend), report=stop_after(count))
         now = read_table(tmp_path).column("key").to_pylist()
         assert now[: len(kept)] == kept
         assert len(set(now)) == len(now) == len(kept) + count
         kept = now
-    workers = Workers(pretend)
+    workers = InlineWorkers(pretend)
     progress = fly_all(tmp_path, workers)
     assert progress.done == progress.total == len(expected)
     assert sorted(kept + workers.flown) == expected
@@ -169,7 +139,7 @@ def test_experience_of_the_source_reaches_the_flight(tmp_path: Path) -> None:
         given[job.key] = job.experience
         return pretend(job)
 
-    fly_all(tmp_path, Workers(fly))
+    fly_all(tmp_path, InlineWorkers(fly))
     assert given["warm/pid/1001"] == b"learnt"
     assert given["source/pid/1001"] is None
 
@@ -183,7 +153,7 @@ def test_a_worker_that_dies_costs_one_more_try(tmp_path: Path) -> None:
             raise BrokenProcessPool("a process was terminated")
         return pretend(job)
 
-    progress = fly_all(tmp_path, Workers(fly))
+    progress = fly_all(tmp_path, InlineWorkers(fly))
     rows = {row["key"]: row for row in read_table(tmp_path).to_pylist()}
     assert deaths == {"source/pid/1000": 2, "source/none/1001": 1}
     assert "worker failed" in rows["source/pid/1000"]["error"]

@@ -1,0 +1,50 @@
+"""Where and with what flights were flown: commit, machine, versions. Last digits differ between processors."""
+
+import os
+import platform
+import re
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+PACKAGES: Final = ("async-dmrac", "numpy", "scipy", "numba", "torch", "pyarrow", "scikit-learn", "matplotlib")
+
+
+def machine() -> str:
+    """Processor, cores, system."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        found = re.search(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8", errors="replace"))
+        model = found.group(1).strip() if found else model
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{model}, {cores} cores in use, {platform.system()} {platform.release()}"
+
+
+def versions() -> dict[str, str]:
+    """Python and the packages that flights depend on."""
+    found = {"python": sys.version.split()[0]}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def commit() -> str:
+    """Commit of the sources, `-dirty` behind it if they were changed since; "" outside a git checkout."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return answer.stdout.strip() if answer.returncode == 0 else ""
+
+
+def here() -> str:
+    """One line on this machine and what is installed on it."""
+    packages = ", ".join(f"{name} {number}" for name, number in versions().items())
+    return "; ".join(part for part in (machine(), packages, f"commit {commit()}" if commit() else "") if part)

@@ -1,0 +1,76 @@
+"""Published rows: what a page's flights are taken up from, to be extended on another machine."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from configs.loader import ConfigError
+from experiments.campaigns.campaign import FlightJob
+from experiments.campaigns.flight_row import Row, empty_row
+from experiments.campaigns.runner import prepare_folder
+from experiments.campaigns.store import CampaignStore, write_bytes_atomically
+from experiments.campaigns.worker import FlightResult
+from experiments.results import reproduction
+from experiments.results.campaign_data import load_data
+from experiments.results.figure_plan import draw_all
+from experiments.results.reproduction import Reproduction, fly, publish_rows, take_up
+from tests.experiments.inline_workers import InlineWorkers
+
+
+def unflown_row(job: FlightJob) -> Row:
+    return empty_row() | {
+        "key": job.key,
+        "case": job.case,
+        "controller": job.controller,
+        "seed": job.seed,
+        "point": "{}",
+    }
+
+
+def published(folder: Path) -> Reproduction:
+    """A page with two rows and a picture of the campaign `features`."""
+    plan = Reproduction(folder / "flown", folder / "docs" / "results.md", quick=False, seeds=2, only=("features",))
+    run = plan.run("features")
+    prepare_folder(run, resume=False)
+    store = CampaignStore(run.folder)
+    for job in run.jobs():
+        store.append(unflown_row(job))
+    store.close()
+    publish_rows(plan, "features")
+    picture = folder / "docs" / "pictures" / "results" / "features_02_training.png"
+    write_bytes_atomically(picture, b"as drawn before")
+    write_bytes_atomically(picture.with_name("features_of_others.png"), b"another's")
+    return plan
+
+
+def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
+    """On another machine the campaign goes on behind the published rows, and says where each part was flown."""
+    before = published(tmp_path)
+    plan = replace(before, folder=tmp_path / "elsewhere", seeds=3)
+    assert take_up(plan, "features") == 2
+    assert take_up(plan, "features") == 0  # flights that are there already are not replaced
+    flown: list[str] = []
+
+    def fly_nothing(job: FlightJob) -> FlightResult:
+        flown.append(job.key)
+        return FlightResult(job.key, unflown_row(job))
+
+    fly(plan, "features", lambda: InlineWorkers(fly_nothing), lambda progress: None)
+    assert flown == ["regimes/dmrac/1002"]
+    data = load_data(plan.folder / "features")
+    assert [row["seed"] for row in data.rows] == [1000, 1001, 1002]
+    assert len(data.flown_on) == 1
+    assert "numpy" in data.flown_on[0]
+    said: list[str] = []
+    pictures, _ = draw_all(data, plan.folder / "features" / "figures", said.append)
+    assert [picture.png.read_bytes() for picture in pictures] == [b"as drawn before"]
+    assert any("kept as it was drawn before" in text for text in said)
+
+
+def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = replace(published(tmp_path), folder=tmp_path / "elsewhere")
+    monkeypatch.setattr(reproduction, "fingerprint", lambda tree: "another")
+    with pytest.raises(ConfigError, match=r"features.parquet: .* made with other settings.*--only features"):
+        take_up(plan, "features")
+    assert not (plan.folder / "features").exists()
