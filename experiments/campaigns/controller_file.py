@@ -6,6 +6,7 @@ from pathlib import Path
 import yaml
 
 from configs.loader import ConfigError
+from shell.files import write_atomically
 
 HEADER_MARK = "# Tuned: "
 """Comment lines of the search's record begin with it; a new search replaces them."""
@@ -81,6 +82,4 @@ def _add(text: str, section: str, entries: Mapping[str, float]) -> str:
 
 def write_controller(path: Path, text: str) -> None:
     """Writes the file, complete or not at all."""
-    part = path.with_suffix(".yaml.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_atomically(path, text.encode())

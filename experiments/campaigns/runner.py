@@ -20,8 +20,9 @@ from configs.loader import ConfigError, read_tree
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, fingerprint, unfold
 from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.provenance import here
-from experiments.campaigns.store import CampaignStore, write_bytes_atomically
+from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
+from shell.files import write_atomically
 
 TRIES: Final = 2
 QUEUED_PER_WORKER: Final = 2
@@ -159,7 +160,7 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         "campaign": tree,
     }
     text = yaml.safe_dump(about, sort_keys=False, allow_unicode=True, width=110)
-    write_bytes_atomically(path, text.encode())
+    write_atomically(path, text.encode())
 
 
 def run_campaign(
@@ -245,10 +246,10 @@ class _Loop:
     def _keep(self, job: FlightJob, result: FlightResult) -> None:
         folder = self._run.folder
         if result.trace is not None:
-            write_bytes_atomically(folder / "traces" / f"{job.file_stem}.npz", result.trace)
-            write_bytes_atomically(folder / "traces" / f"{job.file_stem}.yaml", result.config.encode())
+            write_atomically(folder / "traces" / f"{job.file_stem}.npz", result.trace)
+            write_atomically(folder / "traces" / f"{job.file_stem}.yaml", result.config.encode())
         if result.experience is not None:
-            write_bytes_atomically(experience_path(folder, job.key), result.experience)
+            write_atomically(experience_path(folder, job.key), result.experience)
         self._finish(job, result.row | {"command": job.command(folder)})
 
     def _fail(self, job: FlightJob, reason: str) -> None:

@@ -68,7 +68,7 @@ class CampaignStore:
         self.done = set(rows.column("key").to_pylist())
         journal = self._folder / JOURNAL
         if journal.exists() and journal.stat().st_size:
-            write_atomically(self._folder / PARQUET, rows)
+            write_table(self._folder / PARQUET, rows)
             journal.unlink()
 
 
@@ -101,22 +101,14 @@ def drop_rows(folder: Path, keys: set[str]) -> None:
     """Forgets rows, so that their flights are flown again (`--retry-errors`)."""
     table = read_table(folder)
     keep = pa.array([key not in keys for key in table.column("key").to_pylist()], type=pa.bool_())
-    write_atomically(folder / PARQUET, table.filter(keep))
+    write_table(folder / PARQUET, table.filter(keep))
     (folder / JOURNAL).unlink(missing_ok=True)
 
 
-def write_atomically(path: Path, table: pa.Table) -> None:
+def write_table(path: Path, table: pa.Table) -> None:
     """A Parquet file, complete or not at all."""
     part = path.with_suffix(path.suffix + ".part")
     pq.write_table(table, part, compression="zstd")
     with part.open("rb+") as file:
         os.fsync(file.fileno())
-    part.replace(path)
-
-
-def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """A file, complete or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(path.suffix + ".part")
-    part.write_bytes(data)
     part.replace(path)

@@ -1,6 +1,5 @@
 """The flight card: summary.json and the table on the terminal, from a trace and the processes' summaries."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from rich.table import Table
 from experiments.flights.metrics import flight_metrics
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
+from shell.files import write_json
 
 
 def build_summary(
@@ -81,10 +81,7 @@ def _number(value: float) -> float | None:
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     """summary.json, complete or not at all."""
-    target = folder / "summary.json"
-    part = target.with_suffix(".json.part")
-    part.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    part.replace(target)
+    write_json(folder / "summary.json", summary)
 
 
 def print_card(summary: dict[str, Any], folder: Path | None, console: Console | None = None) -> None:

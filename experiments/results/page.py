@@ -10,10 +10,10 @@ from typing import Final
 
 import yaml
 
-from experiments.campaigns.store import write_bytes_atomically
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_plan import Picture
 from experiments.results.tables import Table, first_paragraph, tables
+from shell.files import write_atomically
 
 STYLE: Final = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#111}
@@ -35,7 +35,7 @@ def write_page(path: Path, data: CampaignData, pictures: Sequence[Picture], extr
     body.append(f"<h2>Made with</h2><pre>{html.escape(_provenance(data))}</pre>")
     text = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
     text += f"<style>{STYLE}</style></head><body>{''.join(body)}</body></html>\n"
-    write_bytes_atomically(path, text.encode())
+    write_atomically(path, text.encode())
 
 
 def _figure(picture: Picture) -> str:

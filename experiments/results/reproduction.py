@@ -20,11 +20,12 @@ from experiments.campaigns.runner import (
     prepare_folder,
     run_campaign,
 )
-from experiments.campaigns.store import PARQUET, read_table, write_atomically, write_bytes_atomically
+from experiments.campaigns.store import PARQUET, read_table, write_table
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.page import write_page
 from experiments.results.tables import Table, first_paragraph, markdown_report, show, target_ratio
+from shell.files import write_atomically
 
 CAMPAIGNS: Final = (
     *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),
@@ -115,7 +116,7 @@ def publish_rows(plan: Reproduction, name: str) -> Path:
     file = row_file(plan, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     about = (plan.folder / name / CAMPAIGN_FILE).read_bytes()
-    write_atomically(file, read_table(plan.folder / name).replace_schema_metadata({ABOUT: about}))
+    write_table(file, read_table(plan.folder / name).replace_schema_metadata({ABOUT: about}))
     return file
 
 
@@ -137,11 +138,11 @@ def take_up(plan: Reproduction, name: str) -> int:
             f"fly them anew without --extend: dmrac reproduce --only {name}"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / PARQUET, table)
+    write_table(folder / PARQUET, table)
     for picture in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*.png"):
         (folder / "figures").mkdir(exist_ok=True)
         shutil.copyfile(picture, folder / "figures" / picture.name)
-    write_bytes_atomically(folder / CAMPAIGN_FILE, about)
+    write_atomically(folder / CAMPAIGN_FILE, about)
     return len(table)
 
 
@@ -156,7 +157,7 @@ def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:
         parts += [table.markdown() for table in section.extra]
         rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
         parts.append(f"All of these flights, a row each: [{rows}]({rows}). {_flown_on(section.data)}\n")
-    write_bytes_atomically(plan.page, "\n".join(parts).encode())
+    write_atomically(plan.page, "\n".join(parts).encode())
 
 
 def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool:
@@ -168,7 +169,7 @@ def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool
     if not begin or not end:
         return False
     text = f"{before}{begin}\n`{command}`\n\n{_targets(sections).markdown()}\n{end}{after}"
-    write_bytes_atomically(path, text.encode())
+    write_atomically(path, text.encode())
     return True
 
 
@@ -178,7 +179,7 @@ def _opening(sections: Sequence[Section]) -> str:
     for section in sections:
         if "dmrac" in section.data.controllers and len(section.data.controllers) > 1:
             title = section.data.config.title or section.data.name
-            lines.append(f"- {title}: {first_paragraph(section.data)}")
+            lines.append(f"- {title}: {first_paragraph(section.data, brief=True)}")
     return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
 
 

@@ -225,8 +225,8 @@ def _comparisons(data: CampaignData) -> Iterator[tuple[str, bool]]:
                     )
 
 
-def first_paragraph(data: CampaignData) -> str:
-    """What a report begins with."""
+def first_paragraph(data: CampaignData, brief: bool = False) -> str:
+    """What a report begins with. brief: what lies within the intervals is counted, not listed."""
     seeds = sorted({row["seed"] for row in data.rows})
     about = f"{len(data.rows)} flights, seeds {seeds[0]} to {seeds[-1]}, the same for every controller."
     if OURS not in data.controllers or data.controllers == [OURS]:
@@ -236,7 +236,8 @@ def first_paragraph(data: CampaignData) -> str:
     if len(seeds) < INTERVAL_COUNT:
         text = f"Only {len(seeds)} seed{'s were' if len(seeds) > 1 else ' was'} flown, too few for intervals."
     if unsure:
-        text += f" Behind by the median or the count, within the intervals: {_listed(unsure)}."
+        places = f"in {len(unsure)} comparison{'s' if len(unsure) > 1 else ''}" if brief else _listed(unsure)
+        text += f" Behind by the median or the count, within the intervals: {places}."
     return f"{text} {about}"
 
 

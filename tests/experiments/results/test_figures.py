@@ -13,7 +13,7 @@ from configs.loader import ConfigError, fill, parse_yaml
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, unfold
 from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.runner import CampaignRun, prepare_folder
-from experiments.campaigns.store import CampaignStore, write_bytes_atomically
+from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results.campaign_data import Trace, load_data
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
@@ -30,6 +30,7 @@ from experiments.results.reproduction import (
 )
 from experiments.results.tables import first_paragraph, losses, tables, target_ratio
 from protocol.signals import SIGNAL_INDEX
+from shell.files import write_atomically
 
 TEXT = """
 title: Made up
@@ -114,7 +115,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for job in unfold(config, "made_up"):
         store.append(made_up_row(job))
         if job.keep_trace:
-            write_bytes_atomically(folder / "traces" / f"{job.file_stem}.npz", made_up_trace())
+            write_atomically(folder / "traces" / f"{job.file_stem}.npz", made_up_trace())
     store.append(empty_row() | {"key": "broken", "error": "a worker died", "command": "dmrac fly x"})
     store.close()
     return folder

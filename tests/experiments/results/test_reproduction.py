@@ -9,12 +9,13 @@ from configs.loader import ConfigError
 from experiments.campaigns.campaign import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.runner import prepare_folder
-from experiments.campaigns.store import CampaignStore, write_bytes_atomically
+from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult
 from experiments.results import reproduction
 from experiments.results.campaign_data import load_data
 from experiments.results.figure_plan import draw_all
 from experiments.results.reproduction import Reproduction, fly, publish_rows, take_up
+from shell.files import write_atomically
 from tests.experiments.inline_workers import InlineWorkers
 
 
@@ -39,8 +40,8 @@ def published(folder: Path) -> Reproduction:
     store.close()
     publish_rows(plan, "features")
     picture = folder / "docs" / "pictures" / "results" / "features_02_training.png"
-    write_bytes_atomically(picture, b"as drawn before")
-    write_bytes_atomically(picture.with_name("features_of_others.png"), b"another's")
+    write_atomically(picture, b"as drawn before")
+    write_atomically(picture.with_name("features_of_others.png"), b"another's")
     return plan
 
 
