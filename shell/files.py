@@ -9,8 +9,7 @@ from shell.errors import StartError
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file, and its folder where needed, so that whoever reads it finds the old or the new one, never half."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a file so that a reader, or a crash in the middle, finds the old or the new one, never half."""
     beside = path.with_name(path.name + ".part")
     with beside.open("wb") as file:
         file.write(content)

@@ -160,7 +160,7 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         "campaign": tree,
     }
     text = yaml.safe_dump(about, sort_keys=False, allow_unicode=True, width=110)
-    write_atomically(path, text.encode())
+    _write(path, text.encode())
 
 
 def run_campaign(
@@ -246,10 +246,10 @@ class _Loop:
     def _keep(self, job: FlightJob, result: FlightResult) -> None:
         folder = self._run.folder
         if result.trace is not None:
-            write_atomically(folder / "traces" / f"{job.file_stem}.npz", result.trace)
-            write_atomically(folder / "traces" / f"{job.file_stem}.yaml", result.config.encode())
+            _write(folder / "traces" / f"{job.file_stem}.npz", result.trace)
+            _write(folder / "traces" / f"{job.file_stem}.yaml", result.config.encode())
         if result.experience is not None:
-            write_atomically(experience_path(folder, job.key), result.experience)
+            _write(experience_path(folder, job.key), result.experience)
         self._finish(job, result.row | {"command": job.command(folder)})
 
     def _fail(self, job: FlightJob, reason: str) -> None:
@@ -272,6 +272,11 @@ class _Loop:
         progress.errors += bool(row["error"])
         progress.lost += not row["survived"] and not row["error"]
         self._report(progress)
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content)
 
 
 def experience_path(folder: Path, key: str) -> Path:

@@ -112,6 +112,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = fill(CampaignConfig, parse_yaml(TEXT, "test"), "test")
     prepare_folder(CampaignRun(config, "made_up", folder), resume=False)
     store = CampaignStore(folder)
+    (folder / "traces").mkdir()
     for job in unfold(config, "made_up"):
         store.append(made_up_row(job))
         if job.keep_trace:
