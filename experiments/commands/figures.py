@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     pictures, extra = draw_all(data, out, lambda text: console.print(text, highlight=False, soft_wrap=True))
     write_page(out / "report.html", data, pictures, extra)
     listed = [(picture.png.relative_to(out), picture.caption) for picture in pictures]
-    text = markdown_report(data, listed, f"dmrac campaign {data.name}")
+    text = markdown_report(data, listed)
     (out / "report.md").write_text(text + "\n".join(table.markdown() for table in extra), encoding="utf-8")
     console.print(f"written: {out / 'report.html'}", soft_wrap=True, highlight=False)
     return 0

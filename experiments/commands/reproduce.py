@@ -23,7 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="few seeds a point; leaves docs/results.md alone")
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds a point (default: each campaign's own)")
     parser.add_argument("--only", nargs="+", metavar="CAMPAIGN", help="these campaigns alone")
-    parser.add_argument("--extend", action="store_true", help="go on from the rows published beside the page")
+    parser.add_argument(
+        "--extend",
+        action="store_true",
+        help="go on from the rows published beside the page, and keep there what is not flown now",
+    )
     parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster")
     parser.add_argument("--out", type=Path, metavar="DIR", help="flights (default: campaigns/full or campaigns/quick)")
@@ -51,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = arguments.out or Path("campaigns") / ("quick" if arguments.quick else "full")
     page = arguments.page or (folder / "results.md" if arguments.quick else Path("docs/results.md"))
     only = tuple(name for name in CAMPAIGNS if name in (arguments.only or CAMPAIGNS))
-    plan = Reproduction(folder, page, arguments.quick, arguments.seeds, only)
+    plan = Reproduction(folder, page, arguments.quick, arguments.seeds, only, arguments.extend)
     console = Console()
 
     def open_workers() -> Workers:
@@ -59,10 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     started, sections, failed = time.monotonic(), [], 0
     try:
-        for name in plan.only:
-            if arguments.extend and (rows := take_up(plan, name)):
+        for name in plan.shown:
+            if plan.extend and (rows := take_up(plan, name)):
                 console.print(f"{name}: {rows} flights taken up from those published beside the page", highlight=False)
-            if not arguments.draw_only:
+            if name in plan.only and not arguments.draw_only:
                 with progress_bar(name, console) as report:
                     failed += fly(plan, name, open_workers, report).errors
             sections.append(draw(plan, name, lambda text: console.print(f"  {text}", highlight=False)))

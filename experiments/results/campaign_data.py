@@ -76,6 +76,12 @@ class CampaignData:
     flown_on: tuple[str, ...] = ()
     """Machines and versions, a line each."""
 
+    @property
+    def command(self) -> str:
+        """The command that flies the same."""
+        seeds = {row["seed"] for row in (*self.rows, *self.failed)}
+        return f"dmrac campaign {self.name} --seeds {len(seeds)}"
+
     @cached_property
     def groups(self) -> list[Group]:
         """All groups, in the campaign's order."""

@@ -51,12 +51,22 @@ class Reproduction:
     seeds: int | None = None
     """So many a point instead of the campaigns' own number."""
     only: tuple[str, ...] = CAMPAIGNS
+    """What is flown."""
+    extend: bool = False
+    """Go on from the rows beside the page, and keep on it what is not flown now."""
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Campaigns on the page."""
+        kept = {name for name in CAMPAIGNS if self.extend and row_file(self, name).exists()}
+        return tuple(name for name in CAMPAIGNS if name in kept or name in self.only)
 
     @property
     def command(self) -> str:
         """The command that makes the page again."""
         words = ["dmrac reproduce"]
         words += ["--quick"] if self.quick else []
+        words += ["--extend"] if self.extend else []
         words += [f"--seeds {self.seeds}"] if self.seeds is not None else []
         words += ["--only", *self.only] if self.only != CAMPAIGNS else []
         return " ".join(words)
@@ -153,7 +163,7 @@ def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:
     parts += [targets.markdown()] if targets.rows else []
     for section in sections:
         listed = [(Path("pictures/results") / one.png.name, one.caption) for one in section.pictures]
-        parts.append(markdown_report(section.data, listed, f"dmrac campaign {section.data.name}"))
+        parts.append(markdown_report(section.data, listed))
         parts += [table.markdown() for table in section.extra]
         rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
         parts.append(f"All of these flights, a row each: [{rows}]({rows}). {_flown_on(section.data)}\n")

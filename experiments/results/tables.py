@@ -246,10 +246,10 @@ def _listed(sentences: Sequence[str]) -> str:
     return "; ".join(sentences[:LOSSES_LISTED]) + (f"; and {more} more, see the tables" if more > 0 else "")
 
 
-def markdown_report(data: CampaignData, pictures: Sequence[tuple[Path, str]], command: str) -> str:
+def markdown_report(data: CampaignData, pictures: Sequence[tuple[Path, str]]) -> str:
     """A campaign's section of docs/results.md. pictures: (path relative to the page, caption)."""
     title = data.config.title or data.name
-    parts = [f"## {title}\n", first_paragraph(data) + "\n", data.config.description + "\n", f"`{command}`\n"]
+    parts = [f"## {title}\n", first_paragraph(data) + "\n", data.config.description + "\n", f"`{data.command}`\n"]
     parts += [table.markdown() for table in tables(data)]
     parts += [f"![{caption}]({path.as_posix()})\n\n*{caption}*\n" for path, caption in pictures]
     return "\n".join(parts)

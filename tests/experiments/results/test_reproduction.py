@@ -75,3 +75,11 @@ def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monke
     with pytest.raises(ConfigError, match=r"features.parquet: .* made with other settings.*--only features"):
         take_up(plan, "features")
     assert not (plan.folder / "features").exists()
+
+
+def test_what_is_not_flown_now_stays_on_the_page(tmp_path: Path) -> None:
+    before = published(tmp_path)
+    assert replace(before, only=("retention",)).shown == ("retention",)
+    plan = replace(before, only=("retention",), extend=True)
+    assert plan.shown == ("retention", "features")
+    assert plan.command == "dmrac reproduce --extend --seeds 2 --only retention"
