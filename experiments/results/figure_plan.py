@@ -1,8 +1,8 @@
 """Which figures a campaign gets: the `figures` entries of its file, each a kind with the options of its function."""
 
-import math
+import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_style import save
 from experiments.results.tables import Table, metric_name
 from experiments.results.thrust_limit import limit_table
+from shell.files import write_atomically
 
 Drawer = Callable[..., Any]
 
@@ -128,15 +129,24 @@ def _draw_features(
 
     case = options["case"]
     spans = {regime: (float(start), float(end)) for regime, (start, end) in options["regimes"].items()}
+    stems = {channel: f"{name}_{words}" for channel, words in enumerate(CHANNELS)}
+    pictures = [
+        Picture(stem, f"The {words} channel's features in {', '.join(spans)}: t-SNE and PCA.", folder / f"{stem}.png")
+        for stem, words in zip(stems.values(), CHANNELS, strict=True)
+    ]
+    numbers = folder / f"{name}.json"
     traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
-    if not traces or not all(math.isfinite(trace.row["flown_s"]) for trace in traces):
-        report(f"{name}: left out, no traces were kept")
-        return [], []
-    pictures = []
-    for channel, words in enumerate(CHANNELS):
-        stem = f"{name}_{words}"
-        save(feature_figure(data, case, spans, channel), folder, stem)
-        caption = f"The {words} channel's features in {', '.join(spans)}: t-SNE and PCA."
-        pictures.append(Picture(stem, caption, folder / f"{stem}.png"))
-        report(stem)
-    return pictures, [probe_table(data, case, spans)]
+    if traces:
+        for channel, stem in stems.items():
+            save(feature_figure(data, case, spans, channel), folder, stem)
+            report(stem)
+        table = probe_table(data, case, spans)
+        write_atomically(numbers, json.dumps(asdict(table), ensure_ascii=False, indent=1).encode())
+        return pictures, [table]
+    if numbers.exists() and all(picture.png.exists() for picture in pictures):
+        report(f"{name}: kept as it was drawn before, the traces it shows are not here")
+        cells = json.loads(numbers.read_bytes())
+        rows = tuple(tuple(row) for row in cells["rows"])
+        return pictures, [Table(cells["caption"], tuple(cells["header"]), rows)]
+    report(f"{name}: left out, no traces were kept")
+    return [], []

@@ -98,15 +98,15 @@ def fly(
 
 
 def draw(plan: Reproduction, name: str, report: Callable[[str], None]) -> Section:
-    """Figures and page of one campaign; the PNGs are copied to where results.md shows them."""
+    """Figures and page of one campaign; its PNGs, and tables that need traces, are copied beside results.md."""
     data = load_data(plan.folder / name)
     out = plan.folder / name / "figures"
     pictures, extra = draw_all(data, out, report)
     write_page(out / "report.html", data, pictures, extra)
     shown = picture_folder(plan)
     shown.mkdir(parents=True, exist_ok=True)
-    for picture in pictures:
-        shutil.copyfile(picture.png, shown / picture.png.name)
+    for path in [*(picture.png for picture in pictures), *out.glob(f"{name}_[0-9][0-9]_*.json")]:
+        shutil.copyfile(path, shown / path.name)
     publish_rows(plan, name)
     return Section(data, tuple(pictures), tuple(extra))
 
@@ -149,9 +149,9 @@ def take_up(plan: Reproduction, name: str) -> int:
         )
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / PARQUET, table)
-    for picture in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*.png"):
-        (folder / "figures").mkdir(exist_ok=True)
-        shutil.copyfile(picture, folder / "figures" / picture.name)
+    (folder / "figures").mkdir(exist_ok=True)
+    for path in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*"):
+        shutil.copyfile(path, folder / "figures" / path.name)
     write_atomically(folder / CAMPAIGN_FILE, about)
     return len(table)
 

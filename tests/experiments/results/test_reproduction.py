@@ -1,5 +1,6 @@
 """Published rows: what a page's flights are taken up from, to be extended on another machine."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,7 +41,10 @@ def published(folder: Path) -> Reproduction:
     publish_rows(plan, "features")
     picture = folder / "docs" / "pictures" / "results" / "features_02_training.png"
     picture.parent.mkdir(parents=True)
-    picture.write_bytes(b"as drawn before")
+    for name in ("features_01_features_position", "features_01_features_attitude", "features_02_training"):
+        (picture.parent / f"{name}.png").write_bytes(b"as drawn before")
+    cells = {"caption": "Linear probe", "header": ["features", "accuracy"], "rows": [["after", "0.9"]]}
+    (picture.parent / "features_01_features.json").write_text(json.dumps(cells))
     picture.with_name("features_of_others.png").write_bytes(b"another's")
     return plan
 
@@ -64,9 +68,10 @@ def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
     assert len(data.flown_on) == 1
     assert "numpy" in data.flown_on[0]
     said: list[str] = []
-    pictures, _ = draw_all(data, plan.folder / "features" / "figures", said.append)
-    assert [picture.png.read_bytes() for picture in pictures] == [b"as drawn before"]
-    assert any("kept as it was drawn before" in text for text in said)
+    pictures, tables = draw_all(data, plan.folder / "features" / "figures", said.append)
+    assert [picture.png.read_bytes() for picture in pictures] == 3 * [b"as drawn before"]
+    assert [table.rows for table in tables] == [(("after", "0.9"),)]
+    assert all("kept as it was drawn before" in text for text in said)
 
 
 def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
