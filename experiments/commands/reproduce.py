@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
             if name in plan.only and not arguments.draw_only:
                 with progress_bar(name, console) as report:
                     failed += fly(plan, name, open_workers, report).errors
-            sections.append(draw(plan, name, lambda text: console.print(f"  {text}", highlight=False)))
+            sections.append(draw(plan, name, lambda text: console.print(f"  {text}", highlight=False, soft_wrap=True)))
             write_results(plan, sections)
     except KeyboardInterrupt:
         console.print("interrupted; everything flown is kept, the same command goes on")

@@ -107,7 +107,7 @@ def _results(data: CampaignData, cases: Sequence[str]) -> Table:
                 str(len(group.rows)),
                 show(group.survival, percent=True),
                 *(show(group.estimate(metric)) for metric in metrics),
-                show(group.ratio(base, _main(metrics)), 2) if base is not None else "1",
+                _ratio(group, base, _main(metrics)),
             )
         )
     against = data.config.compare_to or data.config.controllers[-1]
@@ -117,13 +117,22 @@ def _results(data: CampaignData, cases: Sequence[str]) -> Table:
     return Table(f"{title}: medians of the survivors [95 % interval]; {which}", header, tuple(rows))
 
 
+def _ratio(group: Group, base: Group | None, metric: str) -> str:
+    if base is None:
+        return "–"
+    return "1" if base == group else show(group.ratio(base, metric), 2)
+
+
 def _main(metrics: Sequence[str]) -> str:
     """The metric that ratios are formed of."""
     return metrics[0] if len(metrics) == 1 else metrics[1]
 
 
 def _base(data: CampaignData, group: Group) -> Group | None:
-    """What a group is compared to: the named controller, else the named case, else the named point of the sweep."""
+    """What a group is compared to: the named controller, else the named case, else the named point of the sweep.
+
+    Itself, where it is what the others are compared to; None if there is nothing.
+    """
     name = data.config.compare_to or data.config.controllers[-1]
     point = dict(group.point)
     candidates = data.select(group.case, name, point)
@@ -133,7 +142,7 @@ def _base(data: CampaignData, group: Group) -> Group | None:
         candidates = [
             other for other in data.select(group.case, group.controller) if name in dict(other.point).values()
         ]
-    return candidates[0] if candidates and candidates[0] != group else None
+    return candidates[0] if candidates else None
 
 
 def _numeric_sweep(data: CampaignData) -> str:
