@@ -134,7 +134,7 @@ class OnboardCore:
         now_ns = self._clock.at(now_ns)
         heard = self._offboard_link.receive(datagram, now_ns)
         if heard is not None:
-            self._estimator.take_in_pose(heard.pose, heard.taken_ns, now_ns)
+            self._estimator.take_in_pose(heard.pose, heard.taken_ns, now_ns, heard.time_sigma_s)
             self._arming.take_in_pose(heard.pose, now_ns)
 
     def take_in_ground(self, datagram: bytes, now_ns: int) -> None:

@@ -7,6 +7,9 @@ The filter itself is in error_state_filter.py; this file decides what it is told
   on ground   velocity is zero, the gyroscope reads its bias, height is zero unless a pose says otherwise
   pose        position and attitude as of its capture time. What the gate refuses is dropped, until several refused
               poses in a row agree with each other: then the state jumps to them. The very first poses always jump.
+              Each is as uncertain as its capture time. While the vehicle turns, an attitude that a wrong time would
+              explain is left out and turns nothing: a jump to it would upset a vehicle that knows its tilt better.
+              While vibration is strong, poses that disagree say that the velocity is wrong.
   flow        body velocity = flow rate times distance to the floor along the camera's axis
   range       height over the floor at d = 0; nothing below the sensor's own floor
   pressure    height against the pressure at the start; weak
@@ -65,6 +68,7 @@ class Estimator:
         self._refused: dict[str, tuple[int, int]] = {}
         self._refused_poses = 0
         self._refused_position: Vector = (0.0, 0.0, 0.0)
+        self._time_sigma_s = 0.0
         self._had_pose = False
         self._events: list[tuple[int, str]] = []
         self.state = VehicleState()
@@ -266,8 +270,11 @@ class Estimator:
         elif self._refused_long("range", reading.time_ns) and not self._pose_fresh(reading.time_ns):
             self._widen("range", POSITION + 2, 1, 1.0, reading.time_ns)
 
-    def take_in_pose(self, pose: Pose, capture_ns: int, now_ns: int) -> None:
-        """A pose from motion capture that was true at `capture_ns` (onboard clock) and arrived at `now_ns`."""
+    def take_in_pose(self, pose: Pose, capture_ns: int, now_ns: int, time_sigma_s: float = 0.0) -> None:
+        """A pose from motion capture that was true at `capture_ns` (onboard clock) and arrived at `now_ns`.
+
+        time_sigma_s: standard deviation of `capture_ns`, s, where it is more than the settings say.
+        """
         if not self.state.initialised:
             return
         if capture_ns <= self._last_capture_ns:
@@ -282,6 +289,7 @@ class Estimator:
         x, y, z = pose.position_ned_m.tolist()
         measured = (x - past.position[0], y - past.position[1], z - past.position[2])
         delay_s = (self.state.last_imu_ns - capture_ns) * 1e-9
+        self._time_sigma_s = time_sigma_s
         if self._had_pose and self._fuse_pose(pose, measured, capture_ns, delay_s, now_ns):
             self._refused_poses = 0
             self.counts["pose_used"] += 1
@@ -299,7 +307,8 @@ class Estimator:
         """
         config, f = self._config, self._filter
         before = f.position
-        variance = config.pose_position_sigma_m**2 + config.pose_time_sigma_s**2 * squared(f.velocity)
+        sigma_s = max(config.pose_time_sigma_s, self._time_sigma_s)
+        variance = config.pose_position_sigma_m**2 + sigma_s**2 * squared(f.velocity)
         if self.state.vibration > config.vibration_white_max_m_s2:
             self._distrust_velocity(position, delay_s)
         variance = _softened(variance, squared(position), config.pose_near_m, config.pose_gate)
@@ -311,14 +320,20 @@ class Estimator:
         past = f.at(capture_ns)
         if past is not None:
             turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
-            variance = config.pose_attitude_sigma_rad**2 + config.pose_turn_time_sigma_s**2 * squared(past.rate_world)
+            sigma_s = max(config.pose_turn_time_sigma_s, self._time_sigma_s)
+            variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared(past.rate_world)
             variance = _softened(variance, squared(turn), config.pose_near_rad, config.pose_gate)
             score = f.correct_attitude(turn, variance, config.pose_gate)
             self.scores["pose_attitude"] = score
             if score > config.pose_gate:
                 self.counts["pose_attitude_refused"] += 1
-                return False
+                return self._explained_by_time(turn, past.rate_world)
         return True
+
+    def _explained_by_time(self, turn: Vector, rate: Vector) -> bool:
+        """Whether a wrong capture time may be all that turns a pose's attitude against ours."""
+        config = self._config
+        return math.hypot(*turn) < config.pose_near_rad + config.pose_time_error_max_s * math.hypot(*rate)
 
     def _distrust_velocity(self, innovation: Vector, delay_s: float) -> None:
         """Widens the velocity where vibration is strong and a pose says that the velocity must be wrong.
@@ -358,13 +373,16 @@ class Estimator:
         if past is None:
             return
         turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
+        if self._had_pose and self._explained_by_time(turn, past.rate_world):
+            turn = (0.0, 0.0, 0.0)
         x, y, z = pose.position_ned_m.tolist()
         before, yaw = f.position, self.state.euler[2]
         f.shift((x - past.position[0], y - past.position[1], z - past.position[2]), (0.0, 0.0, 0.0), turn)
         # A turned frame turns the velocity with it: what flow measured was in the body frame.
         f.velocity = turned_about_vertical(turn, f.velocity)
         f.restart_error(POSITION, 2.0 * config.pose_position_sigma_m)
-        f.restart_error(ATTITUDE, 2.0 * config.pose_attitude_sigma_rad)
+        if any(turn):
+            f.restart_error(ATTITUDE, 2.0 * config.pose_attitude_sigma_rad)
         if self._had_pose:
             f.restart_error(VELOCITY, 1.0)
         if math.hypot(*turn) > 0.2:

@@ -36,6 +36,9 @@ class EstimatorConfig(Record):
     pose_time_sigma_s: float = Field(default=0.0005, ge=0, description="s, error of capture time against our clock")
     pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
     pose_turn_time_sigma_s: float = Field(default=0.003, ge=0, description="s, the same for the attitude")
+    pose_time_error_max_s: float = Field(
+        default=0.1, ge=0, description="s; an attitude that such an error of the capture time explains is left out"
+    )
     pose_near_m: float = Field(default=0.1, ge=0, description="m off: up to here a pose gets less weight, no refusal")
     pose_near_rad: float = Field(default=0.2, ge=0, description="rad off: up to here it gets less weight, no refusal")
     pose_delay_max_s: float = Field(default=0.4, gt=0, le=0.6, description="s; older poses are refused")

@@ -20,6 +20,10 @@ from protocol.statistics import LinkStatistics
 Array = NDArray[np.float64]
 CLOCK_RECORD_PERIOD_NS: Final = 1_000_000_000
 AGE_MAX_MS: Final = 2**31 - 1
+GOOD_ROUND_TRIP_NS: Final = 40_000_000
+"""Up to here the error of the clocks' offset is within what the estimator assumes of any pose."""
+ROUND_TRIP_TO_SIGMA: Final = 0.1
+"""Beyond it, of each second of round trip so many seconds are the offset's standard deviation."""
 
 
 class DatedPose(NamedTuple):
@@ -27,6 +31,8 @@ class DatedPose(NamedTuple):
 
     pose: Pose
     taken_ns: int
+    time_sigma_s: float
+    """Standard deviation of `taken_ns`, where the link is slow; 0 where it is not."""
 
 
 class OffboardLink:
@@ -79,7 +85,7 @@ class OffboardLink:
             case Pose():
                 offset_ns = self.endpoint.clock_offset_ns
                 if offset_ns is not None:  # else its age is not known, nor that it is not a recording
-                    return DatedPose(message, message.time_ns - offset_ns)
+                    return DatedPose(message, message.time_ns - offset_ns, self._time_sigma_s())
             case FeatureChunk():
                 self._reception.receive(message)
             case TimeSyncRequest():
@@ -87,6 +93,11 @@ class OffboardLink:
             case _:
                 pass  # a time sync reply: the endpoint has taken note
         return None
+
+    def _time_sigma_s(self) -> float:
+        """The clocks' offset takes both ways for equally long: on a slow link it is wrong by a part of them."""
+        slow_ns = max((self.endpoint.round_trip_ns or 0) - GOOD_ROUND_TRIP_NS, 0)
+        return ROUND_TRIP_TO_SIGMA * slow_ns * 1e-9
 
     def _meet_session(self, now_ns: int) -> None:
         if self._peer_session is None:

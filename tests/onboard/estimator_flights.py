@@ -99,7 +99,7 @@ class Flight:
     pose_windows: tuple[tuple[float, float], ...] = ((0.0, 1e9),)
     flow_windows: tuple[tuple[float, float], ...] = ((0.0, 1e9),)
 
-    def run(self, pose_fault=None, range_fault=None, imu_fault=None, stamp_fault=None):
+    def run(self, pose_fault=None, range_fault=None, imu_fault=None, stamp_fault=None, time_sigma_s=0.0):
         truth, noise = self.truth, self.noise
         rng = np.random.default_rng([self.seed, 77])
         estimator = Estimator(self.config)
@@ -144,7 +144,8 @@ class Flight:
                     position, quaternion = pose_fault(t, position, quaternion)
                 pose = Pose(int(truth.time_ns[i]), position.astype(np.float32), quaternion.astype(np.float32))
                 count = estimator.state.position_reset_count
-                estimator.take_in_pose(pose, pose.time_ns if stamp_fault is None else stamp_fault(pose, now_ns), now_ns)
+                taken_ns = pose.time_ns if stamp_fault is None else stamp_fault(pose, now_ns)
+                estimator.take_in_pose(pose, taken_ns, now_ns, time_sigma_s)
                 self._note("pose_position", estimator)
                 self._note("pose_attitude", estimator)
                 if estimator.state.position_reset_count != count:

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from onboard.estimator import EstimatorConfig
 from onboard.records import ImuReading
 from protocol.messages import Pose
-from tests.onboard.estimator_flights import RATE, Flight, Noise, Truth
+from tests.onboard.estimator_flights import RATE, STEP_NS, Flight, Noise, Truth
 
 MATCHED = EstimatorConfig(
     gyro_sigma=0.02,
@@ -101,6 +102,24 @@ def test_a_delay_that_is_not_told_does_matter():
     assert flight.position_rmse(4.0) > 0.05
 
 
+def test_a_clock_that_may_be_wrong_does_not_upset_the_estimate():
+    """On a slow link: 50 ms wrong, and told that it may be. Not told, the estimate is worse by far."""
+
+    def errors(time_sigma_s):
+        noise = Noise(pose_m=0.0007, pose_delay_s=0.2, pose_rate=100)
+        flight = Flight(noise=noise, truth=Truth(12.0, speed=2.0)).run(
+            stamp_fault=lambda pose, now_ns: pose.time_ns + 50_000_000, time_sigma_s=time_sigma_s
+        )
+        return np.nanmax(np.abs(flight.errors[800:, 3:6])), np.nanmax(np.abs(flight.errors[800:, 6:9]))
+
+    velocity, attitude = errors(0.02)
+    assert velocity < 0.35
+    assert attitude < 0.03
+    worse_velocity, worse_attitude = errors(0.0)
+    assert worse_velocity > 1.5 * velocity
+    assert worse_attitude > 1.5 * attitude
+
+
 def test_the_first_poses_make_one_announced_jump():
     flight = Flight(truth=Truth(8.0, start=(2.0, -1.0), yaw_start=1.0)).run()
     ((when, jump, yaw),) = flight.jumps
@@ -175,6 +194,31 @@ def test_a_chipped_rotor_does_not_carry_the_velocity_away():
     position_m, velocity_m_s = flight(EstimatorConfig(vibration_white_max_m_s2=1e6))
     assert position_m > 0.5
     assert velocity_m_s > 5.0
+
+
+def test_an_attitude_that_a_wrong_capture_time_explains_turns_nothing():
+    """In a fast turn a pose at the wrong time looks turned. It must not turn the estimate; one that is turned must."""
+    truth = Truth(9.0)
+    flight = Flight(truth=truth).run()
+    state, estimator = flight.estimator.state, flight.estimator
+    now_ns = state.last_imu_ns
+
+    def poses(rates, angle):
+        before = state.quaternion.copy()
+        for k in range(6):
+            time_ns = now_ns + (k + 1) * STEP_NS
+            force = tuple((state.rotation.T @ (0.0, 0.0, -9.81)).tolist())
+            estimator.take_in(ImuReading(time_ns, force, rates, 101325.0))
+            turned = Rotation.from_matrix(state.rotation) * Rotation.from_rotvec((angle, 0.0, 0.0))
+            pose = Pose(time_ns, state.position.astype(np.float32), turned.as_quat()[[3, 0, 1, 2]].astype(np.float32))
+            estimator.take_in_pose(pose, time_ns, time_ns)
+        return 2.0 * math.acos(min(1.0, abs(float(before @ state.quaternion))))
+
+    turned_rad = poses((6.0, 0.0, 0.0), 0.6)
+    assert estimator.counts["pose_attitude_refused"] == 6
+    assert turned_rad == pytest.approx(6.0 * 6 / RATE, abs=0.05)  # by the gyroscope alone
+    now_ns = state.last_imu_ns
+    assert poses((0.0, 0.0, 0.0), 0.6) > 0.5
 
 
 def test_a_room_that_moved_is_believed_after_some_poses_and_announced():

@@ -124,6 +124,13 @@ def test_flights_meet_their_traces() -> None:
         assert row.cells()[6] == "none"
 
 
+def test_a_link_that_is_late_by_a_quarter_of_a_second_does_not_cost_the_vehicle() -> None:
+    """The clocks' offset is wrong by 65 ms here: poses at the wrong time look turned while the vehicle turns."""
+    late = fly_one(DropoutFlight("late", "figure8_wind", "pid", 3, 13.0))
+    assert late.survived
+    assert late.position_rmse_m < 0.1
+
+
 @pytest.mark.full
 def test_the_whole_set_survives(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dropouts"]) == 0
