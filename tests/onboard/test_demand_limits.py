@@ -23,7 +23,7 @@ def tilt(f: tuple[float, float, float]) -> float:
 def test_tilt_and_fall_stay_within_the_limits_for_any_demand(u: tuple, nu_z: float, ticks: list[bool]) -> None:
     limits = DemandLimits(CONFIG)
     for saturated in ticks:
-        limits.step(saturated, 0.005)
+        limits.step(saturated, True, 0.005)
         assert 0.0 <= limits.shortage <= 1.0
     f = limits.specific_thrust(u, nu_z)
     assert f[2] >= FALL_MIN_M_S2
@@ -34,30 +34,41 @@ def test_a_demand_within_the_limits_is_met_exactly() -> None:
     assert DemandLimits(CONFIG).specific_thrust((1.0, -2.0, 0.5), 0.0) == (-1.0, 2.0, GRAVITY - 0.5)
 
 
+def test_a_take_off_may_ask_for_more_until_the_laws_adapt() -> None:
+    limits, hard = DemandLimits(CONFIG), (0.0, 0.0, -20.0)
+    assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.take_off_acceleration_max_m_s2)
+    for adapting in (True, False):  # what it once knew it does not forget
+        limits.step(False, adapting, 0.005)
+        assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.climb_acceleration_max_m_s2)
+    limits.reset()
+    assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.take_off_acceleration_max_m_s2)
+
+
 def test_nu_ad_comes_on_top_of_the_vertical_limits() -> None:
-    climb = CONFIG.climb_acceleration_max_m_s2
-    assert DemandLimits(CONFIG).specific_thrust((0.0, 0.0, -100.0), 3.0)[2] == pytest.approx(GRAVITY + climb + 3.0)
+    climb, limits = CONFIG.climb_acceleration_max_m_s2, DemandLimits(CONFIG)
+    limits.step(False, True, 0.005)
+    assert limits.specific_thrust((0.0, 0.0, -100.0), 3.0)[2] == pytest.approx(GRAVITY + climb + 3.0)
 
 
 def test_while_the_motors_fall_short_little_is_asked_for_and_the_limits_come_back() -> None:
     limits, wide, hard = DemandLimits(CONFIG), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0)
     assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
-    limits.step(True, 0.005)  # one tick of noise costs little
+    limits.step(True, True, 0.005)  # one tick of noise costs little
     assert tilt(limits.specific_thrust(wide, 0.0)) > 0.9 * CONFIG.tilt_max_rad
     for _ in range(100):
-        limits.step(True, 0.005)
+        limits.step(True, True, 0.005)
     assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.short_tilt_max_rad, rel=1e-2)
     climb = limits.specific_thrust(hard, 0.0)[2] - GRAVITY
     assert climb == pytest.approx(CONFIG.short_climb_max_m_s2, rel=1e-2)
     for _ in range(1000):
-        limits.step(False, 0.005)
+        limits.step(False, True, 0.005)
     assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.tilt_max_rad, rel=1e-2)
 
 
 def test_short_limits_wider_than_the_others_change_nothing() -> None:
     limits = DemandLimits(DemandLimitsConfig(short_tilt_max_rad=1.2, short_climb_max_m_s2=20.0))
     for _ in range(100):
-        limits.step(True, 0.005)
+        limits.step(True, True, 0.005)
     assert tilt(limits.specific_thrust((20.0, 0.0, 0.0), 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
 
 

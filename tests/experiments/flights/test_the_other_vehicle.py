@@ -7,6 +7,13 @@ from experiments.flights.scenario import Choices, resolve
 from onboard.flight_modes import FlightMode
 
 
+@pytest.mark.parametrize("controller", ["pid", "mrac"])
+def test_it_takes_off(controller: str) -> None:
+    """Its motors give 17 % less than believed and it weighs 11 % more; nothing makes up for that before it flies."""
+    outcome = fly_lockstep(resolve("figure8_real", Choices(controller, 11, 9.0)), with_offboard=False)
+    assert FlightMode.FLYING in outcome.trace.mode
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("seed", [11, 12])
 @pytest.mark.parametrize("controller", ["pid", "mrac"])
