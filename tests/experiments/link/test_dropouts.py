@@ -131,6 +131,11 @@ def test_a_link_that_is_late_by_a_quarter_of_a_second_does_not_cost_the_vehicle(
     assert late.position_rmse_m < 0.1
 
 
+@pytest.mark.parametrize("name", trace_names())
+def test_no_shipped_trace_costs_the_vehicle(name: str) -> None:
+    assert fly_one(DropoutFlight(name, "figure8_wind", "pid", 2, 16.0)).survived
+
+
 @pytest.mark.full
 def test_the_whole_set_survives(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dropouts"]) == 0
