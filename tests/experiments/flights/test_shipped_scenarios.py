@@ -1,0 +1,23 @@
+"""Every shipped scenario is flown by every shipped controller that is meant to fly it."""
+
+import numpy as np
+import pytest
+
+from configs.loader import CONFIG_DIRECTORY
+from experiments.flights.lockstep_flight import fly_lockstep
+from experiments.flights.scenario import Choices, resolve
+from onboard.flight_modes import FlightMode
+
+SCENARIOS = sorted(path.stem for path in (CONFIG_DIRECTORY / "scenarios").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("controller", ["pid", "l1", "indi", "bias", "mrac", "dmrac"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_it_flies(scenario: str, controller: str) -> None:
+    """Up, along the path, alive. Without offboard, so without training and, indoors, by optical flow alone."""
+    outcome = fly_lockstep(resolve(scenario, Choices(controller, 3, 16.0)), with_offboard=False)
+    trace = outcome.trace
+    assert outcome.crash_reason == ""
+    assert FlightMode.FLYING in trace.mode
+    error = np.linalg.norm(trace.position_error[trace.on_path], axis=1)
+    assert np.median(error) < 0.5
