@@ -140,15 +140,24 @@ def phi(features: Features, signals: Array) -> Array:
 
 
 def probe_accuracy(values: Array, samples: Regimes) -> float:
-    """Balanced accuracy of a linear probe (multinomial logistic regression), five folds over blocks of time."""
+    """Balanced accuracy of a linear probe (multinomial logistic regression), up to five folds over blocks of time.
+
+    Every fold leaves out as large a part of each regime, and regimes weigh alike: else features that know nothing would
+    make the probe guess the regime of which more is left, and thus always the wrong one, far below chance.
+    """
     from sklearn.linear_model import LogisticRegression
     from sklearn.metrics import balanced_accuracy_score
 
     predicted = np.full(samples.regime.size, -1)
-    fold = samples.block % 5
-    for number in range(5):
+    ranks = np.zeros(samples.block.size, dtype=np.int64)
+    for regime in np.unique(samples.regime):
+        chosen = samples.regime == regime
+        ranks[chosen] = np.unique(samples.block[chosen], return_inverse=True)[1]
+    folds = min(5, *(int(ranks[samples.regime == regime].max()) + 1 for regime in np.unique(samples.regime)))
+    fold = ranks % folds
+    for number in range(folds):
         test = fold == number
-        probe = LogisticRegression(max_iter=2000, C=1.0, random_state=PROBE_SEED)
+        probe = LogisticRegression(max_iter=2000, C=1.0, class_weight="balanced", random_state=PROBE_SEED)
         probe.fit(values[~test], samples.regime[~test])
         predicted[test] = probe.predict(values[test])
     return float(balanced_accuracy_score(samples.regime, predicted))

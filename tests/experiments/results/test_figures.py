@@ -16,7 +16,7 @@ from experiments.campaigns.runner import CampaignRun, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results.campaign_data import Trace, load_data
-from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
+from experiments.results.feature_probe import Regimes, probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
 from experiments.results.page import write_page
 from experiments.results.reproduction import (
@@ -247,3 +247,12 @@ def test_probe_finds_what_is_there_and_nothing_else() -> None:
     assert abs(probe_accuracy(noise, samples) - 0.5) < 0.15
     assert abs(silhouette(noise, samples)) < 0.05
     assert not math.isnan(samples.signals.sum())
+
+
+def test_features_that_know_nothing_are_at_chance_and_not_below() -> None:
+    """Blocks are left out of all regimes alike: else the probe guesses what is left, never what was left out."""
+    count = 10
+    regime = np.repeat([0, 1, 2], 8 * count)
+    samples = Regimes(np.zeros((regime.size, 1)), regime, np.repeat(np.arange(24), count), ("a", "b", "c"))
+    nothing = 1.0 + 1e-6 * np.random.default_rng(0).normal(size=(regime.size, 4))
+    assert abs(probe_accuracy(nothing, samples) - 1.0 / 3.0) < 0.1
