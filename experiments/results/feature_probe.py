@@ -26,7 +26,8 @@ from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS, SIGNAL_NAMES
 
 SAMPLES_MAX: Final = 700
-BLOCK_S: Final = 2.5
+ROUND_S: Final = 6.0
+"""Once round the figure-8 of the scenarios: what is left out of every regime at a time holds all places."""
 PROBE_SEED: Final = 7
 KINDS: Final = ("before", "after", "rbf")
 KIND_LABELS: Final = {"before": "before training", "after": "after training", "rbf": "radial basis functions"}
@@ -40,20 +41,23 @@ class Regimes:
     """[n, SIGNAL_COUNT]."""
     regime: Array
     """[n], number of the regime."""
-    block: Array
-    """[n], number of the block of time."""
+    round: Array
+    """[n], number of the round of the path within the regime."""
     names: tuple[str, ...]
 
 
-def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]]) -> Regimes:
-    """Samples of a trace within the spans (s of flight time), thinned to about SAMPLES_MAX."""
+def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]], round_s: float = ROUND_S) -> Regimes:
+    """Samples of a trace within whole rounds of the spans (s of flight time), thinned to about SAMPLES_MAX."""
     time = trace.time_s
-    regime = np.full(time.size, -1)
+    regime, number_of_round = np.full(time.size, -1), np.zeros(time.size)
     for number, (start, end) in enumerate(spans.values()):
-        regime[(time >= start) & (time < end)] = number
+        rounds = int((end - start) / round_s + 1e-6)
+        chosen = (time >= start) & (time < start + rounds * round_s)
+        regime[chosen] = number
+        number_of_round[chosen] = np.minimum(np.floor((time[chosen] - start) / round_s), rounds - 1)
     rows = np.flatnonzero((regime >= 0) & (trace["truth_airborne"] > 0.5))
     rows = rows[:: max(rows.size // SAMPLES_MAX, 1)]
-    return Regimes(signals_of(trace)[rows], regime[rows], np.floor(time[rows] / BLOCK_S), tuple(spans))
+    return Regimes(signals_of(trace)[rows], regime[rows], number_of_round[rows], tuple(spans))
 
 
 def signals_of(trace: Trace) -> Array:
@@ -140,23 +144,19 @@ def phi(features: Features, signals: Array) -> Array:
 
 
 def probe_accuracy(values: Array, samples: Regimes) -> float:
-    """Balanced accuracy of a linear probe (multinomial logistic regression), up to five folds over blocks of time.
+    """Balanced accuracy of a linear probe (multinomial logistic regression), left out round by round of the path.
 
-    Every fold leaves out as large a part of each regime, and regimes weigh alike: else features that know nothing would
-    make the probe guess the regime of which more is left, and thus always the wrong one, far below chance.
+    The same round of every regime is left out, and regimes weigh alike: of every place as much is left of each regime.
+    Otherwise features that know nothing but the place make the probe guess the regime of which more is left there,
+    which is never the one that was left out, and fall far below chance.
     """
     from sklearn.linear_model import LogisticRegression
     from sklearn.metrics import balanced_accuracy_score
 
     predicted = np.full(samples.regime.size, -1)
-    ranks = np.zeros(samples.block.size, dtype=np.int64)
-    for regime in np.unique(samples.regime):
-        chosen = samples.regime == regime
-        ranks[chosen] = np.unique(samples.block[chosen], return_inverse=True)[1]
-    folds = min(5, *(int(ranks[samples.regime == regime].max()) + 1 for regime in np.unique(samples.regime)))
-    fold = ranks % folds
+    folds = min(int(samples.round[samples.regime == regime].max()) + 1 for regime in np.unique(samples.regime))
     for number in range(folds):
-        test = fold == number
+        test = samples.round % folds == number
         probe = LogisticRegression(max_iter=2000, C=1.0, class_weight="balanced", random_state=PROBE_SEED)
         probe.fit(values[~test], samples.regime[~test])
         predicted[test] = probe.predict(values[test])

@@ -16,7 +16,7 @@ from experiments.campaigns.runner import CampaignRun, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results.campaign_data import Trace, load_data
-from experiments.results.feature_probe import Regimes, probe_accuracy, regimes_of, signals_of, silhouette
+from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
 from experiments.results.page import write_page
 from experiments.results.reproduction import (
@@ -238,7 +238,7 @@ def test_probe_finds_what_is_there_and_nothing_else() -> None:
 
     with np.load(io.BytesIO(made_up_trace())) as archive:
         trace = Trace(empty_row(), {name: archive[name] for name in archive.files})
-    samples = regimes_of(trace, {"one": (0.0, 10.0), "two": (10.0, 20.0)})
+    samples = regimes_of(trace, {"one": (0.0, 10.0), "two": (10.0, 20.0)}, round_s=2.5)
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(samples.regime.size, 4))
     apart = noise + 8.0 * samples.regime[:, None]
@@ -249,10 +249,13 @@ def test_probe_finds_what_is_there_and_nothing_else() -> None:
     assert not math.isnan(samples.signals.sum())
 
 
-def test_features_that_know_nothing_are_at_chance_and_not_below() -> None:
-    """Blocks are left out of all regimes alike: else the probe guesses what is left, never what was left out."""
-    count = 10
-    regime = np.repeat([0, 1, 2], 8 * count)
-    samples = Regimes(np.zeros((regime.size, 1)), regime, np.repeat(np.arange(24), count), ("a", "b", "c"))
-    nothing = 1.0 + 1e-6 * np.random.default_rng(0).normal(size=(regime.size, 4))
-    assert abs(probe_accuracy(nothing, samples) - 1.0 / 3.0) < 0.1
+def test_features_that_know_only_the_place_are_at_chance_and_not_below() -> None:
+    """What is left out covers all places: else the probe guesses the regime of which more is left there, wrongly."""
+    time = np.arange(0.0, 60.0, 0.05)
+    trace = Trace(empty_row(), {"time_s": time, **{f"tick_{name}": np.zeros(time.size) for name in TRACE_COLUMNS},
+                                **{f"truth_{name}": np.ones(time.size) for name in TRUTH_COLUMNS}})  # fmt: skip
+    samples = regimes_of(trace, {"a": (0.0, 19.0), "b": (20.0, 39.5), "c": (40.0, 58.0)})
+    place = 2.0 * np.pi * np.arange(samples.regime.size) / np.sum((samples.regime == 0) & (samples.round == 0))
+    values = np.column_stack([np.sin(k * place + shift) for k in range(1, 9) for shift in (0.0, 1.57)])
+    assert np.bincount(samples.regime * 3 + samples.round.astype(int)).tolist() == 9 * [120]
+    assert abs(probe_accuracy(values, samples) - 1.0 / 3.0) < 0.1
