@@ -68,7 +68,6 @@ class Estimator:
         self._refused: dict[str, tuple[int, int]] = {}
         self._refused_poses = 0
         self._refused_position: Vector = (0.0, 0.0, 0.0)
-        self._time_sigma_s = 0.0
         self._had_pose = False
         self._events: list[tuple[int, str]] = []
         self.state = VehicleState()
@@ -288,9 +287,7 @@ class Estimator:
         self._last_capture_ns = capture_ns
         x, y, z = pose.position_ned_m.tolist()
         measured = (x - past.position[0], y - past.position[1], z - past.position[2])
-        delay_s = (self.state.last_imu_ns - capture_ns) * 1e-9
-        self._time_sigma_s = time_sigma_s
-        if self._had_pose and self._fuse_pose(pose, measured, capture_ns, delay_s, now_ns):
+        if self._had_pose and self._fuse_pose(pose, measured, capture_ns, now_ns, time_sigma_s):
             self._refused_poses = 0
             self.counts["pose_used"] += 1
             self._accept_pose(now_ns)
@@ -299,7 +296,7 @@ class Estimator:
 
     # -- pose ---------------------------------------------------------------------------------------------------------
 
-    def _fuse_pose(self, pose: Pose, position: Vector, capture_ns: int, delay_s: float, now_ns: int) -> bool:
+    def _fuse_pose(self, pose: Pose, position: Vector, capture_ns: int, now_ns: int, time_sigma_s: float) -> bool:
         """Position, then attitude. A wrong capture time is a wrong position in proportion to speed, hence its sigma.
 
         A pose that is off by more than it ought to be, but not by much in metres and radians, gets as much less weight
@@ -307,7 +304,8 @@ class Estimator:
         """
         config, f = self._config, self._filter
         before = f.position
-        sigma_s = max(config.pose_time_sigma_s, self._time_sigma_s)
+        delay_s = (self.state.last_imu_ns - capture_ns) * 1e-9
+        sigma_s = max(config.pose_time_sigma_s, time_sigma_s)
         variance = config.pose_position_sigma_m**2 + sigma_s**2 * squared(f.velocity)
         if self.state.vibration > config.vibration_white_max_m_s2:
             self._distrust_velocity(position, delay_s)
@@ -320,7 +318,7 @@ class Estimator:
         past = f.at(capture_ns)
         if past is not None:
             turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
-            sigma_s = max(config.pose_turn_time_sigma_s, self._time_sigma_s)
+            sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
             variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared(past.rate_world)
             variance = _softened(variance, squared(turn), config.pose_near_rad, config.pose_gate)
             score = f.correct_attitude(turn, variance, config.pose_gate)

@@ -47,4 +47,7 @@ def commit() -> str:
 def here() -> str:
     """One line on this machine and what is installed on it."""
     packages = ", ".join(f"{name} {number}" for name, number in versions().items())
-    return "; ".join(part for part in (machine(), packages, f"commit {commit()}" if commit() else "") if part)
+    parts = [machine(), packages]
+    if sources := commit():
+        parts.append(f"commit {sources}")
+    return "; ".join(parts)

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.campaigns.flight_row import SCHEMA, Row
+from shell.files import write_atomically
 
 PARQUET: Final = "flights.parquet"
 JOURNAL: Final = "flights.journal"
@@ -107,8 +108,6 @@ def drop_rows(folder: Path, keys: set[str]) -> None:
 
 def write_table(path: Path, table: pa.Table) -> None:
     """A Parquet file, complete or not at all."""
-    part = path.with_suffix(path.suffix + ".part")
-    pq.write_table(table, part, compression="zstd")
-    with part.open("rb+") as file:
-        os.fsync(file.fileno())
-    part.replace(path)
+    content = pa.BufferOutputStream()
+    pq.write_table(table, content, compression="zstd")
+    write_atomically(path, content.getvalue().to_pybytes())

@@ -26,6 +26,7 @@ class Picture:
     png: Path
 
 
+KEPT: Final = "kept as it was drawn before, the traces it shows are not here"
 BAND: Final = "Mean and standard deviation over the seeds kept; grey: onsets of the fault; dotted: vehicle lost."
 KINDS: Final[dict[str, tuple[Drawer, str]]] = {
     "survival": (
@@ -83,7 +84,7 @@ def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) ->
             save(_called(drawer, data, number, options), folder, name)
             report(name)
         elif picture.png.exists():
-            report(f"{name}: kept as it was drawn before, the traces it shows are not here")
+            report(f"{name}: {KEPT}")
         else:
             report(f"{name}: left out, the flights it shows were not flown or kept no traces")
             continue
@@ -129,22 +130,21 @@ def _draw_features(
 
     case = options["case"]
     spans = {regime: (float(start), float(end)) for regime, (start, end) in options["regimes"].items()}
-    stems = {channel: f"{name}_{words}" for channel, words in enumerate(CHANNELS)}
+    caption = f"channel's features in {', '.join(spans)}: t-SNE and PCA."
     pictures = [
-        Picture(stem, f"The {words} channel's features in {', '.join(spans)}: t-SNE and PCA.", folder / f"{stem}.png")
-        for stem, words in zip(stems.values(), CHANNELS, strict=True)
+        Picture(f"{name}_{words}", f"The {words} {caption}", folder / f"{name}_{words}.png") for words in CHANNELS
     ]
     numbers = folder / f"{name}.json"
     traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
     if traces:
-        for channel, stem in stems.items():
-            save(feature_figure(data, case, spans, channel), folder, stem)
-            report(stem)
+        for channel, picture in enumerate(pictures):
+            save(feature_figure(data, case, spans, channel), folder, picture.name)
+            report(picture.name)
         table = probe_table(data, case, spans)
         write_atomically(numbers, json.dumps(asdict(table), ensure_ascii=False, indent=1).encode())
         return pictures, [table]
     if numbers.exists() and all(picture.png.exists() for picture in pictures):
-        report(f"{name}: kept as it was drawn before, the traces it shows are not here")
+        report(f"{name}: {KEPT}")
         cells = json.loads(numbers.read_bytes())
         rows = tuple(tuple(row) for row in cells["rows"])
         return pictures, [Table(cells["caption"], tuple(cells["header"]), rows)]

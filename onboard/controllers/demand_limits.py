@@ -71,8 +71,9 @@ class DemandLimits:
         nu_z: nu_ad along the vertical, part of u, which the vertical limits leave alone.
         """
         share = self.shortage
-        climb = self._climbs[0] + share * (self._climbs[1] - self._climbs[0])
-        if not self._lifted:
+        if self._lifted:
+            climb = self._climbs[0] + share * (self._climbs[1] - self._climbs[0])
+        else:
             climb = self._config.take_off_acceleration_max_m_s2
         ux, uy, uz = u
         uz = min(max(uz + nu_z, -climb), self._config.sink_acceleration_max_m_s2) - nu_z
