@@ -1,6 +1,7 @@
 """What goes into a controller and what comes out of it."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,7 @@ Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(NamedTuple):
     """What the vehicle is to follow, world NED. Every controller sees the same."""
 
     now: PathPoint

@@ -210,7 +210,7 @@ class OnboardCore:
                 position_sigma_m=state.position_sigma_m,
                 thrust_to_weight=self._actuators.wrench()[0] / (self._config.airframe.mass_kg * GRAVITY),
                 initialised=state.initialised,
-                preflight=self._arming.objection(now_ns, self._posed),
+                preflight="" if self._mode in AIRBORNE else self._arming.objection(now_ns, self._posed),
                 fault=not self._estimator.healthy,
             )
         )

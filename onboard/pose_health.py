@@ -28,14 +28,24 @@ class PoseHealthConfig(Record):
 
 
 class PoseHealth:
-    """Judges the poses it is shown. `fault` is why they are not good enough; "" when they are."""
+    """Judges the poses it is shown, when it is asked: in flight nobody asks."""
 
     def __init__(self, config: PoseHealthConfig) -> None:
         self._config = config
         self._arrivals_ns: deque[int] = deque(maxlen=POSES)
         self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=POSES)
+        self._force: Array = np.zeros(3)
         self._count = 0
-        self.fault = ""
+        self._next_verdict = EVERY
+        self._fault = ""
+
+    @property
+    def fault(self) -> str:
+        """Why the poses are not good enough; "" when they are."""
+        if self._count >= self._next_verdict:
+            self._next_verdict = (self._count // EVERY + 1) * EVERY
+            self._fault = self._judge()
+        return self._fault
 
     def take(self, down_m: float, quaternion: tuple[float, ...], now_ns: int, force: Array) -> None:
         """One pose.
@@ -50,12 +60,11 @@ class PoseHealth:
         w, x, y, z = quaternion
         self._arrivals_ns.append(now_ns)
         self._rows.append((down_m, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
+        self._force = force
         self._count += 1
-        if self._count % EVERY == 0:
-            self.fault = self._judge(force)
 
-    def _judge(self, force: Array) -> str:
-        config, arrivals_ns = self._config, self._arrivals_ns
+    def _judge(self) -> str:
+        config, arrivals_ns, force = self._config, self._arrivals_ns, self._force
         seconds = (arrivals_ns[-1] - arrivals_ns[0]) * 1e-9
         rate_hz = (len(arrivals_ns) - 1) / seconds if seconds > 0.0 else 0.0
         if rate_hz < config.rate_min_hz:

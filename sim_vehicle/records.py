@@ -1,7 +1,6 @@
 """What the simulated vehicle gives out: its truth record and the output of a step."""
 
-from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +34,7 @@ the paper's Delta. On the floor they contain the floor's reaction.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleOutput:
+class VehicleOutput(NamedTuple):
     """What one step of the simulated vehicle gives out."""
 
     to_onboard: list[bytes]

@@ -7,8 +7,8 @@ distance is measured along the body's down axis.
 """
 
 from collections import deque
-from dataclasses import dataclass
 from math import acos, cos, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,7 @@ class Schedule:
         return True
 
 
-@dataclass(frozen=True, slots=True)
-class ImuSample:
+class ImuSample(NamedTuple):
     """Body FRD."""
 
     accelerometer_m_s2: tuple[float, float, float]
@@ -97,8 +96,7 @@ class Ultrasonic:
         return None if distance > config.greatest_m else max(config.least_m, distance)
 
 
-@dataclass(frozen=True, slots=True)
-class FlowSample:
+class FlowSample(NamedTuple):
     """Integrals over `time_s`, rad, PX4's signs."""
 
     time_s: float
@@ -130,8 +128,7 @@ class Flow:
         return FlowSample(time, flow, gyroscope, config.quality if sees else 0)
 
 
-@dataclass(frozen=True, slots=True)
-class BatterySample:
+class BatterySample(NamedTuple):
     """The battery's gauge."""
 
     voltage_v: float
@@ -141,8 +138,7 @@ class BatterySample:
     """Fraction, 0..1."""
 
 
-@dataclass(frozen=True, slots=True)
-class PoseSample:
+class PoseSample(NamedTuple):
     """What motion capture solved."""
 
     position_m: tuple[float, float, float]

@@ -51,6 +51,12 @@ class IndiConfig(Record):
     limit: Annotated[float, Field(gt=0, description="bound on each axis of nu_ad, units of u")]
 
 
+def _clamped(values: Array, limit: float) -> Array:
+    """np.clip within +-limit, at a third of its cost for three numbers."""
+    clamped: Array = np.minimum(np.maximum(values, -limit), limit)
+    return clamped
+
+
 class NoAugmentation:
     """nu_ad = 0."""
 
@@ -69,23 +75,26 @@ class Integral:
     """nu_ad = -K_i int(target - state) dt, held while the motors are saturated and clamped (anti-windup)."""
 
     def __init__(self, config: IntegralConfig) -> None:
-        self._gain = np.array(config.gain)
+        self._gain = config.gain
         self._limit = config.limit
         self._nu: Array = np.zeros(3)
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
         """One step of the integral."""
+        nu, limit = self._nu, self._limit
         if channel.adapt:
-            change = -channel.dt * self._gain * channel.tracking_error[:3]
-            if channel.saturated:  # conditional integration: only unwinding is allowed
-                change = np.where(change * self._nu < 0.0, change, 0.0)
-            self._nu = np.clip(self._nu + change, -self._limit, self._limit)
-        telemetry.adaptive_now[:] = self._nu
-        return self._nu
+            errors = channel.tracking_error.tolist()
+            for axis, now in enumerate(nu.tolist()):
+                change = -channel.dt * self._gain[axis] * errors[axis]
+                if channel.saturated and not change * now < 0.0:  # conditional integration: only unwinding is allowed
+                    continue
+                nu[axis] = min(max(now + change, -limit), limit)
+        telemetry.adaptive_now[:] = nu
+        return nu
 
     def reset(self) -> None:
         """Integral to zero."""
-        self._nu = np.zeros(3)
+        self._nu[:] = 0.0
 
 
 class L1:
@@ -124,7 +133,7 @@ class L1:
         self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma
         share = 1.0 - exp(-self._config.bandwidth_rad_s * T)
         limit = self._config.limit
-        self._nu = np.clip(self._nu + share * (self._sigma - self._nu), -limit, limit)
+        self._nu = _clamped(self._nu + share * (self._sigma - self._nu), limit)
 
     def reset(self) -> None:
         """Predictor and filter start over."""
@@ -145,7 +154,7 @@ class Indi:
         if channel.adapt:
             share = 1.0 - exp(-channel.dt / self._config.filter_s)
             limit = self._config.limit
-            self._nu = np.clip(self._nu + share * (channel.residual_raw - self._nu), -limit, limit)
+            self._nu = _clamped(self._nu + share * (channel.residual_raw - self._nu), limit)
         telemetry.adaptive_now[:] = self._nu
         return self._nu
 

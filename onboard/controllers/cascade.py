@@ -94,6 +94,7 @@ class CascadedController:
         rng = np.random.default_rng([seed, 101])
         self.augmentations = (_augmentation(settings.position, rng), _augmentation(settings.attitude, rng))
         """Of the position and of the attitude channel."""
+        self._has_features = any(isinstance(one, AdaptiveAugmentation) for one in self.augmentations)
         self._position_model = PositionReferenceModel(settings.position.gains)
         self._attitude_model = AttitudeReferenceModel(settings.attitude.gains)
         self._k1 = tuple(settings.position.gains.stiffness().tolist())
@@ -184,7 +185,8 @@ class CascadedController:
         thrust, torque = self._mean_delivered(inputs)
         self._take_in_translation(inputs.state, thrust)
         self._take_in_rotation(inputs.state, torque, inputs.dt)
-        self._look_ahead(inputs)
+        if self._has_features:
+            self._look_ahead(inputs)
         self._track(inputs)
 
     def _take_in_translation(self, state: VehicleState, thrust: float) -> None:
@@ -243,25 +245,34 @@ class CascadedController:
 
     def _look_ahead(self, inputs: ControlInputs) -> None:
         """x_ahead = x + (x_d(t + t_ahead) - x_d(t)), each channel with the t_ahead of its own lag."""
-        position, attitude = self._channels
-        self._see_ahead(inputs, inputs.target.ahead, position.signals)
-        self._see_ahead(inputs, inputs.target.attitude_ahead, attitude.signals)
+        target, position = inputs.target, inputs.state.position.tolist()
+        velocity, rotation = inputs.state.velocity.tolist(), inputs.state.rotation.tolist()
+        for channel, there in zip(self._channels, (target.ahead, target.attitude_ahead), strict=True):
+            signals = channel.signals
+            signals[:, :] = inputs.signals[:, None]
+            self._see_ahead(target.now, there, position, velocity, rotation, signals[:, 1])
 
-    def _see_ahead(self, inputs: ControlInputs, there: PathPoint, signals: Array) -> None:
-        """Signals at the present and there, [SIGNAL_COUNT, 2]."""
-        (now, now_rate, _), (ahead, ahead_rate, _) = inputs.target.now, there
-        signals[:, :] = inputs.signals[:, None]
-        column = signals[:, 1]
-        north, east, down = inputs.state.position.tolist()
+    def _see_ahead(
+        self,
+        present: PathPoint,
+        there: PathPoint,
+        position: list[float],
+        velocity: list[float],
+        rotation: list[list[float]],
+        column: Array,
+    ) -> None:
+        """The signals that change on the way there, [SIGNAL_COUNT]."""
+        (now, now_rate, _), (ahead, ahead_rate, _) = present, there
+        north, east, down = position
         column[POSITION_N] = north + ahead[0] - now[0]
         column[POSITION_N + 1] = east + ahead[1] - now[1]
         column[POSITION_N + 2] = down + ahead[2] - now[2]
-        vn, ve, vd = inputs.state.velocity.tolist()
+        vn, ve, vd = velocity
         vn += ahead_rate[0] - now_rate[0]
         ve += ahead_rate[1] - now_rate[1]
         vd += ahead_rate[2] - now_rate[2]
         column[VELOCITY_N], column[VELOCITY_N + 1], column[VELOCITY_N + 2] = vn, ve, vd
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = inputs.state.rotation.tolist()
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
         column[BODY_VELOCITY_X] = r00 * vn + r10 * ve + r20 * vd
         column[BODY_VELOCITY_X + 1] = r01 * vn + r11 * ve + r21 * vd
         column[BODY_VELOCITY_X + 2] = r02 * vn + r12 * ve + r22 * vd

@@ -296,7 +296,7 @@ def test_each_channel_looks_ahead_in_position_velocity_and_body_velocity(channel
     rig.yaw = np.pi / 2
     inputs = rig.inputs()
     ahead = inputs.target.now._replace(position=(0.2, 0.0, -1.0), velocity=(1.0, 0.0, 0.0))
-    controller.step(dataclasses.replace(inputs, target=dataclasses.replace(inputs.target, **{lead: ahead})))
+    controller.step(dataclasses.replace(inputs, target=inputs.target._replace(**{lead: ahead})))
     other = controller._channels[1 - channel].signals
     np.testing.assert_array_equal(other[:, 0], other[:, 1])
     now, then = controller._channels[channel].signals.T
@@ -322,7 +322,7 @@ def demand_at(target: Any, feed_forward: Any = (0.0, 0.0, 0.0), yaw: float = 0.0
     rig.target, rig.yaw = np.array(target), yaw
     inputs = rig.inputs()
     output = rig.controller.step(
-        dataclasses.replace(inputs, target=dataclasses.replace(inputs.target, feed_forward=feed_forward))
+        dataclasses.replace(inputs, target=inputs.target._replace(feed_forward=feed_forward))
     )
     return output.position.demand.copy(), output.attitude.demand.copy()
 
