@@ -1,6 +1,5 @@
 """Faults of the sensors: what of a reading leaves the vehicle."""
 
-from dataclasses import replace
 from math import nan
 from typing import Any, Final, TypeVar
 
@@ -33,6 +32,6 @@ class SensorFaults:
         if fault == "frozen":
             return self._last.get(sensor)
         if fault == "not_finite" and sample is not None:
-            spoilt: SampleT = replace(sample, **NOT_FINITE[sensor])  # type: ignore[type-var]
+            spoilt: SampleT = sample._replace(**NOT_FINITE[sensor])  # type: ignore[attr-defined]
             return spoilt
         return None

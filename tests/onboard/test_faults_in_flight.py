@@ -4,7 +4,6 @@ These flights also settle that simulation and onboard mean the same by their sig
 alone the vehicle stays where it believes it is, and with a sign turned round it does not.
 """
 
-import dataclasses
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ class FaultyVehicle:
 
     def step(self, now_ns):
         output = self._vehicle.step(now_ns)
-        return dataclasses.replace(output, to_onboard=self._fault(now_ns * 1e-9, list(output.to_onboard)))
+        return output._replace(to_onboard=self._fault(now_ns * 1e-9, list(output.to_onboard)))
 
     @property
     def crash_reason(self):
