@@ -24,7 +24,7 @@ from experiments.campaigns.store import PARQUET, read_table, write_table
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.page import write_page
-from experiments.results.tables import Table, first_paragraph, markdown_report, show, target_ratio
+from experiments.results.tables import TARGET_HEADER, Table, first_paragraph, markdown_report, target_rows
 from shell.files import write_atomically
 
 CAMPAIGNS: Final = (
@@ -210,13 +210,9 @@ def _flown_on(data: CampaignData) -> str:
 
 
 def _targets(sections: Sequence[Section]) -> Table:
-    rows = []
-    for section in sections:
-        for target in section.data.config.targets:
-            ratio = target_ratio(section.data, target)
-            if ratio is not None:
-                met = "yes" if ratio.value <= target.at_most else "**no**"
-                place = section.data.config.title or section.data.name
-                rows.append((place, target.label, show(ratio, 2), str(ratio.count), f"≤ {target.at_most:.2f}", met))
-    header = ("campaign", "ratio", "reached", "pairs", "target", "met")
-    return Table("Targets", header, tuple(rows))
+    rows = [
+        (section.data.config.title or section.data.name, *row)
+        for section in sections
+        for row in target_rows(section.data)
+    ]
+    return Table("Targets", ("campaign", *TARGET_HEADER), tuple(rows))
