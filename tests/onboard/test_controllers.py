@@ -321,9 +321,7 @@ def demand_at(target: Any, feed_forward: Any = (0.0, 0.0, 0.0), yaw: float = 0.0
     rig = Rig(shipped_controller("none"))
     rig.target, rig.yaw = np.array(target), yaw
     inputs = rig.inputs()
-    output = rig.controller.step(
-        dataclasses.replace(inputs, target=inputs.target._replace(feed_forward=feed_forward))
-    )
+    output = rig.controller.step(dataclasses.replace(inputs, target=inputs.target._replace(feed_forward=feed_forward)))
     return output.position.demand.copy(), output.attitude.demand.copy()
 
 

@@ -4,7 +4,6 @@ These flights also settle that simulation and onboard mean the same by their sig
 alone the vehicle stays where it believes it is, and with a sign turned round it does not.
 """
 
-
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
