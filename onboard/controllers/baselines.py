@@ -51,12 +51,6 @@ class IndiConfig(Record):
     limit: Annotated[float, Field(gt=0, description="bound on each axis of nu_ad, units of u")]
 
 
-def _clamped(values: Array, limit: float) -> Array:
-    """np.clip within +-limit, at a third of its cost for three numbers."""
-    clamped: Array = np.minimum(np.maximum(values, -limit), limit)
-    return clamped
-
-
 class NoAugmentation:
     """nu_ad = 0."""
 
@@ -133,7 +127,7 @@ class L1:
         self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma
         share = 1.0 - exp(-self._config.bandwidth_rad_s * T)
         limit = self._config.limit
-        self._nu = _clamped(self._nu + share * (self._sigma - self._nu), limit)
+        self._nu = (self._nu + share * (self._sigma - self._nu)).clip(-limit, limit)
 
     def reset(self) -> None:
         """Predictor and filter start over."""
@@ -154,7 +148,7 @@ class Indi:
         if channel.adapt:
             share = 1.0 - exp(-channel.dt / self._config.filter_s)
             limit = self._config.limit
-            self._nu = _clamped(self._nu + share * (channel.residual_raw - self._nu), limit)
+            self._nu = (self._nu + share * (channel.residual_raw - self._nu)).clip(-limit, limit)
         telemetry.adaptive_now[:] = self._nu
         return self._nu
 

@@ -245,34 +245,25 @@ class CascadedController:
 
     def _look_ahead(self, inputs: ControlInputs) -> None:
         """x_ahead = x + (x_d(t + t_ahead) - x_d(t)), each channel with the t_ahead of its own lag."""
-        target, position = inputs.target, inputs.state.position.tolist()
-        velocity, rotation = inputs.state.velocity.tolist(), inputs.state.rotation.tolist()
-        for channel, there in zip(self._channels, (target.ahead, target.attitude_ahead), strict=True):
-            signals = channel.signals
-            signals[:, :] = inputs.signals[:, None]
-            self._see_ahead(target.now, there, position, velocity, rotation, signals[:, 1])
+        position, attitude = self._channels
+        self._see_ahead(inputs, inputs.target.ahead, position.signals)
+        self._see_ahead(inputs, inputs.target.attitude_ahead, attitude.signals)
 
-    def _see_ahead(
-        self,
-        present: PathPoint,
-        there: PathPoint,
-        position: list[float],
-        velocity: list[float],
-        rotation: list[list[float]],
-        column: Array,
-    ) -> None:
-        """The signals that change on the way there, [SIGNAL_COUNT]."""
-        (now, now_rate, _), (ahead, ahead_rate, _) = present, there
-        north, east, down = position
+    def _see_ahead(self, inputs: ControlInputs, there: PathPoint, signals: Array) -> None:
+        """Signals at the present and there, [SIGNAL_COUNT, 2]."""
+        (now, now_rate, _), (ahead, ahead_rate, _) = inputs.target.now, there
+        signals[:, :] = inputs.signals[:, None]
+        column = signals[:, 1]
+        north, east, down = inputs.state.position.tolist()
         column[POSITION_N] = north + ahead[0] - now[0]
         column[POSITION_N + 1] = east + ahead[1] - now[1]
         column[POSITION_N + 2] = down + ahead[2] - now[2]
-        vn, ve, vd = velocity
+        vn, ve, vd = inputs.state.velocity.tolist()
         vn += ahead_rate[0] - now_rate[0]
         ve += ahead_rate[1] - now_rate[1]
         vd += ahead_rate[2] - now_rate[2]
         column[VELOCITY_N], column[VELOCITY_N + 1], column[VELOCITY_N + 2] = vn, ve, vd
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = inputs.state.rotation.tolist()
         column[BODY_VELOCITY_X] = r00 * vn + r10 * ve + r20 * vd
         column[BODY_VELOCITY_X + 1] = r01 * vn + r11 * ve + r21 * vd
         column[BODY_VELOCITY_X + 2] = r02 * vn + r12 * ve + r22 * vd
