@@ -391,7 +391,11 @@ class OnboardCore:
             },
             "rejected": dict(self._offboard_link.statistics.rejected),
             "vehicle_rejected": dict(self._vehicle_link.rejected),
-            "samples": {"taken": self._samples.taken, "dropped": self._samples.dropped},
+            "samples": {
+                "taken": self._samples.taken,
+                "dropped": self._samples.dropped,
+                "repeated": self._samples.repeated,
+            },
             "estimator": dict(self._estimator.counts),
         }
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from onboard.config import OnboardConfig
 from onboard.feature_reception import FeatureReception
 from onboard.flight_modes import FlightMode
+from onboard.loss_watch import LossWatch
 from onboard.records import NEVER_NS
 from onboard.sampler import SampleQueue
 from protocol.endpoint import CHALLENGE_PERIOD_NS, Endpoint
@@ -59,6 +60,7 @@ class OffboardLink:
         self._sync_period_ns = round(config.time_sync_period_s * 1e9)
         self._reception = reception
         self._samples = samples
+        self._loss = LossWatch()
         self._events: list[tuple[int, str]] = []
         self._peer_session: int | None = None
         self._challenge: tuple[int, int] | None = None
@@ -115,7 +117,8 @@ class OffboardLink:
 
     def send_samples(self, now_ns: int) -> list[bytes]:
         """The sample batches that are due, as datagrams; the queue itself has charged them to its budget."""
-        batches: list[SampleBatch] = self._samples.poll(now_ns, self._reception.version)
+        loss = self._loss.step(self.endpoint.statistics, now_ns)
+        batches: list[SampleBatch] = self._samples.poll(now_ns, self._reception.version, loss)
         return [self.endpoint.encode(batch, now_ns) for batch in batches]
 
     def send_time_sync(self, now_ns: int) -> list[bytes]:

@@ -3,12 +3,13 @@
 A sample is due each period of `rate_hz` on a grid that starts with the first tick. Of u_hat ("delivered") it
 carries the mean over the ticks of its period; signals and nu_ad are those of its tick. Samples are numbered by
 their place on the grid, so whatever is missing, a missed tick or samples dropped for want of budget, shows as a
-jump of the index. When the budget does not suffice the newest samples are kept.
+jump of the index. When the budget does not suffice the newest samples are kept; when it leaves some over and the
+link is known to lose much, each batch goes a second time, a while later, for the first may have been lost.
 """
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,21 @@ class SamplerConfig(Record):
     batch_samples: int = Field(default=5, ge=1, le=SAMPLES_PER_BATCH_MAX, description="samples a datagram")
     budget_bytes_s: float = Field(default=16_000.0, ge=1500.0, description="B/s up in all, UDP and IP included")
     kept_samples: int = Field(default=16, ge=SAMPLES_PER_BATCH_MAX, le=1024, description="samples held while waiting")
+    repeat_from_loss: float = Field(
+        default=0.2,
+        gt=0.0,
+        le=1.0,
+        description="share of offboard's datagrams lost from which batches go twice; 1: never",
+    )
+    repeat_after_s: float = Field(
+        default=0.15, ge=0.0, le=1.0, description="s to the second time; well below offboard's labels.reorder_s"
+    )
+
+
+class _Repeat(NamedTuple):
+    due_ns: int
+    cost_bytes: int
+    batch: SampleBatch
 
 
 @dataclass(slots=True)
@@ -61,10 +77,13 @@ class SampleQueue:
         self._pushed_ns = 0
         self._allowance_bytes = _BURST_BYTES
         self._refilled_ns: int | None = None
+        self._repeats: deque[_Repeat] = deque()
         self.taken = 0
         """Samples taken since start."""
         self.dropped = 0
         """Samples dropped for want of budget."""
+        self.repeated = 0
+        """Samples sent a second time."""
 
     def push(self, time_ns: int, signals: Array, delivered: Array, adaptive: Array) -> None:
         """Takes in one tick: signals [SIGNAL_COUNT]; delivered u_hat and adaptive nu_ad [2, 3] each; all are copied."""
@@ -92,15 +111,22 @@ class SampleQueue:
         )
         self.taken += 1
 
-    def poll(self, now_ns: int, feature_version: int) -> list[SampleBatch]:
-        """The batches to send now. Samples taken since the last poll count as flown with `feature_version`."""
-        if not self._waiting:
+    def poll(self, now_ns: int, feature_version: int, loss: float = 0.0) -> list[SampleBatch]:
+        """The batches to send now.
+
+        Parameters
+        ----------
+        feature_version: what the samples taken since the last poll count as flown with.
+        loss: share of the datagrams that the link is known to lose.
+        """
+        if not self._waiting and not self._repeats:
             return []
         for sample in reversed(self._waiting):
             if sample.version is not None:
                 break
             sample.version = feature_version
         self._refill(now_ns)
+        repeat = self._config.repeat_from_loss <= loss < 1.0
         batches: list[SampleBatch] = []
         while run := self._ready_run(now_ns):
             cost = BATCH_OVERHEAD_BYTES + run * SAMPLE_BYTES
@@ -108,6 +134,21 @@ class SampleQueue:
                 break
             self._allowance_bytes -= cost
             batches.append(self._batch([self._waiting.popleft() for _ in range(run)]))
+            if repeat:
+                due_ns = now_ns + round(self._config.repeat_after_s * 1e9)
+                self._repeats.append(_Repeat(due_ns, cost, batches[-1]))
+        return batches + self._due_repeats(now_ns)
+
+    def _due_repeats(self, now_ns: int) -> list[SampleBatch]:
+        """What goes a second time now, as far as the budget then still has room for a batch of new samples."""
+        batches: list[SampleBatch] = []
+        new_bytes = BATCH_OVERHEAD_BYTES + self._config.batch_samples * SAMPLE_BYTES
+        while self._repeats and self._repeats[0].due_ns <= now_ns:
+            _, cost_bytes, batch = self._repeats.popleft()
+            if cost_bytes + new_bytes <= self._allowance_bytes:
+                self._allowance_bytes -= cost_bytes
+                self.repeated += batch.signals.shape[0]
+                batches.append(batch)
         return batches
 
     def charge(self, datagram_bytes: int, now_ns: int) -> None:

@@ -12,14 +12,19 @@ ZEROS = np.zeros((2, 3))
 
 
 def fly(
-    queue: SampleQueue, ticks: int, version: int = 0, missed: frozenset[int] = frozenset(), first: int = 0
+    queue: SampleQueue,
+    ticks: int,
+    version: int = 0,
+    missed: frozenset[int] = frozenset(),
+    first: int = 0,
+    loss: float = 0.0,
 ) -> list[SampleBatch]:
     """Tick t carries the number t in all its values."""
     batches: list[SampleBatch] = []
     for tick in range(first, first + ticks):
         if tick not in missed:
             queue.push(tick * TICK, np.full(SIGNAL_COUNT, float(tick)), ZEROS + tick, ZEROS - tick)
-            batches += queue.poll(tick * TICK, version)
+            batches += queue.poll(tick * TICK, version, loss)
     return batches
 
 
@@ -60,21 +65,22 @@ def test_a_batch_is_of_one_version() -> None:
     assert indices(batches) == list(range(len(versions)))
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.9])
 @pytest.mark.parametrize("budget", [1500.0, 4000.0, 6000.0])
-def test_the_budget_is_never_exceeded_and_the_newest_are_kept(budget: float) -> None:
+def test_the_budget_is_never_exceeded_and_the_newest_are_kept(budget: float, loss: float) -> None:
     queue = SampleQueue(SamplerConfig(budget_bytes_s=budget))
     endpoint = Endpoint("onboard", 1, None)
     sent, batches = 0.0, []
     for tick in range(4000):
         now = tick * TICK
         queue.push(now, np.full(SIGNAL_COUNT, float(tick)), ZEROS, ZEROS)
-        for batch in queue.poll(now, 0):
+        for batch in queue.poll(now, 0, loss):
             batches.append(batch)
             sent += len(endpoint.encode(batch, now)) + 28
             assert now - batch.time_ns < 0.5 * S, "what is sent is fresh"
     assert 0.8 * budget * 20 < sent <= budget * 20 + 2400
-    got = indices(batches)
-    assert got == sorted(set(got))
+    got = list(dict.fromkeys(indices(batches)))
+    assert got == sorted(got)
     assert queue.dropped == queue.taken - len(got) - len(queue._waiting) > 0
     assert got[-1] > 970
 
@@ -127,3 +133,32 @@ def test_no_mean_spans_a_pause_and_no_sample_waits_through_one() -> None:
     batches = fly(queue, 30, first=62)
     assert indices(batches)[:5] == [15, 16, 17, 18, 19]
     assert batches[0].delivered[0, 0, 0] == 62
+
+
+def test_a_lossy_link_gets_every_batch_a_second_time_and_later() -> None:
+    queue = SampleQueue(SamplerConfig(repeat_after_s=0.1))
+    sent: dict[int, list[int]] = {}
+    for tick in range(420):
+        if tick < 400:
+            queue.push(tick * TICK, np.full(SIGNAL_COUNT, float(tick)), ZEROS, ZEROS)
+        for batch in queue.poll(tick * TICK, 0, 0.3):
+            assert batch.signals[0, 0] == 4 * batch.first_index
+            sent.setdefault(batch.first_index, []).append(tick * TICK)
+    assert list(sent) == list(range(0, 100, 5))
+    assert all(second - first == S // 10 for first, second in sent.values())
+    assert queue.repeated == queue.taken == 100
+
+
+@pytest.mark.parametrize(("loss", "from_loss"), [(0.19, 0.2), (0.9, 1.0), (1.0, 1.0)])
+def test_a_good_link_gets_every_batch_once(loss: float, from_loss: float) -> None:
+    queue = SampleQueue(SamplerConfig(repeat_from_loss=from_loss))
+    assert indices(fly(queue, 400, loss=loss)) == list(range(100))
+    assert queue.repeated == 0
+
+
+def test_repeats_take_what_the_budget_leaves_and_no_more() -> None:
+    queue = SampleQueue(SamplerConfig(budget_bytes_s=10_000.0))
+    batches = fly(queue, 4000, loss=0.5)
+    assert set(indices(batches)) == set(range(1000)), "no new sample has to wait for a repeated one"
+    assert queue.dropped == 0
+    assert 0.2 < queue.repeated / queue.taken < 0.6

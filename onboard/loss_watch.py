@@ -1,0 +1,32 @@
+"""How much of what the peer sends gets lost at present: over the whole flight is too slow, one gap is too quick."""
+
+from typing import Final
+
+from protocol.statistics import LinkStatistics
+
+WINDOW_NS: Final = 1_000_000_000
+
+
+class LossWatch:
+    """The loss of one link, window by window."""
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        """Share of the datagrams lost, the smaller of the last two windows: one silence alone does not count."""
+        self._last_share = 0.0
+        self._ends_ns: int | None = None
+        self._received = self._lost = 0
+
+    def step(self, statistics: LinkStatistics, now_ns: int) -> float:
+        """`share`, brought up to date at the end of each window; one in which nothing came tells nothing."""
+        if self._ends_ns is not None and now_ns < self._ends_ns:
+            return self.share
+        received = statistics.received - self._received
+        if self._ends_ns is not None and received > 0:
+            lost = max(statistics.lost - self._lost, 0)
+            share = lost / (received + lost)
+            self.share = min(share, self._last_share)
+            self._last_share = share
+        self._received, self._lost = statistics.received, statistics.lost
+        self._ends_ns = now_ns + WINDOW_NS
+        return self.share
