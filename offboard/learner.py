@@ -136,9 +136,9 @@ class Learner:
 
     def _release_before_ns(self, newest: SampleTable) -> int:
         """Validation samples from before this time are trained on: old ones, so that enough for the gate remain."""
-        held_out_ns = np.sort(newest.time_ns[newest.split == VALIDATION])[-self._config.gate.minimum_validation :]
         release_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
-        return min(release_ns, *(int(time_ns) for time_ns in held_out_ns[:1]))
+        held_out_ns = np.sort(newest.time_ns[newest.split == VALIDATION])[-self._config.gate.minimum_validation :]
+        return int(min([release_ns, *held_out_ns.tolist()]))
 
     def take_in_training(self, result: TrainingResult, now_ns: int) -> Outcome:
         """Go on from what was trained; the version to send, if the gate lets it through."""

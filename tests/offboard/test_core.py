@@ -156,6 +156,18 @@ def test_of_few_samples_enough_are_held_out_for_the_gate() -> None:
     ), "of many samples the release is by age alone"
 
 
+def test_a_round_without_any_held_out_sample_is_flown_and_sends_nothing() -> None:
+    core = OffboardCore(offboard_config(trainer={"minimum_samples": 8}), 7, None)
+    for batch in figure8_through_jet(10.0).batches():
+        core.learner.take_in(batch)
+        job = core.learner.job(0)
+        if job is not None:
+            assert VALIDATION not in job.newest.split
+            assert core.learner.take_in_training(job.run(), START_NS).to_send is None
+            return
+    pytest.fail("no round")
+
+
 def test_same_flight_same_bytes() -> None:
     batches = figure8_through_jet(4.0).batches()
     checkpoints = [fly(OffboardCore(offboard_config(), 7, None), Onboard(), batches) for _ in range(2)]
