@@ -9,15 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from offboard.buffer import (
-    TRAINING,
-    VALIDATION,
-    FeatureFunction,
-    NewestRing,
-    NoveltyBuffer,
-    SampleTable,
-    split_of_block,
-)
+from offboard.buffer import TRAINING, FeatureFunction, NewestRing, NoveltyBuffer, split_of_block
 from offboard.config import OffboardConfig
 from offboard.experience import Experience, dump_experience
 from offboard.gate import Gate, Verdict
@@ -118,27 +110,20 @@ class Learner:
         if not enough or self.labelled == self._labelled_at_last_job:
             return None
         self._labelled_at_last_job = self.labelled
-        newest = self._newest.rows()
-        before_ns = self._release_before_ns(newest)
+        before_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
         return TrainingJob(
             network_config=self._config.network,
             config=self._config.trainer,
             seed=self._config.seed,
             state=self._state,
             buffer=self._buffer.rows().released(before_ns),
-            newest=newest.released(before_ns),
+            newest=self._newest.rows().released(before_ns),
             buffer_config=self._config.buffer,
             flying=self._sent.get(flying_version),
             version=self.version + 1,
             samples_seen=self.labelled,
             wire_dtype=self._config.transfer.dtype,
         )
-
-    def _release_before_ns(self, newest: SampleTable) -> int:
-        """Validation samples from before this time are trained on: old ones, so that enough for the gate remain."""
-        release_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
-        held_out_ns = np.sort(newest.time_ns[newest.split == VALIDATION])[-self._config.gate.minimum_validation :]
-        return int(min([release_ns, *held_out_ns.tolist()]))
 
     def take_in_training(self, result: TrainingResult, now_ns: int) -> Outcome:
         """Go on from what was trained; the version to send, if the gate lets it through."""

@@ -131,31 +131,6 @@ def test_learns_a_jet_and_sends_versions_that_explain_it() -> None:
     assert set(log.versions) == {features.version for features in onboard.received}
 
 
-def validation_rows(core: OffboardCore, batches: list[SampleBatch]) -> int:
-    for batch in batches:
-        core.learner.take_in(batch)
-    job = core.learner.job(0)
-    assert job is not None
-    held_out = [table.time_ns[table.split == VALIDATION] for table in (job.buffer, job.newest)]
-    return len(np.unique(np.concatenate(held_out)))
-
-
-def test_of_few_samples_enough_are_held_out_for_the_gate() -> None:
-    """With most batches lost, five seconds hold fewer validation samples than the gate asks for: older ones stay."""
-    config = offboard_config(gate={"minimum_validation": 30})
-    batches = figure8_through_jet(30.0).batches()
-    arrived = [
-        batch for batch, draw in zip(batches, np.random.default_rng(2).random(len(batches)), strict=True) if draw < 0.3
-    ]
-    few = validation_rows(OffboardCore(config, 7, None), arrived)
-    released = validation_rows(OffboardCore(offboard_config(gate={"minimum_validation": 2}), 7, None), arrived)
-    assert released < 30 <= few < 45, "but no more stay than are needed"
-    least = offboard_config(gate={"minimum_validation": 2})
-    assert validation_rows(OffboardCore(config, 7, None), batches) == validation_rows(
-        OffboardCore(least, 7, None), batches
-    ), "of many samples the release is by age alone"
-
-
 def test_a_round_without_any_held_out_sample_is_flown_and_sends_nothing() -> None:
     core = OffboardCore(offboard_config(trainer={"minimum_samples": 8}), 7, None)
     for batch in figure8_through_jet(10.0).batches():
