@@ -1,10 +1,16 @@
-"""How much of what the peer sends gets lost at present: over the whole flight is too slow, one gap is too quick."""
+"""How much of what the peer sends gets lost on the air at present.
+
+Over the whole flight would be too slow, one gap too quick: it is told by windows. What a full queue drops does not
+count, since whoever answers that by sending more makes it worse; where datagrams queue they come late.
+"""
 
 from typing import Final
 
 from protocol.statistics import LinkStatistics
 
 WINDOW_NS: Final = 1_000_000_000
+QUEUEING_NS: Final = 50_000_000
+"""A mean delay beyond this is taken for a queue's."""
 
 
 class LossWatch:
@@ -23,7 +29,7 @@ class LossWatch:
             return self.share
         received = statistics.received - self._received
         if self._ends_ns is not None and received > 0:
-            lost = max(statistics.lost - self._lost, 0)
+            lost = max(statistics.lost - self._lost, 0) if statistics.delay_mean_ns <= QUEUEING_NS else 0
             share = lost / (received + lost)
             self.share = min(share, self._last_share)
             self._last_share = share

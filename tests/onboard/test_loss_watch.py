@@ -53,3 +53,15 @@ def test_what_comes_late_after_all_is_no_negative_loss() -> None:
     watch_.step(statistics, 0)
     statistics.received, statistics.lost = 200, 0
     assert watch_.step(statistics, WINDOW_NS) == 0.0
+
+
+def test_what_a_full_queue_drops_does_not_count() -> None:
+    watch_, statistics = LossWatch(), LinkStatistics(delay_mean_ns=80e6)
+    for window in range(4):
+        statistics.received, statistics.lost = 70 * window, 30 * window
+        assert watch_.step(statistics, window * WINDOW_NS) == 0.0
+    statistics.delay_mean_ns = 20e6
+    for window in range(4, 6):
+        statistics.received, statistics.lost = 70 * window, 30 * window
+        share = watch_.step(statistics, window * WINDOW_NS)
+    assert share == 0.3

@@ -156,3 +156,10 @@ def test_batches_that_go_twice_are_worth_their_bytes() -> None:
     once, twice = labelled("onboard.samples.repeat_from_loss=1.0"), labelled()
     assert once > 30
     assert twice > 1.3 * once, "40 % arrive, or 64 %"
+
+
+def test_a_narrow_link_is_not_made_narrower() -> None:
+    """A third of what comes down is dropped by a full queue: answered by twice the bytes, the way up would drop, too."""
+    narrow = fly_one(DropoutFlight("narrow", "figure8_wind", "pid", 2, 12.0))
+    assert narrow.lost_down > 0.2
+    assert narrow.lost_up == 0.0
