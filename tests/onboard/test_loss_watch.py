@@ -1,6 +1,8 @@
 import numpy as np
 
-from onboard.loss_watch import WINDOW_NS, LossWatch
+from onboard.loss_watch import SILENT_WINDOWS, WINDOW_NS, LossWatch
+from protocol.endpoint import Endpoint
+from protocol.messages import Pose, TimeSyncReply, TimeSyncRequest
 from protocol.statistics import LinkStatistics
 
 PERIOD_NS = 10_000_000
@@ -65,3 +67,41 @@ def test_what_a_full_queue_drops_does_not_count() -> None:
         statistics.received, statistics.lost = 70 * window, 30 * window
         share = watch_.step(statistics, window * WINDOW_NS)
     assert share == 0.3
+
+
+def test_of_a_peer_that_has_been_silent_for_long_nothing_is_known() -> None:
+    said = watch([0.5] * 4 + [None] * (SILENT_WINDOWS + 2) + [0.5] * 2)
+    assert min(said[2 : 3 + SILENT_WINDOWS]) > 0.3
+    assert said[4 + SILENT_WINDOWS] == 0.0
+    assert said[-2] == 0.0, "two windows again, and in the first the silence counts as well"
+    assert said[-1] > 0.3
+
+
+def shares_over_a_real_link(delay_ns: int, sessions: list[int], loss: float = 0.4, seconds: int = 5) -> list[float]:
+    """Poses at 100 Hz from one session of the peer after the other; the share at the end of each second."""
+    rng, onboard, watch_ = np.random.default_rng(4), Endpoint("onboard", 1, None), LossWatch()
+    pose = Pose(0, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
+    said, now_ns = [], 0
+    for session in sessions:
+        peer = Endpoint("offboard", session, None)
+        peer.decode(onboard.encode(TimeSyncRequest(now_ns), now_ns), now_ns + delay_ns)
+        reply = TimeSyncReply(now_ns, now_ns + delay_ns, now_ns + delay_ns)
+        onboard.decode(peer.encode(reply, now_ns + delay_ns), now_ns + 2 * delay_ns)
+        for _ in range(seconds):
+            for _ in range(WINDOW_NS // PERIOD_NS):
+                datagram = peer.encode(pose, now_ns)
+                if rng.random() >= loss:
+                    onboard.decode(datagram, now_ns + delay_ns)
+                now_ns += PERIOD_NS
+                share = watch_.step(onboard.statistics, now_ns)
+            said.append(share)
+    return said
+
+
+def test_it_reads_a_real_endpoint_and_goes_on_over_a_restart_of_the_peer() -> None:
+    said = shares_over_a_real_link(10_000_000, [5, 6])
+    assert min(said[2:]) > 0.25
+
+
+def test_a_path_as_long_as_a_queue_is_taken_for_one() -> None:
+    assert max(shares_over_a_real_link(60_000_000, [5])) == 0.0

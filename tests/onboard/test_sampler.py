@@ -5,6 +5,7 @@ from onboard.sampler import SampleQueue, SamplerConfig
 from protocol.endpoint import Endpoint
 from protocol.messages import SampleBatch
 from protocol.signals import SIGNAL_COUNT
+from tests.offboard.flights import offboard_config
 
 TICK = 5_000_000
 S = 1_000_000_000
@@ -156,9 +157,19 @@ def test_a_good_link_gets_every_batch_once(loss: float, from_loss: float) -> Non
     assert queue.repeated == 0
 
 
-def test_repeats_take_what_the_budget_leaves_and_no_more() -> None:
-    queue = SampleQueue(SamplerConfig(budget_bytes_s=10_000.0))
-    batches = fly(queue, 4000, loss=0.5)
-    assert set(indices(batches)) == set(range(1000)), "no new sample has to wait for a repeated one"
+@pytest.mark.parametrize("loss", [0.0, 0.5])
+def test_repeats_take_what_the_budget_leaves_and_no_more(loss: float) -> None:
+    """A new sample never waits for a repeated one."""
+    queue, first_ns = SampleQueue(SamplerConfig(budget_bytes_s=10_000.0)), {}
+    for tick in range(4000):
+        queue.push(tick * TICK, np.full(SIGNAL_COUNT, float(tick)), ZEROS, ZEROS)
+        for batch in queue.poll(tick * TICK, 0, loss):
+            first_ns.setdefault(batch.first_index, tick * TICK)
+    assert list(first_ns) == list(range(0, 1000, 5))
+    assert all(sent_ns == (4 * (index + 4)) * TICK for index, sent_ns in first_ns.items()), "with its last sample"
     assert queue.dropped == 0
-    assert 0.2 < queue.repeated / queue.taken < 0.6
+    assert (0.2 < queue.repeated / queue.taken < 0.6) == (loss > 0)
+
+
+def test_the_second_time_comes_while_the_labels_still_wait() -> None:
+    assert SamplerConfig().repeat_after_s + 0.1 <= offboard_config().labels.reorder_s, "0.1 s is the link's"

@@ -237,6 +237,9 @@ def test_the_clock_offset_is_that_of_the_shortest_round_trip() -> None:
     assert onboard.round_trip_ns == 16 * MS
     onboard.decode(offboard.encode(POSE, 1234 * S + 20 * S), 20 * S + 9 * MS)
     assert onboard.statistics.delay_ns == 9 * MS
+    for pose in range(200):
+        onboard.decode(offboard.encode(POSE, (1255 + pose) * S), (21 + pose) * S + 70 * MS)
+    assert onboard.statistics.delay_mean_ns == pytest.approx(70 * MS, rel=0.01)
 
 
 def test_a_jump_of_either_clock_is_found_at_once() -> None:
