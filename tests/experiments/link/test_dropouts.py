@@ -159,7 +159,7 @@ def test_batches_that_go_twice_are_worth_their_bytes() -> None:
 
 
 def test_a_narrow_link_is_not_made_narrower() -> None:
-    """A fifth of what comes down is dropped by a full queue; answered by twice the bytes, the way up would drop, too."""
+    """A full queue drops a fifth of what comes down; answered by twice the bytes, the way up would drop, too."""
     narrow = fly_one(DropoutFlight("narrow", "figure8_wind", "dmrac", 2, 12.0))
     assert narrow.lost_down > 0.2
     assert narrow.lost_up == 0.0
