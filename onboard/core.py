@@ -391,11 +391,7 @@ class OnboardCore:
             },
             "rejected": dict(self._offboard_link.statistics.rejected),
             "vehicle_rejected": dict(self._vehicle_link.rejected),
-            "samples": {
-                "taken": self._samples.taken,
-                "dropped": self._samples.dropped,
-                "repeated": self._samples.repeated,
-            },
+            "samples": self._samples.counts,
             "estimator": dict(self._estimator.counts),
         }
 

@@ -13,8 +13,8 @@ from protocol.statistics import LinkStatistics
 WINDOW_NS: Final = 1_000_000_000
 QUEUEING_NS: Final = 50_000_000
 """A mean delay beyond this is taken for a queue's."""
-SILENT_WINDOWS: Final = 5
-"""After so many without a datagram nothing is known any more."""
+SILENT_NS: Final = 5_000_000_000
+"""After so long without a datagram nothing is known any more."""
 
 
 class LossWatch:
@@ -24,24 +24,21 @@ class LossWatch:
         self.share = 0.0
         """Share of the datagrams lost, the smaller of the last two windows: one silence alone does not count."""
         self._last_share = 0.0
-        self._silent = 0
-        self._ends_ns: int | None = None
+        self._ends_ns = 0
         self._received = self._lost = 0
 
     def step(self, statistics: LinkStatistics, now_ns: int) -> float:
         """`share`, brought up to date at the end of each window."""
-        if self._ends_ns is not None and now_ns < self._ends_ns:
+        if now_ns < self._ends_ns:
             return self.share
         received = statistics.received - self._received
-        if self._ends_ns is not None and received > 0:
+        if received > 0:
             lost = max(statistics.lost - self._lost, 0) if statistics.delay_mean_ns <= QUEUEING_NS else 0
             share = lost / (received + lost)
             self.share = min(share, self._last_share)
-            self._last_share, self._silent = share, 0
-        else:
-            self._silent += 1
-            if self._silent >= SILENT_WINDOWS:
-                self.share = self._last_share = 0.0
+            self._last_share = share
+        elif (statistics.age_ns(now_ns) or 0) >= SILENT_NS:
+            self.share = self._last_share = 0.0
         self._received, self._lost = statistics.received, statistics.lost
         self._ends_ns = now_ns + WINDOW_NS
         return self.share

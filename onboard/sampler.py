@@ -49,8 +49,12 @@ class SamplerConfig(Record):
 
 class _Repeat(NamedTuple):
     due_ns: int
-    cost_bytes: int
     batch: SampleBatch
+
+
+def _cost_bytes(samples: int) -> int:
+    """What a batch of so many samples counts against the budget."""
+    return BATCH_OVERHEAD_BYTES + samples * SAMPLE_BYTES
 
 
 @dataclass(slots=True)
@@ -69,6 +73,7 @@ class SampleQueue:
     def __init__(self, config: SamplerConfig) -> None:
         self._config = config
         self._period_ns = round(1e9 / config.rate_hz)
+        self._repeat_after_ns = round(config.repeat_after_s * 1e9)
         self._waiting: deque[_Sample] = deque(maxlen=config.kept_samples)
         self._sum = np.zeros((len(CHANNELS), 3))
         self._ticks = 0
@@ -84,6 +89,11 @@ class SampleQueue:
         """Samples dropped for want of budget."""
         self.repeated = 0
         """Samples sent a second time."""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many samples were taken, dropped and repeated."""
+        return {"taken": self.taken, "dropped": self.dropped, "repeated": self.repeated}
 
     def push(self, time_ns: int, signals: Array, delivered: Array, adaptive: Array) -> None:
         """Takes in one tick: signals [SIGNAL_COUNT]; delivered u_hat and adaptive nu_ad [2, 3] each; all are copied."""
@@ -129,25 +139,26 @@ class SampleQueue:
         repeat = self._config.repeat_from_loss <= loss < 1.0
         batches: list[SampleBatch] = []
         while run := self._ready_run(now_ns):
-            cost = BATCH_OVERHEAD_BYTES + run * SAMPLE_BYTES
+            cost = _cost_bytes(run)
             if cost > self._allowance_bytes:
                 break
             self._allowance_bytes -= cost
             batches.append(self._batch([self._waiting.popleft() for _ in range(run)]))
             if repeat:
-                due_ns = now_ns + round(self._config.repeat_after_s * 1e9)
-                self._repeats.append(_Repeat(due_ns, cost, batches[-1]))
+                self._repeats.append(_Repeat(now_ns + self._repeat_after_ns, batches[-1]))
         return batches + self._due_repeats(now_ns)
 
     def _due_repeats(self, now_ns: int) -> list[SampleBatch]:
         """What goes a second time now, as far as the budget then still has room for a batch of new samples."""
         batches: list[SampleBatch] = []
-        new_bytes = BATCH_OVERHEAD_BYTES + self._config.batch_samples * SAMPLE_BYTES
+        new_bytes = _cost_bytes(self._config.batch_samples)
         while self._repeats and self._repeats[0].due_ns <= now_ns:
-            _, cost_bytes, batch = self._repeats.popleft()
-            if cost_bytes + new_bytes <= self._allowance_bytes:
-                self._allowance_bytes -= cost_bytes
-                self.repeated += batch.signals.shape[0]
+            batch = self._repeats.popleft().batch
+            samples = batch.signals.shape[0]
+            cost = _cost_bytes(samples)
+            if cost + new_bytes <= self._allowance_bytes:
+                self._allowance_bytes -= cost
+                self.repeated += samples
                 batches.append(batch)
         return batches
 

@@ -1,11 +1,12 @@
 import numpy as np
 
-from onboard.loss_watch import SILENT_WINDOWS, WINDOW_NS, LossWatch
+from onboard.loss_watch import SILENT_NS, WINDOW_NS, LossWatch
 from protocol.endpoint import Endpoint
 from protocol.messages import Pose, TimeSyncReply, TimeSyncRequest
 from protocol.statistics import LinkStatistics
 
 PERIOD_NS = 10_000_000
+SILENT_WINDOWS = SILENT_NS // WINDOW_NS
 
 
 def watch(losses: list[float | None], seed: int = 0) -> list[float]:
@@ -22,7 +23,7 @@ def watch(losses: list[float | None], seed: int = 0) -> list[float]:
             if loss is None or rng.random() < loss:
                 pending += 1
             else:
-                statistics.received += 1
+                statistics.count_received(100, 0, now_ns)
                 statistics.lost += pending
                 pending = 0
             share = watch.step(statistics, now_ns)
