@@ -1,13 +1,17 @@
-"""Changing the features in flight without a kick: the bumpless swap towards memory.
+"""Changing the features in flight without a kick: the bumpless swap.
 
 New inner layers change Phi to Phi_bar. Keeping W would make nu_ad jump by eps_2(x) = W'Phi_bar(x) - W'Phi(x). Instead
 W_new is the minimiser of
 
-    sum over recent states norm(W_new' Phi_bar(x_i) - W' Phi(x_i))^2 + mu norm(W_new - theta_n)^2,
+    sum over recent states norm(W_new' Phi_bar(x_i) - W' Phi(x_i))^2 + mu norm(W_new - W_bar)^2,
 
-continuous where the vehicle is and has just been, the trained memory theta_n elsewhere. The states are those of the
-last second, the present one, and the one looked ahead to, whose nu_ad is what is commanded. eps_2 is then measured on
-the same states, and a swap that would still jump is refused.
+continuous where the vehicle is and has just been, W_bar elsewhere. The states are those of the last second, the
+present one, and the one looked ahead to, whose nu_ad is what is commanded. eps_2 is then measured on the same states,
+and a swap that would still jump is refused.
+
+W_bar lies between the trained memory theta_n and W. What adaptation has put into W since the samples were taken is
+worth keeping, but belongs to the old features: W_bar = theta_n + s (W - theta_n), with s how much the new features
+resemble the old ones. Features learnt afresh come with theta_n; features that were only refined keep W.
 """
 
 from dataclasses import dataclass
@@ -27,7 +31,7 @@ Array = NDArray[np.float64]
 class SwapConfig(Record):
     """Limits of the swap."""
 
-    memory_weight: Annotated[float, Field(gt=0, description="mu per recent state: pull towards theta_n")] = 0.05
+    memory_weight: Annotated[float, Field(gt=0, description="mu per recent state: pull towards W_bar")] = 0.05
     ring_size: Annotated[int, Field(ge=4, le=200, description="recent states kept")] = 40
     ring_period_ticks: Annotated[int, Field(ge=1, le=100, description="ticks between two of them")] = 5
     jump_max: Annotated[float, Field(gt=0, description="largest eps_2 accepted, units of u")]
@@ -84,12 +88,14 @@ def plan_swap(
         return SwapPlan(memory, 0.0, "weight_norm")
     if recent.shape[1] == 0:
         return SwapPlan(memory, 0.0, "")
-    nu_before = W.T @ old.evaluate(old.select(recent))
+    Phi = old.evaluate(old.select(recent))
+    nu_before = W.T @ Phi
     Phi_bar = new.evaluate(new.select(recent))
     if config.naive:
         W_new = W if W.shape == memory.shape else memory
     else:
-        W_new = bumpless_last_layer(Phi_bar, nu_before, memory, config.memory_weight * recent.shape[1])
+        W_bar = memory + resemblance(Phi, Phi_bar) * (W - memory) if W.shape == memory.shape else memory
+        W_new = bumpless_last_layer(Phi_bar, nu_before, W_bar, config.memory_weight * recent.shape[1])
     change = W_new.T @ Phi_bar - nu_before
     jump = float(np.sqrt((change * change).sum(axis=0).max()))
     if not np.isfinite(jump):
@@ -99,16 +105,28 @@ def plan_swap(
     return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "")
 
 
-def bumpless_last_layer(Phi_bar: Array, nu: Array, memory: Array, mu: float) -> Array:
-    """W_new = argmin sum norm(W_new' Phi_bar_i - nu_i)^2 + mu norm(W_new - memory)^2.
+def resemblance(Phi: Array, Phi_bar: Array) -> float:
+    """How much of the old features is in the new: 1 - norm(Phi_bar - Phi) / norm(Phi), at least 0; 1 where they agree.
 
     Parameters
     ----------
-    Phi_bar: [k, n] new features of the recent states. nu: [3, n] what nu_ad was there. memory: [k, 3].
+    Phi, Phi_bar: [k, n] features of the same states. The last row, the bias, is the same in all and does not count.
+    """
+    size = float(np.linalg.norm(Phi[:-1]))
+    change = float(np.linalg.norm(Phi_bar[:-1] - Phi[:-1]))
+    return 1.0 - change / size if change < size else 0.0
+
+
+def bumpless_last_layer(Phi_bar: Array, nu: Array, W_bar: Array, mu: float) -> Array:
+    """W_new = argmin sum norm(W_new' Phi_bar_i - nu_i)^2 + mu norm(W_new - W_bar)^2.
+
+    Parameters
+    ----------
+    Phi_bar: [k, n] new features of the recent states. nu: [3, n] what nu_ad was there. W_bar: [k, 3].
     """
     k = Phi_bar.shape[0]
     gram: Array = Phi_bar @ Phi_bar.T
     gram.flat[:: k + 1] += mu
-    mismatch: Array = Phi_bar @ (nu - memory.T @ Phi_bar).T
+    mismatch: Array = Phi_bar @ (nu - W_bar.T @ Phi_bar).T
     correction: Array = np.linalg.solve(gram, mismatch).astype(np.float64)
-    return memory + correction
+    return W_bar + correction

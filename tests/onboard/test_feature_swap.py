@@ -11,7 +11,7 @@ from onboard.adaptation import PROJECTION_MARGIN, AdaptationConfig, lyapunov_p
 from onboard.control_records import ChannelTelemetry
 from onboard.controllers.adaptive import AdaptiveAugmentation, AdaptiveConfig, InputScaling
 from onboard.controllers.augmentation import ChannelState
-from onboard.feature_swap import RecentStates, SwapConfig, bumpless_last_layer, plan_swap
+from onboard.feature_swap import RecentStates, SwapConfig, bumpless_last_layer, plan_swap, resemblance
 from onboard.features import NetworkFeatures, random_channel
 from onboard.reference_model import ChannelGains
 from protocol.feature_set import ChannelFeatures
@@ -86,14 +86,63 @@ def test_between_the_recent_states_the_lipschitz_constants_bound_the_jump():
     assert np.linalg.norm(change, axis=0).max() <= bound
 
 
-def test_elsewhere_the_trained_memory_rules():
-    """Where the features differ from those of the recent states, W_new' Phi is theta_n' Phi."""
+def test_what_the_recent_states_do_not_tell_is_w_bar():
+    """Where the features differ from those of the recent states, W_new' Phi is W_bar' Phi."""
     rng = np.random.default_rng(0)
     Phi_bar = np.zeros((6, 20))
     Phi_bar[:3] = rng.normal(size=(3, 20))
-    memory = rng.normal(size=(6, 3))
-    W = bumpless_last_layer(Phi_bar, rng.normal(size=(3, 20)), memory, 1e-3)
-    np.testing.assert_allclose(W[3:], memory[3:], atol=1e-12)
+    W_bar = rng.normal(size=(6, 3))
+    W = bumpless_last_layer(Phi_bar, rng.normal(size=(3, 20)), W_bar, 1e-3)
+    np.testing.assert_allclose(W[3:], W_bar[3:], atol=1e-12)
+
+
+def test_the_same_features_keep_the_last_layer_whatever_was_trained_with_them():
+    recent = states(4)
+    features = NetworkFeatures(channel(4))
+    W, memory = np.random.default_rng(4).normal(size=(2, 10, 3))
+    plan = plan_swap(CONFIG, features, W, features, memory, RADIUS, recent)
+    np.testing.assert_allclose(plan.W, W, atol=1e-10)
+    assert plan.jump < 1e-9
+
+
+def test_features_learnt_afresh_come_with_their_memory():
+    """The further the new features are from the old ones, the less of W goes into what the recent states leave open."""
+    recent = states(7)
+    start = channel(7)
+    W, memory = np.random.default_rng(7).normal(size=(2, 10, 3))
+    old = NetworkFeatures(start)
+    far = []
+    for change in (0.0, 0.03, 0.3, 3.0):
+        biases = tuple(b + change for b in start.biases)
+        new = NetworkFeatures(dataclasses.replace(start, biases=biases))
+        Phi_bar = new.evaluate(new.select(recent))
+        share = resemblance(old.evaluate(old.select(recent)), Phi_bar)
+        plan = plan_swap(
+            SwapConfig(jump_max=1e9, memory_weight=1e6), old, W, new, memory, RADIUS, recent
+        )  # W_new is W_bar, nearly
+        np.testing.assert_allclose(plan.W, memory + share * (W - memory), atol=1e-3)
+        far.append(share)
+    assert far[0] == 1.0
+    assert far == sorted(far, reverse=True)
+    assert far[-1] == 0.0
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(st.integers(0, 10**6), st.floats(0.0, 10.0))
+def test_resemblance_is_a_share_and_ignores_the_bias(seed, change):
+    rng = np.random.default_rng(seed)
+    Phi, step = rng.normal(size=(2, 6, 20))
+    Phi[-1] = step[-1] = 1e3
+    share = resemblance(Phi, Phi + change * step)
+    assert 0.0 <= share <= 1.0
+    assert share == pytest.approx(max(0.0, 1.0 - change * np.linalg.norm(step[:-1]) / np.linalg.norm(Phi[:-1])))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_features_that_are_not_finite_resemble_nothing(bad):
+    Phi = np.ones((6, 20))
+    assert resemblance(np.zeros((6, 20)), Phi) == 0.0
+    assert resemblance(Phi, np.full((6, 20), bad)) == 0.0
 
 
 def test_the_last_layer_is_the_minimiser():
