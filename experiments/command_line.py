@@ -33,6 +33,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "keygen": Subcommand("experiments.commands.keygen", "make a key that protects the onboard/offboard link"),
     "tune": Subcommand("experiments.commands.tune", "search a controller's gains on training seeds"),
     "campaign": Subcommand("experiments.commands.campaign", "fly scenario x controllers x sweeps x seeds"),
+    "refly": Subcommand("experiments.commands.refly", "fly some of a campaign's flights again and compare"),
     "figures": Subcommand("experiments.commands.figures", "tables and figures of a campaign"),
     "reproduce": Subcommand("experiments.commands.reproduce", "fly every campaign and rebuild docs/results.md"),
     "log": Subcommand("experiments.commands.log", "look into, check, merge and export flight logs"),

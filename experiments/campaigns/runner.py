@@ -19,6 +19,7 @@ import yaml
 from configs.loader import ConfigError, read_tree
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, fingerprint, unfold
 from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.flown import CAMPAIGN_FILE, check_fingerprint
 from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
@@ -29,7 +30,6 @@ QUEUED_PER_WORKER: Final = 2
 """Flights submitted for each worker: one in flight, one waiting."""
 FLIGHTS_PER_PROCESS: Final = 200
 """Then a worker process is replaced by a fresh one, so that memory stays flat whatever a library may keep."""
-CAMPAIGN_FILE: Final = "campaign.yaml"
 
 
 class Workers(Protocol):
@@ -124,10 +124,17 @@ class CampaignRun:
     folder: Path
     seeds: int | None = None
     """So many instead of the campaign's own number."""
+    only: frozenset[str] | None = None
+    """Keys of the flights to fly, with those that they start from; None: all."""
 
     def jobs(self) -> Iterator[FlightJob]:
-        """Every flight of the campaign."""
-        return unfold(self.campaign, self.name, self.seeds)
+        """Every flight to fly."""
+        every = unfold(self.campaign, self.name, self.seeds)
+        if self.only is None:
+            return every
+        jobs = list(every)
+        wanted = self.only | {job.source for job in jobs if job.key in self.only}
+        return (job for job in jobs if job.key in wanted)
 
 
 def prepare_folder(run: CampaignRun, resume: bool) -> None:
@@ -139,7 +146,6 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         If the folder holds flights and `resume` is not set, or holds those of another campaign or other settings.
     """
     tree = run.campaign.model_dump(mode="json")
-    mark = fingerprint(tree)
     path = run.folder / CAMPAIGN_FILE
     flown_on: list[str] = []
     if path.exists():
@@ -147,14 +153,12 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
             raise ConfigError(f"--out {run.folder}: holds a campaign already; add --resume, or choose another folder")
         before = read_tree(path)
         flown_on = list(before.get("flown_on", ()))
-        if before.get("fingerprint") != mark:
-            raise ConfigError(
-                f"--resume {run.folder}: its flights were made with other settings: campaign or configs have changed "
-                "since; choose another folder"
-            )
+        check_fingerprint(
+            str(before.get("fingerprint")), run.campaign, f"--resume {run.folder}", "choose another folder"
+        )
     about: dict[str, Any] = {
         "name": run.name,
-        "fingerprint": mark,
+        "fingerprint": fingerprint(tree),
         "seeds": run.seeds or run.campaign.seeds.count,
         "flown_on": list(dict.fromkeys([*flown_on, here()])),
         "campaign": tree,

@@ -9,7 +9,15 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from experiments.campaigns.runner import CampaignRun, DaskWorkers, LocalPool, open_store, prepare_folder, run_campaign
+from experiments.campaigns.runner import (
+    CampaignRun,
+    DaskWorkers,
+    LocalPool,
+    Workers,
+    open_store,
+    prepare_folder,
+    run_campaign,
+)
 from experiments.campaigns.runner import Progress as CampaignProgress
 
 EXAMPLES = """examples:
@@ -23,15 +31,16 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac campaign`."""
     parser.add_argument("campaign", metavar="FILE", help="name in configs/campaigns, or a file")
-    parser.add_argument("--jobs", type=_positive, metavar="N", help="worker processes (default: one a core)")
+    parser.add_argument("--jobs", type=positive, metavar="N", help="worker processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
     parser.add_argument("--resume", action="store_true", help="go on with what the folder holds")
     parser.add_argument("--retry-errors", action="store_true", help="with --resume: fly flights that failed again")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: campaigns/NAME)")
-    parser.add_argument("--seeds", type=_positive, metavar="N", help="seeds a point (default: the campaign's)")
+    parser.add_argument("--seeds", type=positive, metavar="N", help="seeds a point (default: the campaign's)")
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
+    """A number for argparse, 1 or more."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError("at least 1")
@@ -49,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.retry_errors:
         forget_errors(folder)
     console = Console()
-    workers = DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
+    workers = open_workers(arguments.scheduler, arguments.jobs)
     try:
         with open_store(folder) as store, progress_bar(path.stem, console) as report:
             result = run_campaign(flights, store, workers, report)
@@ -65,6 +74,11 @@ def run(arguments: argparse.Namespace) -> int:
         highlight=False,
     )
     return 1 if result.errors else 0
+
+
+def open_workers(scheduler: str | None, jobs: int | None) -> Workers:
+    """A Dask cluster by its address, else so many processes here, else one a core."""
+    return DaskWorkers(scheduler) if scheduler else LocalPool(jobs or cores())
 
 
 def cores() -> int:

@@ -37,8 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 done, 1 some flights failed, 130 interrupted (call again to go on)."""
-    from experiments.campaigns.runner import DaskWorkers, LocalPool, Workers
-    from experiments.commands.campaign import cores, progress_bar
+    from experiments.commands.campaign import open_workers, progress_bar
     from experiments.results.reproduction import (
         CAMPAIGNS,
         Reproduction,
@@ -58,9 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
     plan = Reproduction(folder, page, arguments.quick, arguments.seeds, only, arguments.extend)
     console = Console()
 
-    def open_workers() -> Workers:
-        return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
-
     started, sections, failed = time.monotonic(), [], 0
     try:
         for name in plan.shown:
@@ -68,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
                 console.print(f"{name}: {rows} flights taken up from those published beside the page", highlight=False)
             if name in plan.only and not arguments.draw_only:
                 with progress_bar(name, console) as report:
-                    failed += fly(plan, name, open_workers, report).errors
+                    failed += fly(plan, name, lambda: open_workers(arguments.scheduler, arguments.jobs), report).errors
             sections.append(draw(plan, name, lambda text: console.print(f"  {text}", highlight=False, soft_wrap=True)))
             write_results(plan, sections)
     except KeyboardInterrupt:

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, load, read_tree
+from configs.loader import CONFIG_DIRECTORY, ConfigError, load
 from experiments.campaigns.campaign import PRESENTATION, CampaignConfig, flown_keys
 from experiments.campaigns.flight_row import Row
-from experiments.campaigns.runner import CAMPAIGN_FILE
-from experiments.campaigns.store import read_table
+from experiments.campaigns.flown import read_flown
 from experiments.results.statistics import Estimate, median, paired_ratio, wilson
 
 Array = NDArray[np.float64]
@@ -151,18 +150,14 @@ def load_data(folder: Path) -> CampaignData:
     ConfigError
         If it is not one, or holds no flights.
     """
-    about = folder / CAMPAIGN_FILE
-    if not about.exists():
-        raise ConfigError(f"{folder}: not a campaign's folder: there is no {CAMPAIGN_FILE}")
-    tree = read_tree(about)
-    config = _presented(fill(CampaignConfig, tree["campaign"], str(about), "campaign."), str(tree["name"]))
-    table = read_table(folder).to_pylist()
+    flown = read_flown(folder)
+    table = flown.table.to_pylist()
     rows = [{name: math.nan if value is None else value for name, value in row.items()} for row in table]
     if not rows:
         raise ConfigError(f"{folder}: holds no flights yet")
-    flown = tuple(row for row in rows if not row["error"])
+    good = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
-    return CampaignData(folder, str(tree["name"]), config, flown, failed, tuple(tree.get("flown_on", ())))
+    return CampaignData(folder, flown.name, _presented(flown.config, flown.name), good, failed, flown.flown_on)
 
 
 def _presented(config: CampaignConfig, name: str) -> CampaignConfig:

@@ -7,20 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import pyarrow.parquet as pq
-
-from configs.loader import ConfigError, parse_yaml
-from experiments.campaigns.campaign import fingerprint, load_campaign
-from experiments.campaigns.runner import (
-    CAMPAIGN_FILE,
-    CampaignRun,
-    Progress,
-    Workers,
-    open_store,
-    prepare_folder,
-    run_campaign,
-)
-from experiments.campaigns.store import PARQUET, read_table, write_table
+from experiments.campaigns.campaign import load_campaign
+from experiments.campaigns.flown import CAMPAIGN_FILE, check_fingerprint, publish, read_flown, unpublish
+from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.page import write_page
@@ -35,8 +24,6 @@ CAMPAIGNS: Final = (
 
 BEGIN_TARGETS: Final = "<!-- begin targets: written by dmrac reproduce -->"
 END_TARGETS: Final = "<!-- end targets -->"
-ABOUT: Final = b"campaign.yaml"
-"""Under this key published rows carry the campaign that they are of, and where they were flown."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +109,9 @@ def row_file(plan: Reproduction, name: str) -> Path:
 
 
 def publish_rows(plan: Reproduction, name: str) -> Path:
-    """Writes one campaign's rows beside the page, with what they are of in the file's metadata."""
+    """Writes one campaign's rows beside the page."""
     file = row_file(plan, name)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    about = (plan.folder / name / CAMPAIGN_FILE).read_bytes()
-    write_table(file, read_table(plan.folder / name).replace_schema_metadata({ABOUT: about}))
+    publish(plan.folder / name, file)
     return file
 
 
@@ -138,22 +123,13 @@ def take_up(plan: Reproduction, name: str) -> int:
     folder, file = plan.folder / name, row_file(plan, name)
     if (folder / CAMPAIGN_FILE).exists() or not file.exists():
         return 0
-    table = pq.read_table(file)
-    about = (table.schema.metadata or {}).get(ABOUT, b"")
     campaign, _ = load_campaign(name)
-    mark = fingerprint(campaign.model_dump(mode="json"))
-    if not about or parse_yaml(about.decode(), str(file)).get("fingerprint") != mark:
-        raise ConfigError(
-            f"--extend {file}: its flights were made with other settings: campaign or configs have changed since; "
-            f"fly them anew without --extend: dmrac reproduce --only {name}"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_table(folder / PARQUET, table)
-    (folder / "figures").mkdir(exist_ok=True)
+    advice = f"fly them anew without --extend: dmrac reproduce --only {name}"
+    check_fingerprint(read_flown(file).fingerprint, campaign, f"--extend {file}", advice)
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
     for path in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*"):
         shutil.copyfile(path, folder / "figures" / path.name)
-    write_atomically(folder / CAMPAIGN_FILE, about)
-    return len(table)
+    return unpublish(file, folder)
 
 
 def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:

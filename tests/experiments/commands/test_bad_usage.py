@@ -25,6 +25,7 @@ from flight_record import viewer
         ("fly --view --lockstep", "--view: only in real time"),
         ("config --out no/such/folder.yaml", "no/such/folder.yaml: No such file or directory"),
         ("campaign magic", "unknown campaign 'magic': allowed are ablations, "),
+        ("refly nothing", "nothing: not a campaign's folder: there is no campaign.yaml"),
         ("replay nothing", "nothing: no such flight"),
         ("view nothing --save x.rrd", "nothing: no such flight"),
     ],

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from configs.loader import ConfigError
+from experiments.campaigns import flown
 from experiments.campaigns.campaign import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.runner import prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult
-from experiments.results import reproduction
 from experiments.results.campaign_data import load_data
 from experiments.results.figure_plan import draw_all
 from experiments.results.reproduction import Reproduction, fly, publish_rows, take_up
@@ -76,7 +76,7 @@ def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
 
 def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(published(tmp_path), folder=tmp_path / "elsewhere")
-    monkeypatch.setattr(reproduction, "fingerprint", lambda tree: "another")
+    monkeypatch.setattr(flown, "fingerprint", lambda tree: "another")
     with pytest.raises(ConfigError, match=r"features.parquet: .* made with other settings.*--only features"):
         take_up(plan, "features")
     assert not (plan.folder / "features").exists()

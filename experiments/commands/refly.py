@@ -1,0 +1,57 @@
+"""`dmrac refly`: flies some of a campaign's flights again and compares them with its rows."""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from rich.console import Console
+
+EXAMPLES = """examples:
+  dmrac refly campaigns/rotor_chip                   five of its flights
+  dmrac refly docs/data/*.parquet --sample 2         the published ones, two of each campaign
+  dmrac refly campaigns/transfer --sample 20 --seed 1
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `dmrac refly`."""
+    from experiments.commands.campaign import positive
+
+    parser.add_argument(
+        "places",
+        type=Path,
+        nargs="+",
+        metavar="CAMPAIGN_OUT",
+        help="what `dmrac campaign` wrote, or a file of docs/data",
+    )
+    parser.add_argument("--sample", type=positive, default=5, metavar="N", help="flights of each (default: 5)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws which ones (default: 0)")
+    parser.add_argument("--jobs", type=positive, metavar="N", help="worker processes (default: one a core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status: 0 all the same to the bit, 1 some differ, 130 interrupted."""
+    from experiments.campaigns.flown import read_flown
+    from experiments.campaigns.refly import pick, refly
+    from experiments.commands.campaign import open_workers, progress_bar
+
+    console = Console()
+    campaigns = [read_flown(place) for place in arguments.places]
+    differ = 0
+    for flown in campaigns:
+        keys = pick(flown, arguments.sample, arguments.seed)
+        with tempfile.TemporaryDirectory(prefix="dmrac_refly_") as folder, progress_bar(flown.name, console) as report:
+            workers = open_workers(arguments.scheduler, arguments.jobs)
+            flights = refly(flown, keys, Path(folder), workers, report)
+        others = [flight for flight in flights if not flight.same]
+        differ += len(others)
+        console.print(
+            f"{flown.name}: {len(flights)} of {len(flown.table)} flights flown again, "
+            f"{len(flights) - len(others)} of them the same to the bit",
+            soft_wrap=True,
+            highlight=False,
+        )
+        for flight in others:
+            console.print(f"  {flight.recorded['key']}: {flight.difference}", soft_wrap=True, highlight=False)
+    return 1 if differ else 0

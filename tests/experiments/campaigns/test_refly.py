@@ -1,0 +1,131 @@
+"""Flights flown again: the same to the bit, or what came out otherwise."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from configs.loader import ConfigError, fill, parse_yaml
+from experiments.campaigns.campaign import CampaignConfig, FlightJob
+from experiments.campaigns.flight_row import Row, empty_row
+from experiments.campaigns.flown import FlownCampaign, publish, read_flown
+from experiments.campaigns.refly import pick, refly
+from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
+from experiments.campaigns.worker import FlightResult, fly_job
+from experiments.command_line import main
+from tests.experiments.inline_workers import InlineWorkers
+
+TEXT = """
+description: A test.
+controllers: [none, pid]
+cases:
+  - {name: source, scenario: hover, duration_s: 5}
+  - {name: warm, scenario: hover, duration_s: 5, experience: source}
+seeds: {count: 3}
+"""
+
+
+def made_up(job: FlightJob, **other: Any) -> FlightResult:
+    row = empty_row() | {"key": job.key, "case": job.case, "controller": job.controller, "seed": job.seed}
+    row |= {"survived": True, "trace_sha256": f"hash of {job.key}", "position_rmse_m": 0.01} | other
+    return FlightResult(job.key, row, experience=b"learnt" if job.keep_experience else None)
+
+
+def flown(folder: Path, fly: Callable[[FlightJob], FlightResult] = made_up, text: str = TEXT) -> FlownCampaign:
+    run = CampaignRun(fill(CampaignConfig, parse_yaml(text, "test"), "test"), "test", folder)
+    prepare_folder(run, resume=False)
+    with open_store(folder) as store:
+        run_campaign(run, store, InlineWorkers(fly), silent)
+    return read_flown(folder)
+
+
+def silent(progress: Progress) -> None:
+    pass
+
+
+def test_a_flight_comes_out_the_same_and_any_other_row_is_found_out(tmp_path: Path) -> None:
+    text = TEXT.replace("controllers: [none, pid]", "controllers: [pid]").replace("count: 3", "count: 1")
+    campaign = flown(tmp_path / "flown", fly_job, text)
+    (again,) = refly(campaign, ["source/pid/1000"], tmp_path / "again", InlineWorkers(fly_job), silent)
+    assert again.same
+    assert again.recorded["trace_sha256"]
+    assert again.recorded["position_rmse_m"] == again.again["position_rmse_m"]
+
+    recorded = again.recorded | {"trace_sha256": "0", "position_rmse_m": 0.5 * again.again["position_rmse_m"]}
+    other = replace(again, recorded=recorded)
+    assert not other.same
+    assert other.difference.endswith("(+100.0%)")
+
+
+def test_what_a_flight_starts_from_is_flown_first(tmp_path: Path) -> None:
+    campaign = flown(tmp_path / "flown")
+    workers = InlineWorkers(made_up)
+    flights = refly(campaign, ["warm/pid/1001", "source/none/1002"], tmp_path / "again", workers, silent)
+    assert workers.flown == ["source/pid/1001", "source/none/1002", "warm/pid/1001"]
+    assert [flight.recorded["key"] for flight in flights] == ["warm/pid/1001", "source/none/1002"]
+    assert all(flight.same for flight in flights)
+
+
+def test_the_draw_is_repeatable_and_leaves_failed_flights_out(tmp_path: Path) -> None:
+    def some_fail(job: FlightJob) -> FlightResult:
+        return made_up(job, error="an error" if job.controller == "none" else "")
+
+    campaign = flown(tmp_path / "flown", some_fail)
+    assert pick(campaign, 3, 0) == pick(campaign, 3, 0)
+    assert pick(campaign, 3, 0) != pick(campaign, 3, 1)
+    every = [f"{case}/pid/{seed}" for case in ("source", "warm") for seed in (1000, 1001, 1002)]
+    assert pick(campaign, 100, 0) == every
+
+
+def test_what_came_out_otherwise_is_told(tmp_path: Path) -> None:
+    campaign = flown(tmp_path / "flown")
+    told: list[str] = []
+    outcomes: list[Row] = [
+        {"trace_sha256": "other", "position_rmse_m": 0.012},
+        {"trace_sha256": "other", "survived": False},
+        {"trace_sha256": "", "error": "it broke"},
+    ]
+    for number, outcome in enumerate(outcomes):
+        workers = InlineWorkers(lambda job, outcome=outcome: made_up(job, **outcome))
+        (flight,) = refly(campaign, ["source/pid/1000"], tmp_path / str(number), workers, silent)
+        assert not flight.same
+        told.append(flight.difference)
+    assert told[0] == "position RMSE 10.00 mm, now 12.00 mm (+20.0%)"
+    assert told[1] == "survived, now lost; position RMSE 10.00 mm, now 10.00 mm (+0.0%)"
+    assert told[2] == "failed: it broke"
+
+
+def test_flights_of_other_settings_are_not_compared(tmp_path: Path) -> None:
+    campaign = replace(flown(tmp_path / "flown"), fingerprint="another")
+    with pytest.raises(ConfigError, match=r"flown: its flights were made with other settings.*cannot be flown again"):
+        refly(campaign, ["source/pid/1000"], tmp_path / "again", InlineWorkers(made_up), silent)
+    assert not (tmp_path / "again").exists()
+
+
+def test_published_rows_are_as_good_as_the_folder(tmp_path: Path) -> None:
+    campaign = flown(tmp_path / "flown")
+    publish(tmp_path / "flown", tmp_path / "rows.parquet")
+    published = read_flown(tmp_path / "rows.parquet")
+    assert repr(published.table.to_pylist()) == repr(campaign.table.to_pylist())  # NaN equals itself there
+    assert replace(published, place=campaign.place, table=campaign.table) == campaign
+
+
+@pytest.mark.full
+def test_the_command_flies_in_processes_and_answers_with_its_status(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = TEXT.replace("controllers: [none, pid]", "controllers: [pid]").replace("count: 3", "count: 1")
+    flown(tmp_path / "flown", fly_job, text)
+    publish(tmp_path / "flown", tmp_path / "rows.parquet")
+    assert main(["refly", str(tmp_path / "flown"), str(tmp_path / "rows.parquet"), "--sample", "1"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("test: 1 of 2 flights flown again, 1 of them the same to the bit") == 2
+
+    table = pq.read_table(tmp_path / "rows.parquet")
+    rows = [row | {"trace_sha256": "0"} for row in table.to_pylist()]
+    pq.write_table(type(table).from_pylist(rows, schema=table.schema), tmp_path / "rows.parquet")
+    assert main(["refly", str(tmp_path / "rows.parquet"), "--sample", "1"]) == 1
+    assert "0 of them the same to the bit" in capsys.readouterr().out
