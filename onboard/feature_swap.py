@@ -11,7 +11,8 @@ and a swap that would still jump is refused.
 
 W_bar lies between the trained memory theta_n and W. What adaptation has put into W since the samples were taken is
 worth keeping, but belongs to the old features: W_bar = theta_n + s (W - theta_n), with s how much the new features
-resemble the old ones. Features learnt afresh come with theta_n; features that were only refined keep W.
+resemble the old ones. Features learnt afresh come with theta_n; features that were only refined keep W. s is measured
+on the recent states, too: features that agree there and differ elsewhere keep W elsewhere, as a naive swap does.
 """
 
 from dataclasses import dataclass
@@ -106,7 +107,7 @@ def plan_swap(
 
 
 def resemblance(Phi: Array, Phi_bar: Array) -> float:
-    """How much of the old features is in the new: 1 - norm(Phi_bar - Phi) / norm(Phi), at least 0; 1 where they agree.
+    """How much of the old features is in the new: 1 - norm(Phi_bar - Phi) / norm(Phi), at least 0.
 
     Parameters
     ----------

@@ -53,6 +53,7 @@ PLACES = {
     "FLIGHT": "flight",
     "NAME": "pid",
     "FILE": "rotor_chip",
+    "ROWS": "campaigns/rotor_chip",
     "$1": "rotor_chip",
     "campaigns/$(basename $1 .yaml)": "campaigns/rotor_chip",
 }
@@ -192,7 +193,7 @@ def test_a_command_runs(command: str, place: Path) -> None:
     elif words[0] == "preflight":
         run_preflight(words, place)
     else:
-        if words[0] == "figures":
+        if words[0] in ("figures", "refly"):
             assert main(short_form("dmrac campaign rotor_chip")) == 0
         assert main(words) == 0
 

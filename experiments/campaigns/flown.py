@@ -2,89 +2,118 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+import yaml
 
-from configs.loader import ConfigError, fill, parse_yaml, read_tree
+from configs.loader import ConfigError, Record, fill, parse_yaml
 from experiments.campaigns.campaign import CampaignConfig, fingerprint
+from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
 from shell.files import write_atomically
 
 CAMPAIGN_FILE: Final = "campaign.yaml"
-"""What the folder is about: name, fingerprint, where it was flown, the campaign."""
-_ABOUT: Final = b"campaign.yaml"
-"""Under this key published rows carry the same."""
+_METADATA: Final = b"campaign.yaml"
+"""Under this key published rows carry that file."""
+
+
+class About(Record):
+    """What flights are of: the content of CAMPAIGN_FILE."""
+
+    name: str
+    fingerprint: str
+    """Of the settings they were flown with."""
+    seeds: int
+    """Of the latest call, a point."""
+    flown_on: tuple[str, ...] = ()
+    """Machines and versions, a line each."""
+    campaign: dict[str, Any]
+    """As it was flown."""
+
+    def text(self) -> bytes:
+        """The file."""
+        tree = self.model_dump(mode="json")
+        return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=110).encode()
+
+    def check_settings(self, campaign: CampaignConfig, where: str, advice: str) -> None:
+        """Raises ConfigError, with the advice, if `campaign` with the configuration files of today is another."""
+        if self.fingerprint != fingerprint(campaign.model_dump(mode="json")):
+            raise ConfigError(
+                f"{where}: its flights were made with other settings: campaign or configs have changed since; {advice}"
+            )
 
 
 @dataclass(frozen=True)
 class FlownCampaign:
-    """Rows and what they are rows of."""
+    """Rows and what they are of."""
 
     place: Path
     """The folder or the file."""
-    name: str
+    about: About
     config: CampaignConfig
     """The campaign as it was flown."""
-    fingerprint: str
-    """Of the settings it was flown with."""
-    flown_on: tuple[str, ...]
-    """Machines and versions, a line each."""
     table: pa.Table
     """Columns of experiments.campaigns.store.SCHEMA."""
 
 
-def check_fingerprint(mark: str, campaign: CampaignConfig, where: str, advice: str) -> None:
-    """Raises ConfigError if flights under `mark` are not those that campaign and configs make today."""
-    if mark != fingerprint(campaign.model_dump(mode="json")):
-        raise ConfigError(
-            f"{where}: its flights were made with other settings: campaign or configs have changed since; {advice}"
-        )
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder is a campaign's already."""
+    return (folder / CAMPAIGN_FILE).exists()
 
 
-def read_flown(place: Path) -> FlownCampaign:
-    """Reads a campaign's folder, or a file of published rows.
+def read_about(place: Path) -> About:
+    """What a campaign's folder, or a file of published rows, is about.
 
     Raises
     ------
     ConfigError
-        If it is neither.
+        If it is neither, or damaged.
     """
-    if place.is_file():
-        about, table = _published(place)
-        tree = parse_yaml(about.decode(), str(place))
-    elif (place / CAMPAIGN_FILE).is_file():
-        tree, table = read_tree(place / CAMPAIGN_FILE), read_table(place)
-    else:
-        raise ConfigError(f"{place}: not a campaign's folder: there is no {CAMPAIGN_FILE}")
-    config = fill(CampaignConfig, tree["campaign"], str(place), "campaign.")
-    flown_on = tuple(tree.get("flown_on", ()))
-    return FlownCampaign(place, str(tree["name"]), config, str(tree.get("fingerprint")), flown_on, table)
-
-
-def _published(file: Path) -> tuple[bytes, pa.Table]:
+    source = str(place / CAMPAIGN_FILE) if place.is_dir() else str(place)
     try:
-        table = pq.read_table(file)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise ConfigError(f"{file}: cannot be read as Parquet: {error}") from None
-    about: bytes | None = (table.schema.metadata or {}).get(_ABOUT)
-    if about is None:
-        raise ConfigError(f"{file}: no published rows of a campaign: its metadata do not say what it is of")
-    return about, table
+        if place.is_file():
+            content = (pq.read_schema(place).metadata or {}).get(_METADATA)
+            if content is None:
+                raise ConfigError(f"{place}: no published rows of a campaign: its metadata do not say what it is of")
+        else:
+            content = (place / CAMPAIGN_FILE).read_bytes()
+        text = content.decode()
+    except FileNotFoundError:
+        raise ConfigError(f"{place}: not a campaign's folder: there is no {CAMPAIGN_FILE}") from None
+    except (OSError, UnicodeDecodeError, pa.lib.ArrowException) as error:
+        raise ConfigError(f"{source}: cannot be read: {error}") from None
+    tree = parse_yaml(text, source)
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{source}: holds {type(tree).__name__}, expected a mapping of keys")
+    return fill(About, tree, source)
+
+
+def read_flown(place: Path) -> FlownCampaign:
+    """Reads a campaign's folder, or a file of published rows. Raises ConfigError as `read_about` does."""
+    about = read_about(place)
+    config = fill(CampaignConfig, about.campaign, str(place), "campaign.")
+    try:
+        table = pq.read_table(place, schema=SCHEMA) if place.is_file() else read_table(place)
+    except (OSError, pa.lib.ArrowException) as error:
+        raise ConfigError(f"{place}: its rows cannot be read: {error}") from None
+    if any(table.column(name).null_count for name in ("key", "seed", "error", "trace_sha256")):
+        raise ConfigError(f"{place}: its rows are no flights of a campaign")
+    return FlownCampaign(place, about, config, table)
 
 
 def publish(folder: Path, file: Path) -> None:
     """Writes a campaign folder's rows into one file, with what they are of in its metadata."""
-    about = (folder / CAMPAIGN_FILE).read_bytes()
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_table(file, read_table(folder).replace_schema_metadata({_ABOUT: about}))
+    content = (folder / CAMPAIGN_FILE).read_bytes()
+    write_table(file, read_table(folder).replace_schema_metadata({_METADATA: content}))
 
 
 def unpublish(file: Path, folder: Path) -> int:
     """The reverse of `publish`, into a folder that is no campaign's yet; returns the number of rows."""
-    about, table = _published(file)
+    table = pq.read_table(file)
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / PARQUET, table)
-    write_atomically(folder / CAMPAIGN_FILE, about)  # last: with it the folder is a campaign's
+    write_atomically(folder / CAMPAIGN_FILE, table.schema.metadata[_METADATA])  # last: now the folder is a campaign's
     return len(table)

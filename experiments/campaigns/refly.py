@@ -3,11 +3,13 @@
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from configs.loader import ConfigError
+from experiments.campaigns.campaign import Seeds
 from experiments.campaigns.flight_row import Row
-from experiments.campaigns.flown import FlownCampaign, check_fingerprint
+from experiments.campaigns.flown import FlownCampaign
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, run_campaign
 from experiments.campaigns.store import read_table
 
@@ -29,22 +31,38 @@ class Reflown:
         """What came out otherwise, in words."""
         if self.again["error"]:
             return f"failed: {self.again['error']}"
-        before, now = (row["position_rmse_m"] for row in (self.recorded, self.again))
-        fates = [("survived" if row["survived"] else "lost") for row in (self.recorded, self.again)]
-        fate = f"{fates[0]}, now {fates[1]}; " if fates[0] != fates[1] else ""
-        return f"{fate}position RMSE {before * 1e3:.2f} mm, now {now * 1e3:.2f} mm ({now / before - 1.0:+.1%})"
+        before, now = (_outcome(row) for row in (self.recorded, self.again))
+        return f"{before}, now {now}"
 
 
-def pick(flown: FlownCampaign, sample: int, seed: int) -> list[str]:
-    """Keys of so many flights, drawn without regard to what came out; of fewer, all. Failed ones are left out.
+def _outcome(row: Row) -> str:
+    return f"{'survived' if row['survived'] else 'lost'} with a position RMSE of {row['position_rmse_m'] * 1e3:.2f} mm"
 
-    Raises ConfigError if there is none.
+
+def pick(flown: FlownCampaign, sample: int | None, seed: int) -> list[str]:
+    """Keys of so many flights, drawn without regard to what came out and from all controllers alike.
+
+    Parameters
+    ----------
+    sample: None: one of each controller. If there are fewer, all are picked; failed flights are left out.
+
+    Raises
+    ------
+    ConfigError
+        If the settings have changed since, so that these flights cannot be flown again, or if there is none.
     """
-    rows = flown.table.select(["key", "error"]).to_pylist()
-    keys = sorted(row["key"] for row in rows if not row["error"])
+    flown.about.check_settings(flown.config, str(flown.place), "they cannot be flown again with these")
+    keys: dict[str, list[str]] = {}
+    for row in flown.table.select(["key", "controller", "error"]).sort_by("key").to_pylist():
+        if not row["error"]:
+            keys.setdefault(row["controller"], []).append(row["key"])
     if not keys:
         raise ConfigError(f"{flown.place}: holds no flights yet")
-    return keys if sample >= len(keys) else random.Random(seed).sample(keys, sample)
+    rng = random.Random(seed)
+    for of_controller in keys.values():
+        rng.shuffle(of_controller)
+    in_turn = [key for turn in zip_longest(*keys.values()) for key in turn if key is not None]
+    return in_turn[: len(keys) if sample is None else sample]
 
 
 def refly(
@@ -54,19 +72,14 @@ def refly(
 
     Parameters
     ----------
+    keys: as `pick` gives them.
     folder: for what the flights leave; empty.
-
-    Raises
-    ------
-    ConfigError
-        If the campaign was flown with other settings than those of today.
     """
-    check_fingerprint(flown.fingerprint, flown.config, str(flown.place), "they cannot be flown again with these")
     recorded = {row["key"]: row for row in flown.table.to_pylist()}
-    first = flown.config.seeds.first
-    seeds = 1 + max(row["seed"] for row in recorded.values()) - first
-    untraced = flown.config.model_copy(update={"traces": 0})
-    run = CampaignRun(untraced, flown.name, folder, seeds, frozenset(keys))
+    seeds = [row["seed"] for row in recorded.values()]
+    first = min(seeds)
+    config = flown.config.model_copy(update={"traces": 0, "seeds": Seeds(first=first, count=1 + max(seeds) - first)})
+    run = CampaignRun(config, flown.about.name, folder, only=frozenset(keys))
     with open_store(folder) as store:
         run_campaign(run, store, workers, report)
     again = {row["key"]: row for row in read_table(folder).to_pylist()}

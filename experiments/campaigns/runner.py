@@ -14,12 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-import yaml
-
-from configs.loader import ConfigError, read_tree
+from configs.loader import ConfigError
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, fingerprint, unfold
 from experiments.campaigns.flight_row import empty_row
-from experiments.campaigns.flown import CAMPAIGN_FILE, check_fingerprint
+from experiments.campaigns.flown import CAMPAIGN_FILE, About, is_campaign, read_about
 from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
@@ -146,25 +144,21 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         If the folder holds flights and `resume` is not set, or holds those of another campaign or other settings.
     """
     tree = run.campaign.model_dump(mode="json")
-    path = run.folder / CAMPAIGN_FILE
-    flown_on: list[str] = []
-    if path.exists():
+    flown_on: tuple[str, ...] = ()
+    if is_campaign(run.folder):
         if not resume:
             raise ConfigError(f"--out {run.folder}: holds a campaign already; add --resume, or choose another folder")
-        before = read_tree(path)
-        flown_on = list(before.get("flown_on", ()))
-        check_fingerprint(
-            str(before.get("fingerprint")), run.campaign, f"--resume {run.folder}", "choose another folder"
-        )
-    about: dict[str, Any] = {
-        "name": run.name,
-        "fingerprint": fingerprint(tree),
-        "seeds": run.seeds or run.campaign.seeds.count,
-        "flown_on": list(dict.fromkeys([*flown_on, here()])),
-        "campaign": tree,
-    }
-    text = yaml.safe_dump(about, sort_keys=False, allow_unicode=True, width=110)
-    _write(path, text.encode())
+        before = read_about(run.folder)
+        before.check_settings(run.campaign, f"--resume {run.folder}", "choose another folder")
+        flown_on = before.flown_on
+    about = About(
+        name=run.name,
+        fingerprint=fingerprint(tree),
+        seeds=run.seeds or run.campaign.seeds.count,
+        flown_on=tuple(dict.fromkeys([*flown_on, here()])),
+        campaign=tree,
+    )
+    _write(run.folder / CAMPAIGN_FILE, about.text())
 
 
 def run_campaign(

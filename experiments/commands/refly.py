@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.console import Console
 
 EXAMPLES = """examples:
-  dmrac refly campaigns/rotor_chip                   five of its flights
-  dmrac refly docs/data/*.parquet --sample 2         the published ones, two of each campaign
+  dmrac refly campaigns/rotor_chip                   a flight of each controller
+  dmrac refly docs/data/*.parquet                    of the published ones
   dmrac refly campaigns/transfer --sample 20 --seed 1
 """
 
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CAMPAIGN_OUT",
         help="what `dmrac campaign` wrote, or a file of docs/data",
     )
-    parser.add_argument("--sample", type=positive, default=5, metavar="N", help="flights of each (default: 5)")
+    parser.add_argument("--sample", type=positive, metavar="N", help="flights of each (default: one a controller)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws which ones (default: 0)")
     parser.add_argument("--jobs", type=positive, metavar="N", help="worker processes (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
@@ -38,20 +38,23 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = Console()
     campaigns = [read_flown(place) for place in arguments.places]
+    picked = [pick(flown, arguments.sample, arguments.seed) for flown in campaigns]
     differ = 0
-    for flown in campaigns:
-        keys = pick(flown, arguments.sample, arguments.seed)
-        with tempfile.TemporaryDirectory(prefix="dmrac_refly_") as folder, progress_bar(flown.name, console) as report:
+    for flown, keys in zip(campaigns, picked, strict=True):
+        name = flown.about.name
+        with tempfile.TemporaryDirectory(prefix="dmrac_refly_") as folder, progress_bar(name, console) as report:
             workers = open_workers(arguments.scheduler, arguments.jobs)
             flights = refly(flown, keys, Path(folder), workers, report)
         others = [flight for flight in flights if not flight.same]
         differ += len(others)
         console.print(
-            f"{flown.name}: {len(flights)} of {len(flown.table)} flights flown again, "
+            f"{name}: {len(flights)} of {len(flown.table)} flights flown again, "
             f"{len(flights) - len(others)} of them the same to the bit",
             soft_wrap=True,
             highlight=False,
         )
         for flight in others:
-            console.print(f"  {flight.recorded['key']}: {flight.difference}", soft_wrap=True, highlight=False)
+            console.print(
+                f"  {flight.recorded['key']}: {flight.difference}", soft_wrap=True, highlight=False, markup=False
+            )
     return 1 if differ else 0

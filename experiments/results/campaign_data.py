@@ -150,14 +150,17 @@ def load_data(folder: Path) -> CampaignData:
     ConfigError
         If it is not one, or holds no flights.
     """
+    if folder.is_file():
+        raise ConfigError(f"{folder}: not a campaign's folder")
     flown = read_flown(folder)
     table = flown.table.to_pylist()
     rows = [{name: math.nan if value is None else value for name, value in row.items()} for row in table]
     if not rows:
         raise ConfigError(f"{folder}: holds no flights yet")
+    name = flown.about.name
     good = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
-    return CampaignData(folder, flown.name, _presented(flown.config, flown.name), good, failed, flown.flown_on)
+    return CampaignData(folder, name, _presented(flown.config, name), good, failed, flown.about.flown_on)
 
 
 def _presented(config: CampaignConfig, name: str) -> CampaignConfig:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from experiments.campaigns.campaign import load_campaign
-from experiments.campaigns.flown import CAMPAIGN_FILE, check_fingerprint, publish, read_flown, unpublish
+from experiments.campaigns.flown import is_campaign, publish, read_about, unpublish
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
@@ -121,11 +121,11 @@ def take_up(plan: Reproduction, name: str) -> int:
     Raises ConfigError if they were flown with other settings.
     """
     folder, file = plan.folder / name, row_file(plan, name)
-    if (folder / CAMPAIGN_FILE).exists() or not file.exists():
+    if is_campaign(folder) or not file.exists():
         return 0
     campaign, _ = load_campaign(name)
     advice = f"fly them anew without --extend: dmrac reproduce --only {name}"
-    check_fingerprint(read_flown(file).fingerprint, campaign, f"--extend {file}", advice)
+    read_about(file).check_settings(campaign, f"--extend {file}", advice)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     for path in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*"):
         shutil.copyfile(path, folder / "figures" / path.name)
