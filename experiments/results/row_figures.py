@@ -93,12 +93,14 @@ def sweep_metric(data: CampaignData, sweep: str, metric: str, controllers: list[
     figure = new_figure(4.2 * len(cases))
     panels = [figure.add_subplot(len(cases), 1, number + 1) for number in range(len(cases))]
     for panel, case in zip(panels, cases, strict=True):
+        shown: list[float] = []
         for index, controller in enumerate(chosen):
             places = dict(zip(values, _places(values, numeric, index, len(chosen)), strict=True))
             groups = [group for group in data.select(case, controller) if group.values(metric)]
             x = [places[dict(group.point)[sweep]] for group in groups]
             _interval_line(panel, x, groups, metric, controller, joined=numeric)
-        panel.set_ylim(bottom=0.0)
+            shown += [group.estimate(metric).value for group in groups]
+        _upward_axis(panel, shown)
         _name_ticks(panel, values, numeric)
         finish(panel, label, metric_name(metric), f"{data.label(case)}: survivors only")
     legend_below(figure, panels)
