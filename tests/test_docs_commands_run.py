@@ -54,6 +54,7 @@ PLACES = {
     "NAME": "pid",
     "FILE": "rotor_chip",
     "ROWS": "campaigns/rotor_chip",
+    "docs/data/*.parquet": "campaigns/rotor_chip",
     "$1": "rotor_chip",
     "campaigns/$(basename $1 .yaml)": "campaigns/rotor_chip",
 }
