@@ -78,6 +78,14 @@ def parse_yaml(text: str, source: str) -> Any:
         raise ConfigError(f"{source}: {' '.join(str(error).split())}") from None
 
 
+def parse_mapping(text: str, source: str) -> dict[str, Any]:
+    """The mapping that a YAML text stands for. Raises ConfigError as `parse_yaml` does, and if it is no mapping."""
+    tree = parse_yaml(text, source)
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{source}: holds {type(tree).__name__}, expected a mapping of keys")
+    return tree
+
+
 def read_tree(path: Path) -> dict[str, Any]:
     """The mapping a YAML file holds.
 
@@ -91,10 +99,7 @@ def read_tree(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ConfigError(f"{path}: cannot be read: {reason}") from None
-    tree = parse_yaml(text, str(path))
-    if not isinstance(tree, dict):
-        raise ConfigError(f"{path}: holds {type(tree).__name__}, expected a mapping of keys")
-    return tree
+    return parse_mapping(text, str(path))
 
 
 def fill(record_type: type[RecordT], tree: Mapping[str, Any], source: str, at: str = "") -> RecordT:

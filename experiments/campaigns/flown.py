@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
-from configs.loader import ConfigError, Record, fill, parse_yaml
+from configs.loader import ConfigError, Record, fill, load, parse_mapping
 from experiments.campaigns.campaign import CampaignConfig, fingerprint
 from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
@@ -32,8 +32,8 @@ class About(Record):
     campaign: dict[str, Any]
     """As it was flown."""
 
-    def text(self) -> bytes:
-        """The file."""
+    def file_content(self) -> bytes:
+        """What CAMPAIGN_FILE holds."""
         tree = self.model_dump(mode="json")
         return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=110).encode()
 
@@ -55,7 +55,7 @@ class FlownCampaign:
     config: CampaignConfig
     """The campaign as it was flown."""
     table: pa.Table
-    """Columns of experiments.campaigns.store.SCHEMA."""
+    """Columns of experiments.campaigns.flight_row.SCHEMA."""
 
 
 def is_campaign(folder: Path) -> bool:
@@ -71,23 +71,21 @@ def read_about(place: Path) -> About:
     ConfigError
         If it is neither, or damaged.
     """
-    source = str(place / CAMPAIGN_FILE) if place.is_dir() else str(place)
+    if place.is_file():
+        return fill(About, parse_mapping(_published_about(place), str(place)), str(place))
+    if not is_campaign(place):
+        raise ConfigError(f"{place}: not a campaign's folder: there is no {CAMPAIGN_FILE}")
+    return load(About, place / CAMPAIGN_FILE)
+
+
+def _published_about(file: Path) -> str:
     try:
-        if place.is_file():
-            content = (pq.read_schema(place).metadata or {}).get(_METADATA)
-            if content is None:
-                raise ConfigError(f"{place}: no published rows of a campaign: its metadata do not say what it is of")
-        else:
-            content = (place / CAMPAIGN_FILE).read_bytes()
-        text = content.decode()
-    except FileNotFoundError:
-        raise ConfigError(f"{place}: not a campaign's folder: there is no {CAMPAIGN_FILE}") from None
+        content: bytes | None = (pq.read_schema(file).metadata or {}).get(_METADATA)
+        if content is None:
+            raise ConfigError(f"{file}: no published rows of a campaign: its metadata do not say what it is of")
+        return content.decode()
     except (OSError, UnicodeDecodeError, pa.lib.ArrowException) as error:
-        raise ConfigError(f"{source}: cannot be read: {error}") from None
-    tree = parse_yaml(text, source)
-    if not isinstance(tree, dict):
-        raise ConfigError(f"{source}: holds {type(tree).__name__}, expected a mapping of keys")
-    return fill(About, tree, source)
+        raise ConfigError(f"{file}: cannot be read: {error}") from None
 
 
 def read_flown(place: Path) -> FlownCampaign:

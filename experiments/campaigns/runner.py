@@ -158,7 +158,7 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         flown_on=tuple(dict.fromkeys([*flown_on, here()])),
         campaign=tree,
     )
-    _write(run.folder / CAMPAIGN_FILE, about.text())
+    _write(run.folder / CAMPAIGN_FILE, about.file_content())
 
 
 def run_campaign(

@@ -31,12 +31,17 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac campaign`."""
     parser.add_argument("campaign", metavar="FILE", help="name in configs/campaigns, or a file")
-    parser.add_argument("--jobs", type=positive, metavar="N", help="worker processes (default: one a core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
+    add_worker_options(parser)
     parser.add_argument("--resume", action="store_true", help="go on with what the folder holds")
     parser.add_argument("--retry-errors", action="store_true", help="with --resume: fly flights that failed again")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: campaigns/NAME)")
     parser.add_argument("--seeds", type=positive, metavar="N", help="seeds a point (default: the campaign's)")
+
+
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """Where flights are flown, for `open_workers`."""
+    parser.add_argument("--jobs", type=positive, metavar="N", help="worker processes (default: one a core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
 
 
 def positive(text: str) -> int:
@@ -58,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.retry_errors:
         forget_errors(folder)
     console = Console()
-    workers = open_workers(arguments.scheduler, arguments.jobs)
+    workers = open_workers(arguments)
     try:
         with open_store(folder) as store, progress_bar(path.stem, console) as report:
             result = run_campaign(flights, store, workers, report)
@@ -76,9 +81,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if result.errors else 0
 
 
-def open_workers(scheduler: str | None, jobs: int | None) -> Workers:
-    """A Dask cluster by its address, else so many processes here, else one a core."""
-    return DaskWorkers(scheduler) if scheduler else LocalPool(jobs or cores())
+def open_workers(arguments: argparse.Namespace) -> Workers:
+    """What was asked for with `add_worker_options`: a Dask cluster, so many processes here, or one a core."""
+    return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
 
 
 def cores() -> int:

@@ -15,7 +15,7 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac refly`."""
-    from experiments.commands.campaign import positive
+    from experiments.commands.campaign import add_worker_options, positive
 
     parser.add_argument(
         "places",
@@ -26,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--sample", type=positive, metavar="N", help="flights of each (default: one a controller)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws which ones (default: 0)")
-    parser.add_argument("--jobs", type=positive, metavar="N", help="worker processes (default: one a core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
+    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -43,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     for flown, keys in zip(campaigns, picked, strict=True):
         name = flown.about.name
         with tempfile.TemporaryDirectory(prefix="dmrac_refly_") as folder, progress_bar(name, console) as report:
-            workers = open_workers(arguments.scheduler, arguments.jobs)
+            workers = open_workers(arguments)
             flights = refly(flown, keys, Path(folder), workers, report)
         others = [flight for flight in flights if not flight.same]
         differ += len(others)

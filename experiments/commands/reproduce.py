@@ -20,6 +20,8 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac reproduce`."""
+    from experiments.commands.campaign import add_worker_options
+
     parser.add_argument("--quick", action="store_true", help="few seeds a point; leaves docs/results.md alone")
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds a point (default: each campaign's own)")
     parser.add_argument("--only", nargs="+", metavar="CAMPAIGN", help="these campaigns alone")
@@ -28,8 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="go on from the rows published beside the page, and keep there what is not flown now",
     )
-    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes (default: one a core)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster")
+    add_worker_options(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="flights (default: campaigns/full or campaigns/quick)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="page to write (default: docs/results.md)")
     parser.add_argument("--draw-only", action="store_true", help="fly nothing, rebuild the page from what was flown")
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
                 console.print(f"{name}: {rows} flights taken up from those published beside the page", highlight=False)
             if name in plan.only and not arguments.draw_only:
                 with progress_bar(name, console) as report:
-                    failed += fly(plan, name, lambda: open_workers(arguments.scheduler, arguments.jobs), report).errors
+                    failed += fly(plan, name, lambda: open_workers(arguments), report).errors
             sections.append(draw(plan, name, lambda text: console.print(f"  {text}", highlight=False, soft_wrap=True)))
             write_results(plan, sections)
     except KeyboardInterrupt:

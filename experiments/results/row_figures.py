@@ -98,8 +98,7 @@ def sweep_metric(data: CampaignData, sweep: str, metric: str, controllers: list[
             places = dict(zip(values, _places(values, numeric, index, len(chosen)), strict=True))
             groups = [group for group in data.select(case, controller) if group.values(metric)]
             x = [places[dict(group.point)[sweep]] for group in groups]
-            _interval_line(panel, x, groups, metric, controller, joined=numeric)
-            shown += [group.estimate(metric).value for group in groups]
+            shown += _interval_line(panel, x, groups, metric, controller, joined=numeric)
         _upward_axis(panel, shown)
         _name_ticks(panel, values, numeric)
         finish(panel, label, metric_name(metric), f"{data.label(case)}: survivors only")
@@ -107,7 +106,10 @@ def sweep_metric(data: CampaignData, sweep: str, metric: str, controllers: list[
     return figure
 
 
-def _interval_line(panel: Any, x: list[float], groups: list[Group], metric: str, controller: str, joined: bool) -> None:
+def _interval_line(
+    panel: Any, x: list[float], groups: list[Group], metric: str, controller: str, joined: bool
+) -> list[float]:
+    """Draws medians with their intervals; returns the medians."""
     look = style(controller)
     estimates = [group.estimate(metric) for group in groups]
     middle = np.array([estimate.value for estimate in estimates])
@@ -127,6 +129,7 @@ def _interval_line(panel: Any, x: list[float], groups: list[Group], metric: str,
         capsize=2,
         label=controller,
     )
+    return [estimate.value for estimate in estimates]
 
 
 def compare(data: CampaignData, metric: str, controllers: list[str] | None = None) -> Any:

@@ -118,14 +118,13 @@ def test_features_learnt_afresh_come_with_their_memory():
     start = channel(7)
     W, memory = np.random.default_rng(7).normal(size=(2, 10, 3))
     old = NetworkFeatures(start)
+    nearly_w_bar = SwapConfig(jump_max=1e9, memory_weight=1e6)
     far = []
     for change in (0.0, 0.03, 0.3, 3.0):
         new = NetworkFeatures(dataclasses.replace(start, biases=tuple(b + change for b in start.biases)))
         Phi_bar = new.evaluate(new.select(recent))
         share = resemblance(old.evaluate(old.select(recent)), Phi_bar)
-        plan = plan_swap(
-            SwapConfig(jump_max=1e9, memory_weight=1e6), old, W, new, memory, RADIUS, recent
-        )  # W_new is W_bar, nearly
+        plan = plan_swap(nearly_w_bar, old, W, new, memory, RADIUS, recent)
         np.testing.assert_allclose(plan.W, memory + share * (W - memory), atol=1e-3)
         far.append(share)
     assert far[0] == 1.0

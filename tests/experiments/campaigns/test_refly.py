@@ -160,7 +160,7 @@ def test_a_damaged_folder_is_a_plain_error(file: str, content: bytes, said: str,
 
 def test_parquet_of_something_else_is_a_plain_error(tmp_path: Path) -> None:
     campaign = flown(tmp_path / "flown")
-    about = {b"campaign.yaml": campaign.about.text()}
+    about = {b"campaign.yaml": campaign.about.file_content()}
     file = tmp_path / "other.parquet"
     other = pa.table({"x": [1.0]})
     pq.write_table(other, file)
