@@ -6,6 +6,8 @@ is an error. Records are pydantic models that refuse unknown keys, wrong types a
 
 import re
 from collections.abc import Hashable, Mapping
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -64,6 +66,12 @@ _Loader.add_implicit_resolver(
 )
 
 
+@lru_cache(maxsize=128)
+def _parsed(text: str) -> Any:
+    """The tree of a text, remembered: a campaign reads the same few files for each of its thousands of flights."""
+    return yaml.load(text, Loader=_Loader)
+
+
 def parse_yaml(text: str, source: str) -> Any:
     """The plain tree that a YAML text stands for.
 
@@ -73,7 +81,7 @@ def parse_yaml(text: str, source: str) -> Any:
         If the text is not YAML, or a key stands twice; the message names `source` and the line.
     """
     try:
-        return yaml.load(text, Loader=_Loader)
+        return deepcopy(_parsed(text))
     except yaml.YAMLError as error:
         raise ConfigError(f"{source}: {' '.join(str(error).split())}") from None
 

@@ -17,7 +17,7 @@ from offboard.experience import dump_version, load_experience, load_version
 from offboard.learner import Learner, Outcome
 from offboard.pose_relay import PoseRelay
 from offboard.records import EPOCH, LINK, TRAINING, Array, OffboardOutput
-from offboard.trainer import TrainingJob, TrainingResult
+from offboard.training_job import TrainingJob, TrainingResult
 from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
 from protocol.feature_set import FeatureSet

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from offboard.buffer import SampleTable
 from offboard.network import NetworkState
-from offboard.trainer import TrainerState
+from offboard.training_job import TrainerState
 from protocol.codec import decode_feature_set, encode_feature_set
 from protocol.errors import ProtocolError
 from protocol.feature_set import FeatureSet

@@ -15,7 +15,7 @@ from offboard.experience import Experience, dump_experience
 from offboard.gate import Gate, Verdict
 from offboard.labels import LabelledSample, LabelMaker
 from offboard.network import InputPlan, NetworkState, feature_set, initial_state, phi, state_of
-from offboard.trainer import TrainerState, TrainingJob, TrainingResult
+from offboard.training_job import TrainerState, TrainingJob, TrainingResult
 from protocol.feature_set import FeatureSet
 from protocol.messages import SampleBatch
 

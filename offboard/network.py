@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from offboard.config import NetworkConfig
@@ -19,7 +18,6 @@ from protocol.signals import CHANNELS, input_indices
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-POWER_ITERATIONS: Final = 2
 SPECTRAL_SLACK: Final = 0.999
 """The exact projection aims so far below the bound that rounding to float32 cannot lift a norm above it."""
 
@@ -82,7 +80,7 @@ def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkSta
             used = len(names) if layer == 0 else fan_in
             gain = config.first_layer_gain if layer == 0 else 1.0
             W[row, :used] = rng.normal(0.0, gain / np.sqrt(used), (used, fan_out))
-        weights.append(_below_bound(W, config.spectral_norm_max))
+        weights.append(below_bound(W, config.spectral_norm_max))
         biases.append(rng.uniform(-0.5, 0.5, (C, 1, fan_out)).astype(np.float32))
     offset, scale = np.zeros((C, m), dtype=np.float32), np.ones((C, m), dtype=np.float32)
     for row, names in enumerate(plan.names):
@@ -111,52 +109,12 @@ def scales_from_data(config: NetworkConfig, signals: Array32) -> tuple[Array32, 
     return offset, scale
 
 
-def _below_bound(W: Array32, bound: float) -> Array32:
+def below_bound(W: Array32, bound: float) -> Array32:
     """Each matrix of the stack [C, in, out] scaled down to the bound, by its exact norm."""
     norms = np.linalg.norm(W.astype(np.float64), 2, axis=(1, 2))
     shrink = np.minimum(1.0, SPECTRAL_SLACK * bound / np.maximum(norms, 1e-12))
     shrunk: Array32 = (W * shrink[:, None, None]).astype(np.float32)
     return shrunk
-
-
-class SpectralBound:
-    """Keeps each inner layer's largest singular value below the bound while training.
-
-    Between exact projections the norm is tracked by power iteration from the last vector (weights move little between
-    two calls), all layers in one stack of zero-padded matrices. `exact` ends a round, so that what leaves the trainer
-    is below the bound for sure.
-    """
-
-    def __init__(self, weights: list[torch.Tensor], bound: float) -> None:
-        self._weights = weights
-        self._bound = bound
-        channels, side = weights[0].shape[0], max(max(W.shape[1:]) for W in weights)
-        self._padded = torch.zeros(len(weights), channels, side, side)
-        self._v = torch.ones(len(weights) * channels, side, 1)
-
-    def approximate(self) -> None:
-        """Shrink what exceeds the bound, by power iteration."""
-        for padded, W in zip(self._padded, self._weights, strict=True):
-            padded[:, : W.shape[1], : W.shape[2]] = W
-        shrink = self._bound / self._norms().clamp_min(self._bound)
-        for W, factor in zip(self._weights, shrink, strict=True):
-            W.mul_(factor)
-
-    def _norms(self) -> torch.Tensor:
-        """Norms of the padded matrices, [layers, C, 1, 1], better than those before: so are the singular vectors v."""
-        W = self._padded.flatten(0, 1)
-        for _ in range(POWER_ITERATIONS):
-            u = torch.bmm(W, self._v)
-            v = torch.bmm(W.mT, u)
-            length = torch.linalg.vector_norm(v, dim=1, keepdim=True)
-            self._v = v / length.clamp_min(1e-24)
-        norms = length / torch.linalg.vector_norm(u, dim=1, keepdim=True).clamp_min(1e-12)
-        return norms.view(*self._padded.shape[:2], 1, 1)
-
-    def exact(self) -> None:
-        """Shrink what exceeds the bound, by singular values."""
-        for W in self._weights:
-            W.copy_(torch.from_numpy(_below_bound(W.numpy(), self._bound)))
 
 
 def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelFeatures:

@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from configs.loader import ConfigError, fill_section
 from configs.network import NetworkConfig, seen_from_offboard
@@ -26,6 +26,7 @@ from offboard.config import OffboardConfig
 from offboard.core import OffboardCore
 from offboard.experience import ExperienceError
 from offboard.records import OffboardOutput
+from offboard.training_job import TrainingResult
 from protocol.keys import load_key
 from protocol.session import session_number
 from shell.errors import StartError
@@ -35,9 +36,6 @@ from shell.kernel import THREAD_SWITCH_S, resident_mb
 from shell.signals import StopRequest
 from shell.sockets import AddressInUseError, DatagramSocket
 from shell.status import StatusLines
-
-if TYPE_CHECKING:
-    from offboard.trainer import TrainingResult
 
 STEP_PERIOD_NS: Final = 10_000_000
 """The core steps at least this often, and whenever something arrived."""
@@ -56,11 +54,11 @@ class Worker:
         self._results: queue.SimpleQueue[TrainingResult | str] = queue.SimpleQueue()
         threading.Thread(target=self._work, name="trainer", daemon=True).start()
 
-    def give(self, work: "Callable[[], TrainingResult | None]") -> None:
+    def give(self, work: Callable[[], TrainingResult | None]) -> None:
         """Queue something to be done."""
         self._work_left.put(work)
 
-    def take(self) -> "TrainingResult | str | None":
+    def take(self) -> TrainingResult | str | None:
         """The next result, the report of a job that failed, or None."""
         try:
             return self._results.get_nowait()
@@ -241,6 +239,8 @@ def run(arguments: argparse.Namespace) -> int:
         key = load_key(network.key_file)
         core = OffboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
         _load_experience(core, arguments)
+        if config.experience.mode == "learn":
+            import offboard.trainer  # noqa: F401  torch takes seconds to load: before poses wait, not between them
         make_folder(arguments.out)
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)

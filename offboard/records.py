@@ -1,15 +1,13 @@
 """What the offboard side logs, and what its core gives out in one step."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flight_record.schema import RecordType
-
-if TYPE_CHECKING:
-    from offboard.trainer import TrainingJob
+from offboard.training_job import TrainingJob
 
 Array = NDArray[np.float64]
 
@@ -80,7 +78,7 @@ class OffboardOutput:
     """What one step of the core asks the shell to do."""
 
     to_onboard: list[bytes] = field(default_factory=list)
-    job: "TrainingJob | None" = None
+    job: TrainingJob | None = None
     """To be run (off the loop where there is one) and given back with take_in_training."""
     records: list[Logged] = field(default_factory=list)
     events: list[tuple[int, str]] = field(default_factory=list)

@@ -2,30 +2,23 @@
 
 A round is `batches` mini-batches, each drawn partly from the newest samples and partly from the buffer, followed by a
 ridge regression of the last layer over the same mixture. Labels are standardised while training; theta is kept in
-the units of u. Nothing here knows a clock, a file or a thread: `TrainingJob.run` may be called anywhere.
+the units of u. Nothing here knows a clock, a file or a thread.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from offboard.buffer import TEST, TRAINING, VALIDATION, SampleTable
-from offboard.config import BufferConfig, NetworkConfig, TrainerConfig
 from offboard.gate import Evidence
 from offboard.gradient import LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
-from offboard.network import (
-    Array32,
-    InputPlan,
-    NetworkState,
-    SpectralBound,
-    feature_set,
-    phi,
-    scales_from_data,
-)
+from offboard.network import Array32, InputPlan, NetworkState, feature_set, phi, scales_from_data
+from offboard.spectral_bound import SpectralBound
+from offboard.training_job import TrainerState, TrainingJob, TrainingResult
 from protocol.codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
@@ -35,54 +28,13 @@ Array = NDArray[np.float64]
 HELD_OUT_MINIMUM: Final = 20
 """Held-out samples without which no ridge is chosen by them."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainerState:
-    """What one round hands to the next."""
-
-    network: NetworkState
-    moments: tuple[Array32, ...]
-    """Of the optimiser, on the flat vector of parameters; empty before the first round."""
-    steps: int
-    """Mini-batches so far."""
-    rounds: int
+torch.set_num_threads(1)  # for products as small as these more threads only cost; and one adds up in one order
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainingResult:
-    """What a round found."""
-
-    state: TrainerState
-    candidate: FeatureSet
-    evidence: Evidence
-    epoch_losses: Array
-    """[epochs, 3, 2]: training, validation, test loss per channel after each epoch, (m/s^2)^2 and (rad/s^2)^2."""
-    training_samples: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainingJob:
-    """A round to be run: everything it reads is its own copy."""
-
-    network_config: NetworkConfig
-    config: TrainerConfig
-    seed: int
-    state: TrainerState
-    buffer: SampleTable
-    newest: SampleTable
-    buffer_config: BufferConfig
-    flying: FeatureSet | None
-    """The version in the air, None for the random start features (whose nu_ad is not known here)."""
-    version: int
-    """Number the result would be sent under."""
-    samples_seen: int
-    wire_dtype: Literal["float16", "float32"]
-    """Size of the parameters on the way up: what is judged is what will fly."""
-
-    def run(self) -> TrainingResult:
-        """Train. Deterministic: the same job gives the same result, bit for bit, on the same machine and threads."""
-        with torch.inference_mode():  # the gradient is written out: nothing is to be recorded for autograd
-            return _Round(self).run()
+def train(job: TrainingJob) -> TrainingResult:
+    """One round. Deterministic: the same job gives the same result, bit for bit, on the same machine."""
+    with torch.inference_mode():  # the gradient is written out: nothing is to be recorded for autograd
+        return _Round(job).run()
 
 
 class _Round:

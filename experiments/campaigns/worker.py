@@ -1,6 +1,6 @@
 """What a worker does with a job: one flight, answered as a row; a flight that fails is a row with its error.
 
-Runs in a process of its own (local pool or Dask worker). Heavy modules are imported on the first flight.
+Runs in a process of its own (local pool or Dask worker). torch is loaded by the first flight that trains.
 """
 
 import io

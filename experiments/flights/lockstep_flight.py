@@ -12,6 +12,7 @@ from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import Columns, FlightTrace
 from flight_record.schema import RecordType
+from offboard.core import OffboardCore
 from onboard.core import OnboardCore
 from onboard.supervisor import FlightMode
 from onboard.tick_record import OFFSET, TICK
@@ -58,7 +59,7 @@ class LockstepOutcome:
 
 def build(
     config: FlightConfig, with_offboard: bool = True, recorded: Fates | None = None
-) -> tuple[Lockstep, OnboardCore, Any, Radio]:
+) -> tuple[Lockstep, OnboardCore, OffboardCore | None, Radio]:
     """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio.
 
     recorded: fates that the link's datagrams meet instead of the configured radio's.
@@ -73,13 +74,8 @@ def build(
     return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
 
 
-def build_offboard(config: FlightConfig, session: int) -> Any:
-    """The offboard core; torch is imported here and nowhere before."""
-    import torch
-
-    from offboard.core import OffboardCore
-
-    torch.set_num_threads(1)
+def build_offboard(config: FlightConfig, session: int) -> OffboardCore:
+    """The offboard core; torch is loaded by its first round of training, if there is one."""
     return OffboardCore(config.offboard, session, load_key(config.network.key_file))
 
 

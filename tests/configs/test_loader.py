@@ -142,3 +142,8 @@ def test_set_path_assigns_one_value() -> None:
     for wrong, message in (("a.b", "expected path"), ("=1", "expected path"), ("a.b.c=1", "a.b holds no keys")):
         with pytest.raises(ConfigError, match=message):
             set_path(tree, wrong)
+
+
+def test_a_tree_is_its_readers_own() -> None:
+    parse_yaml(GOOD, "one")["motor"]["lags_s"].append(3.0)
+    assert parse_yaml(GOOD, "another")["motor"] == {"gain": 1, "lags_s": [0.01, 0.02]}

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-import torch
 from pymavlink.dialects.v20 import common as mavlink
 
 from flight_record.schema import RecordType
@@ -107,11 +106,6 @@ def fly(
         if out.version_file is not None:
             log.versions[out.version_file[0]] = out.version_file[1]
     return log
-
-
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 def test_learns_a_jet_and_sends_versions_that_explain_it() -> None:

@@ -10,7 +10,6 @@ from offboard.config import NetworkConfig
 from offboard.gradient import LossGradient, Views, layer_outputs, parameters_of
 from offboard.network import (
     InputPlan,
-    SpectralBound,
     channel_features,
     feature_set,
     initial_state,
@@ -18,6 +17,7 @@ from offboard.network import (
     scales_from_data,
     state_of,
 )
+from offboard.spectral_bound import SpectralBound
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 from tests.offboard.flights import figure8_through_jet, offboard_config
 

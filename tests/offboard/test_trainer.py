@@ -17,11 +17,6 @@ from tests.offboard.flights import figure8_through_jet, offboard_config
 FLIGHT = figure8_through_jet(12.0, gust_m_s2=0.05)
 
 
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def job_after(config: OffboardConfig, batches: int = 120) -> TrainingJob:
     learner = Learner(config)
     for batch in FLIGHT.batches()[:batches]:

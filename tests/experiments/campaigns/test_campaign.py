@@ -300,3 +300,21 @@ def test_no_scheduler_is_a_plain_error() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(ConfigError, match="no scheduler answers"):
         DaskWorkers("tcp://127.0.0.1:9")
+
+
+WITHOUT_TORCH = """
+import sys
+sys.modules["torch"] = None  # whoever imports it now fails
+from experiments.flights.lockstep_flight import fly_lockstep
+from experiments.flights.scenario import Choices, resolve
+outcome = fly_lockstep(resolve("hover", Choices(sys.argv[1], 1, 12.0, ("offboard.trainer.minimum_samples=100",))))
+print(len(outcome.trace.time_s))
+"""
+
+
+@pytest.mark.parametrize(("controller", "flies"), [("mrac", True), ("dmrac", False)])
+def test_only_flights_that_train_load_torch(controller: str, flies: bool) -> None:
+    command = [sys.executable, "-c", WITHOUT_TORCH, controller]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (result.stdout == "2400\n") is flies, result.stderr
+    assert flies or "torch" in result.stderr
