@@ -5,11 +5,13 @@ import platform
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
 PACKAGES: Final = ("async-dmrac", "numpy", "scipy", "numba", "torch", "pyarrow", "scikit-learn", "matplotlib")
+_COMMIT: Final = "; commit "
 
 
 def machine() -> str:
@@ -44,10 +46,17 @@ def commit() -> str:
     return answer.stdout.strip() if answer.returncode == 0 else ""
 
 
+def by_place(lines: Iterable[str]) -> tuple[str, ...]:
+    """Lines of `here`; those that differ in nothing but the commit are one line."""
+    places: dict[str, list[str]] = {}
+    for line in lines:
+        place, _, sources = line.partition(_COMMIT)
+        places.setdefault(place, []).extend([sources] if sources else [])
+    return tuple(place + _COMMIT * bool(commits) + ", ".join(commits) for place, commits in places.items())
+
+
 def here() -> str:
     """One line on this machine and what is installed on it."""
     packages = ", ".join(f"{name} {number}" for name, number in versions().items())
-    parts = [machine(), packages]
-    if sources := commit():
-        parts.append(f"commit {sources}")
-    return "; ".join(parts)
+    sources = commit()
+    return f"{machine()}; {packages}" + (f"{_COMMIT}{sources}" if sources else "")

@@ -16,6 +16,7 @@ from configs.loader import CONFIG_DIRECTORY, ConfigError, load
 from experiments.campaigns.campaign import PRESENTATION, CampaignConfig, flown_keys
 from experiments.campaigns.flight_row import Row
 from experiments.campaigns.flown import read_flown
+from experiments.campaigns.provenance import by_place
 from experiments.results.statistics import Estimate, median, paired_ratio, wilson
 
 Array = NDArray[np.float64]
@@ -73,7 +74,7 @@ class CampaignData:
     """Flights that were flown; failed ones are in `failed`."""
     failed: tuple[Row, ...] = field(default=())
     flown_on: tuple[str, ...] = ()
-    """Machines and versions, a line each."""
+    """Machines and versions, a line each, with the commits that flew there."""
 
     @property
     def command(self) -> str:
@@ -160,7 +161,7 @@ def load_data(folder: Path) -> CampaignData:
     name = flown.about.name
     good = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
-    return CampaignData(folder, name, _presented(flown.config, name), good, failed, flown.about.flown_on)
+    return CampaignData(folder, name, _presented(flown.config, name), good, failed, by_place(flown.about.flown_on))
 
 
 def _presented(config: CampaignConfig, name: str) -> CampaignConfig:

@@ -10,6 +10,7 @@ from configs.loader import ConfigError
 from experiments.campaigns import flown
 from experiments.campaigns.campaign import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
+from experiments.campaigns.provenance import by_place
 from experiments.campaigns.runner import prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult
@@ -88,3 +89,9 @@ def test_what_is_not_flown_now_stays_on_the_page(tmp_path: Path) -> None:
     plan = replace(before, only=("retention",), extend=True)
     assert plan.shown == ("retention", "features")
     assert plan.command == "dmrac reproduce --extend --seeds 2 --only retention"
+
+
+def test_machines_are_named_once() -> None:
+    here, elsewhere = "AMD EPYC, 2 cores; python 3.11.2", "AMD EPYC, 2 cores; python 3.11.7"
+    lines = (f"{here}; commit 1a", elsewhere, f"{here}; commit 2b-dirty", f"{elsewhere}; commit 1a")
+    assert by_place(lines) == (f"{here}; commit 1a, 2b-dirty", f"{elsewhere}; commit 1a")
