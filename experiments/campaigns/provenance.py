@@ -5,7 +5,7 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
@@ -46,17 +46,21 @@ def commit() -> str:
     return answer.stdout.strip() if answer.returncode == 0 else ""
 
 
+def _line(place: str, commits: Sequence[str]) -> str:
+    return place + (_COMMIT + ", ".join(commits) if commits else "")
+
+
 def by_place(lines: Iterable[str]) -> tuple[str, ...]:
     """Lines of `here`; those that differ in nothing but the commit are one line."""
     places: dict[str, list[str]] = {}
     for line in lines:
         place, _, sources = line.partition(_COMMIT)
         places.setdefault(place, []).extend([sources] if sources else [])
-    return tuple(place + _COMMIT * bool(commits) + ", ".join(commits) for place, commits in places.items())
+    return tuple(_line(place, commits) for place, commits in places.items())
 
 
 def here() -> str:
     """One line on this machine and what is installed on it."""
     packages = ", ".join(f"{name} {number}" for name, number in versions().items())
     sources = commit()
-    return f"{machine()}; {packages}" + (f"{_COMMIT}{sources}" if sources else "")
+    return _line(f"{machine()}; {packages}", [sources] if sources else [])
