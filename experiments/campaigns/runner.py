@@ -155,22 +155,33 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         name=run.name,
         fingerprint=fingerprint(tree),
         seeds=run.seeds or run.campaign.seeds.count,
-        flown_on=tuple(dict.fromkeys([*flown_on, here()])),
+        flown_on=flown_on,
         campaign=tree,
     )
     _write(run.folder / CAMPAIGN_FILE, about.file_content())
 
 
+def note_place(folder: Path) -> None:
+    """Writes into a prepared folder that flights are flown here, with the versions of now."""
+    about = read_about(folder)
+    flown_on = tuple(dict.fromkeys([*about.flown_on, here()]))
+    _write(folder / CAMPAIGN_FILE, about.model_copy(update={"flown_on": flown_on}).file_content())
+
+
 def run_campaign(
     run: CampaignRun, store: CampaignStore, workers: Workers, report: Callable[[Progress], None]
 ) -> Progress:
-    """Flies what is not in the store yet. KeyboardInterrupt passes through; everything reported is kept.
+    """Flies what is not in the store yet, and notes in a prepared folder where, if anything is missing.
+
+    KeyboardInterrupt passes through; everything reported is kept.
 
     report: called after every flight.
     """
     total = sum(1 for _ in run.jobs())
     progress = Progress(total, done=sum(1 for job in run.jobs() if job.key in store.done))
     report(progress)
+    if progress.done < total and is_campaign(run.folder):
+        note_place(run.folder)
     try:
         loop = _Loop(run, store, workers, progress, report)
         loop.fly(job for job in run.jobs() if job.key not in store.done)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from experiments.commands.worker_options import add_jobs_option, cores
 from experiments.flights.scenario import DEFAULT_SCENARIO
 
 if TYPE_CHECKING:
@@ -30,13 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", help="name in configs/controllers, or a file (default: the scenario's)")
     parser.add_argument("--seed", type=int, help="of everything random (default: the scenario's)")
     parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="s a flight (default: 30)")
-    parser.add_argument("--jobs", type=int, metavar="N", help="flights side by side (default: one a core)")
+    add_jobs_option(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the rows as JSON too")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 every vehicle survived, 1 one was lost, 2 nothing was flown."""
-    from experiments.commands.campaign import cores
     from experiments.link.dropout_flights import HEADINGS, fly_all
 
     flights = jobs(arguments)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from experiments.commands.worker_options import add_worker_options, open_workers, positive, progress_bar
+
 EXAMPLES = """examples:
   dmrac refly campaigns/rotor_chip                   a flight of each controller
   dmrac refly docs/data/*.parquet                    of the published ones
@@ -15,8 +17,6 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac refly`."""
-    from experiments.commands.campaign import add_worker_options, positive
-
     parser.add_argument(
         "places",
         type=Path,
@@ -33,7 +33,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 all the same to the bit, 1 some differ, 130 interrupted."""
     from experiments.campaigns.flown import read_flown
     from experiments.campaigns.refly import pick, refly
-    from experiments.commands.campaign import open_workers, progress_bar
 
     console = Console()
     campaigns = [read_flown(place) for place in arguments.places]

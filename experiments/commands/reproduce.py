@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from configs.loader import ConfigError
+from experiments.commands.worker_options import add_worker_options, open_workers, positive, progress_bar
 
 EXAMPLES = """examples:
   dmrac reproduce --quick          every campaign with few seeds, minutes; page and figures in campaigns/quick
@@ -20,10 +21,8 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac reproduce`."""
-    from experiments.commands.campaign import add_worker_options
-
     parser.add_argument("--quick", action="store_true", help="few seeds a point; leaves docs/results.md alone")
-    parser.add_argument("--seeds", type=int, metavar="N", help="seeds a point (default: each campaign's own)")
+    parser.add_argument("--seeds", type=positive, metavar="N", help="seeds a point (default: each campaign's own)")
     parser.add_argument("--only", nargs="+", metavar="CAMPAIGN", help="these campaigns alone")
     parser.add_argument(
         "--extend",
@@ -38,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 done, 1 some flights failed, 130 interrupted (call again to go on)."""
-    from experiments.commands.campaign import open_workers, progress_bar
     from experiments.results.reproduction import (
         CAMPAIGNS,
         Reproduction,

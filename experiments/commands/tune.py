@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError
+from experiments.commands.worker_options import add_jobs_option, cores, positive
 
 if TYPE_CHECKING:
     import optuna
@@ -23,8 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac tune`."""
     parser.add_argument("campaign", help="tuning campaign: name in configs/campaigns, or a file")
     parser.add_argument("--controller", required=True, help="name in configs/controllers, or a file")
-    parser.add_argument("--trials", type=int, required=True, metavar="N", help="budget; trials of earlier runs count")
-    parser.add_argument("--jobs", type=int, metavar="N", help="flights at a time (default: one a core)")
+    parser.add_argument(
+        "--trials", type=positive, required=True, metavar="N", help="budget; trials of earlier runs count"
+    )
+    add_jobs_option(parser)
     parser.add_argument("--seed", type=int, default=0, help="of the sampler (default 0)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="the search's folder (default: campaigns/NAME)")
     parser.add_argument("--dry-run", action="store_true", help="do not write the controller file")
@@ -37,12 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
     from experiments.campaigns.controller_file import tuned_text, write_controller
     from experiments.campaigns.runner import LocalPool
     from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
-    from experiments.commands.campaign import cores
     from experiments.flights.scenario import named_file
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if arguments.trials < 1:
-        raise ConfigError("--trials: at least 1")
     path = campaign_path(arguments.campaign)
     search = Search(load_tuning(path), path.stem, arguments.controller, arguments.trials, arguments.seed)
     target = named_file("controllers", arguments.controller)

@@ -106,6 +106,22 @@ def test_flights_of_other_first_seeds_are_found(tmp_path: Path) -> None:
     assert [flight.again["key"] for flight in flights] == keys
 
 
+def test_who_only_looks_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A place is noted by whoever flies there, not by a `--resume` that finds nothing to fly."""
+    assert len(flown(tmp_path / "flown").about.flown_on) == 1
+    monkeypatch.setattr("experiments.campaigns.runner.here", lambda: "elsewhere")
+
+    def resume(seeds: int) -> tuple[str, ...]:
+        run = CampaignRun(fill(CampaignConfig, parse_yaml(TEXT, "t"), "t"), "test", tmp_path / "flown", seeds)
+        prepare_folder(run, resume=True)
+        with open_store(run.folder) as store:
+            run_campaign(run, store, InlineWorkers(made_up), silent)
+        return read_flown(run.folder).about.flown_on
+
+    assert "elsewhere" not in resume(3)
+    assert "elsewhere" in resume(4)
+
+
 def test_what_came_out_otherwise_is_told(tmp_path: Path) -> None:
     campaign = flown(tmp_path / "flown")
     told: list[str] = []

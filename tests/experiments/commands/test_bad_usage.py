@@ -43,6 +43,25 @@ def test_bad_usage_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        ("campaign rotor_chip --jobs 0", "--jobs"),
+        ("campaign rotor_chip --seeds 0", "--seeds"),
+        ("refly nothing --sample 0", "--sample"),
+        ("reproduce --seeds -5", "--seeds"),
+        ("dropouts --jobs -1", "--jobs"),
+        ("tune tune --controller pid --trials 3 --jobs 0", "--jobs"),
+        ("tune tune --controller pid --trials 0", "--trials"),
+    ],
+)
+def test_a_number_of_things_is_at_least_one(words: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words.split())
+    assert ended.value.code == 2
+    assert f"argument {option}: at least 1" in capsys.readouterr().err
+
+
 def test_a_flight_is_not_flown_unseen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,7 +12,7 @@ import pytest
 from configs.loader import ConfigError, fill, parse_yaml
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, unfold
 from experiments.campaigns.flight_row import empty_row
-from experiments.campaigns.runner import CampaignRun, prepare_folder
+from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results.campaign_data import Trace, load_data
@@ -111,6 +111,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("campaign")
     config = fill(CampaignConfig, parse_yaml(TEXT, "test"), "test")
     prepare_folder(CampaignRun(config, "made_up", folder), resume=False)
+    note_place(folder)
     store = CampaignStore(folder)
     (folder / "traces").mkdir()
     for job in unfold(config, "made_up"):
