@@ -19,7 +19,18 @@ from pydantic import Field, model_validator
 from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, load
 
 DRAW_STREAM = 401
-PRESENTATION = ("title", "description", "seeds", "quick_seeds", "compare_to", "metrics", "targets", "figures", "traces")
+PRESENTATION = (
+    "title",
+    "description",
+    "seeds",
+    "quick_seeds",
+    "compare_to",
+    "same_conditions",
+    "metrics",
+    "targets",
+    "figures",
+    "traces",
+)
 """Keys of a campaign that change no flight."""
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w.+-]*$")]
 Assignments = dict[str, Any]
@@ -134,6 +145,8 @@ class CampaignConfig(Record):
     """Of so many seeds, at every point, the columns are kept for figures."""
     compare_to: str = ""
     """Controller that ratios are formed against; empty: the last one named."""
+    same_conditions: tuple[tuple[Name, ...], ...] = ()
+    """Cases that differ in how the vehicle is controlled only: their controllers are compared with each other."""
     metrics: tuple[str, ...] = ("first_lap_rmse_m", "settled_rmse_m", "attitude_rmse_rad")
     """Columns of flights.parquet that the table shows."""
     targets: tuple[Target, ...] = ()
@@ -150,6 +163,11 @@ class CampaignConfig(Record):
                 raise ValueError(f"case {case.name}: experience: there is no case {case.experience}")
             if case.experience is not None and self.case(case.experience).experience is not None:
                 raise ValueError(f"case {case.name}: experience: {case.experience} itself starts from another case")
+        together = [name for cases in self.same_conditions for name in cases]
+        for name in together:
+            if name not in names or together.count(name) > 1:
+                fault = "stands there twice" if name in names else f"is none; allowed are {', '.join(names)}"
+                raise ValueError(f"same_conditions: case {name} {fault}")
         return self
 
     def case(self, name: str) -> Case:

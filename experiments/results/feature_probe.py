@@ -201,7 +201,7 @@ def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, flo
 
 
 def _cell(values: list[float]) -> str:
-    from experiments.results.tables import show
+    from experiments.results.wording import show
 
     return show(median(values, np.random.default_rng(PROBE_SEED)), 2)
 

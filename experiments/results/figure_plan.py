@@ -10,8 +10,9 @@ from configs.loader import ConfigError
 from experiments.results import row_figures, trace_figures
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_style import save
-from experiments.results.tables import Table, metric_name
+from experiments.results.tables import Table
 from experiments.results.thrust_limit import limit_table
+from experiments.results.wording import metric_name
 from shell.files import write_atomically
 
 Drawer = Callable[..., Any]

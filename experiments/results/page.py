@@ -12,7 +12,8 @@ import yaml
 
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_plan import Picture
-from experiments.results.tables import Table, first_paragraph, tables
+from experiments.results.losses import first_paragraph
+from experiments.results.tables import Table, tables
 from shell.files import write_atomically
 
 STYLE: Final = """

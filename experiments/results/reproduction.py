@@ -12,8 +12,9 @@ from experiments.campaigns.flown import is_campaign, publish, read_about, unpubl
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
 from experiments.results.campaign_data import CampaignData, load_data
 from experiments.results.figure_plan import Picture, draw_all
+from experiments.results.losses import comparisons, first_paragraph
 from experiments.results.page import write_page
-from experiments.results.tables import TARGET_HEADER, Table, first_paragraph, markdown_report, target_rows
+from experiments.results.tables import TARGET_HEADER, Table, markdown_report, target_rows
 from shell.files import write_atomically
 
 CAMPAIGNS: Final = (
@@ -163,7 +164,7 @@ def _opening(sections: Sequence[Section]) -> str:
     """The first paragraph: where DMRAC loses, campaign by campaign."""
     lines = []
     for section in sections:
-        if "dmrac" in section.data.controllers and len(section.data.controllers) > 1:
+        if any(comparisons(section.data)):
             title = section.data.config.title or section.data.name
             lines.append(f"- {title}: {first_paragraph(section.data, brief=True)}")
     return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
@@ -177,7 +178,8 @@ def _provenance(plan: Reproduction, sections: Sequence[Section]) -> str:
         f"Made by `{plan.command}`, no number or picture is edited by hand. "
         f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; each section says where. "
         "Medians are over survivors, with 95 % bootstrap intervals (six flights at least); survival has Wilson "
-        "intervals; ratios are paired by seed. What each column means: [experiments.md](experiments.md).\n"
+        "intervals; ratios are paired by seed. Nothing is corrected for the number of comparisons: between equals, one "
+        "in forty would be called a loss. What each column means: [experiments.md](experiments.md).\n"
     )
 
 

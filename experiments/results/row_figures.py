@@ -7,7 +7,7 @@ import numpy as np
 from experiments.results.campaign_data import CampaignData, Group
 from experiments.results.figure_style import finish, legend_below, new_figure, style
 from experiments.results.statistics import SEPARATION_RIDGE, logistic_fit
-from experiments.results.tables import metric_name
+from experiments.results.wording import metric_name
 
 LOGARITHMIC_FROM = 8.0
 """Largest over smallest value from which a comparison's axis is logarithmic."""

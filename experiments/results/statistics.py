@@ -17,7 +17,11 @@ Z_95: Final = 1.959963984540054
 """Normal quantile at 0.975."""
 RESAMPLES: Final = 4000
 INTERVAL_COUNT: Final = 6
-"""Of fewer values no interval of the median is stated: even from the least to the greatest of five covers only 94 %."""
+"""Of fewer values no interval of the median is stated: even from the least to the greatest of five covers only 94 %.
+
+The percentile bootstrap's interval is narrower than it should be where values are few: with six to ten it covers the
+true median of normal samples in 86 to 94 % of cases, with twenty to a hundred in 94 % (2000 simulated samples each).
+"""
 
 
 @dataclass(frozen=True)
@@ -145,10 +149,17 @@ SEPARATION_RIDGE: Final = 0.05
 """Of the survival fits: small against the information of ten flights, enough for a perfect threshold."""
 
 
-def half_survival_point(x: ArrayLike, survived: ArrayLike, rng: np.random.Generator, resamples: int = 1000) -> Estimate:
-    """Where half survive, by logistic fit, with its bootstrap interval over flights; NaN if one outcome is missing.
+def half_survival_point(
+    x: ArrayLike, survived: ArrayLike, seeds: ArrayLike, rng: np.random.Generator, resamples: int = 1000
+) -> Estimate:
+    """Where half survive, by logistic fit, with its bootstrap interval over seeds; NaN if one outcome is missing.
 
-    A resample in which only one outcome occurs counts as a point beyond the range on that side.
+    A seed's vehicle flies at every x, so its outcomes are not independent: it is drawn with all its flights or not
+    at all. A resample in which only one outcome occurs counts as a point beyond the range on that side.
+
+    Parameters
+    ----------
+    x, survived, seeds: [n], a flight each.
     """
     position: Array = np.asarray(x, dtype=np.float64)
     outcome = np.asarray(survived, dtype=bool)
@@ -156,8 +167,10 @@ def half_survival_point(x: ArrayLike, survived: ArrayLike, rng: np.random.Genera
         return Estimate(math.nan, math.nan, math.nan, position.size)
     fit = logistic_fit(position, outcome, SEPARATION_RIDGE)
     points: Array = np.empty(resamples)
+    seed = np.asarray(seeds)
+    flights_of = [np.flatnonzero(seed == one) for one in np.unique(seed)]
     for number in range(resamples):
-        rows = rng.integers(0, position.size, position.size)
+        rows = np.concatenate([flights_of[one] for one in rng.integers(0, len(flights_of), len(flights_of))])
         points[number] = _half_point(position[rows], outcome[rows], fit.slope > 0.0)
     low, high = np.quantile(points, ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0), method="nearest")
     return Estimate(fit.half_point, float(low), float(high), position.size)

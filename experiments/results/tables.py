@@ -1,43 +1,20 @@
-"""Tables of a campaign, and the sentence that says first where DMRAC loses. Markdown and HTML from the same cells."""
+"""Tables of a campaign: Markdown and HTML from the same cells."""
 
 import html
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from experiments.campaigns.campaign import Flown, Target
 from experiments.results.campaign_data import CampaignData, Group, generator
-from experiments.results.statistics import INTERVAL_COUNT, Estimate, half_survival_point
+from experiments.results.losses import OURS, first_paragraph
+from experiments.results.statistics import Estimate, half_survival_point
+from experiments.results.wording import counted, metric_name, show
 
-OURS = "dmrac"
-LOSSES_LISTED = 8
 ROWS_TO_JOIN = 3
 """Cases with so few rows share one table."""
 TARGET_HEADER: Final = ("ratio", "reached", "pairs", "target", "met")
-UNITS = {"_m": "m", "_rad": "rad", "_s": "s", "_m_s2": "m/s²", "_rad_s2": "rad/s²"}
-METRIC_NAMES = {
-    "position_rmse_m": "position RMSE, whole path [m]",
-    "attitude_rmse_rad": "attitude RMSE [rad]",
-    "first_lap_rmse_m": "position RMSE, first lap [m]",
-    "settled_rmse_m": "position RMSE, settled [m]",
-    "before_onset_rmse_m": "position RMSE before the fault [m]",
-    "after_onset_rmse_m": "position RMSE, first 4 s after the onset [m]",
-    "settled_after_onset_rmse_m": "position RMSE from 10 s after the onset [m]",
-    "recovery_s": "recovery time [s]",
-    "worst_error_m": "largest distance to the target [m]",
-    "feature_age_median_s": "median age of the features [s]",
-    "position_swap_jump_max_m_s2": "largest jump of nu_ad at a swap [m/s²]",
-    "attitude_swap_jump_max_rad_s2": "largest jump of nu_ad at a swap [rad/s²]",
-    "down_bytes_s": "bytes per second down",
-    "up_bytes_s": "bytes per second up",
-}
-
-
-def metric_name(metric: str) -> str:
-    """A metric in words, with its unit."""
-    return METRIC_NAMES.get(metric, metric.replace("_", " "))
 
 
 @dataclass(frozen=True)
@@ -67,17 +44,6 @@ class Table:
 def _strong(cell: str) -> str:
     text = html.escape(cell)
     return f"<strong>{text.strip('*')}</strong>" if cell.startswith("**") and cell.endswith("**") else text
-
-
-def show(estimate: Estimate, digits: int = 3, percent: bool = False) -> str:
-    """`value [low, high]`, or a dash."""
-    if not math.isfinite(estimate.value):
-        return "–"
-    if percent:
-        return f"{100 * estimate.value:.0f} % [{100 * estimate.low:.0f}, {100 * estimate.high:.0f}]"
-    if not math.isfinite(estimate.low) and not math.isfinite(estimate.high):
-        return f"{estimate.value:.{digits}f}"
-    return f"{estimate.value:.{digits}f} [{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
 
 
 def tables(data: CampaignData) -> list[Table]:
@@ -122,7 +88,11 @@ def _results(data: CampaignData, cases: Sequence[str]) -> Table:
 def _ratio(group: Group, base: Group | None, metric: str) -> str:
     if base is None:
         return "–"
-    return "1" if base == group else show(group.ratio(base, metric), 2)
+    if base == group:
+        return "1"
+    ratio = group.ratio(base, metric)
+    pairs = f" ({counted(ratio.count, 'pair')})" if 0 < ratio.count < len(group.rows) else ""
+    return show(ratio, 2) + pairs
 
 
 def _main(metrics: Sequence[str]) -> str:
@@ -160,8 +130,9 @@ def _half_points(data: CampaignData) -> Table:
             groups = [group for group in data.select(case, controller) if group.point]
             x = [float(dict(group.point)[sweep]) for group in groups for _ in group.rows]
             alive = [bool(row["survived"]) for group in groups for row in group.rows]
+            seeds = [int(row["seed"]) for group in groups for row in group.rows]
             if x:
-                point = half_survival_point(x, alive, generator("half", case, controller))
+                point = half_survival_point(x, alive, seeds, generator("half", case, controller))
                 rows.append((data.label(case), controller, str(len(x)), show(point), _band(data, case, controller)))
     label = data.config.sweeps[0].label or sweep
     header = ("case", "controller", "flights", label, "dmrac ≥ 95 % and this ≤ 50 % at")
@@ -207,56 +178,6 @@ def target_rows(data: CampaignData) -> list[tuple[str, ...]]:
 def _failures(data: CampaignData) -> Table:
     rows = tuple((row["key"], row["error"], row["command"]) for row in data.failed[:20])
     return Table(f"{len(data.failed)} flights failed and are in no number above", ("flight", "error", "command"), rows)
-
-
-def losses(data: CampaignData, certain: bool) -> list[str]:
-    """Where DMRAC is worse than another controller: RMSE of survivors, or survival.
-
-    certain: True for what lies beyond the 95 % intervals, False for what only the median or the count says.
-    """
-    return [sentence for sentence, sure in _comparisons(data) if sure is certain]
-
-
-def _comparisons(data: CampaignData) -> Iterator[tuple[str, bool]]:
-    metrics = [metric for metric in data.config.metrics if metric.endswith("rmse_m")]
-    for ours in data.select(controller=OURS):
-        place = ", ".join([data.label(ours.case), *(f"{name} {value}" for name, value in ours.point)])
-        for theirs in data.select(ours.case, point=dict(ours.point)):
-            if theirs.controller == OURS:
-                continue
-            if theirs.survival.value > ours.survival.value:
-                shares = (
-                    f"{show(theirs.survival, percent=True)} of its flights, dmrac {show(ours.survival, percent=True)}"
-                )
-                yield f"{place}: {theirs.controller} survives {shares}", theirs.survival.low > ours.survival.high
-            for metric in metrics:
-                ratio = ours.ratio(theirs, metric)
-                if ratio.value > 1.0:
-                    yield (
-                        f"{place}: {metric_name(metric)} {show(ratio, 2)} times that of {theirs.controller}",
-                        ratio.low > 1.0,
-                    )
-
-
-def first_paragraph(data: CampaignData, brief: bool = False) -> str:
-    """What a report begins with. brief: what lies within the intervals is counted, not listed."""
-    seeds = sorted({row["seed"] for row in data.rows})
-    about = f"{len(data.rows)} flights, seeds {seeds[0]} to {seeds[-1]}, the same for every controller."
-    if OURS not in data.controllers or data.controllers == [OURS]:
-        return about
-    sure, unsure = losses(data, certain=True), losses(data, certain=False)
-    text = f"**DMRAC loses here:** {_listed(sure)}." if sure else "DMRAC loses nowhere beyond the 95 % intervals."
-    if len(seeds) < INTERVAL_COUNT:
-        text = f"Only {len(seeds)} seed{'s were' if len(seeds) > 1 else ' was'} flown, too few for intervals."
-    if unsure:
-        places = f"in {len(unsure)} comparison{'s' if len(unsure) > 1 else ''}" if brief else _listed(unsure)
-        text += f" Behind by the median or the count, within the intervals: {places}."
-    return f"{text} {about}"
-
-
-def _listed(sentences: Sequence[str]) -> str:
-    more = len(sentences) - LOSSES_LISTED
-    return "; ".join(sentences[:LOSSES_LISTED]) + (f"; and {more} more, see the tables" if more > 0 else "")
 
 
 def markdown_report(data: CampaignData, pictures: Sequence[tuple[Path, str]]) -> str:

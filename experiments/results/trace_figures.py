@@ -29,7 +29,8 @@ def _band(panel: Any, traces: list[Trace], columns: list[Array], colour: str, li
     alive = np.isfinite(stacked).any(axis=0)
     time, stacked = longest[alive], stacked[:, alive]
     mean = np.nanmean(stacked, axis=0)
-    spread = np.nanstd(stacked, axis=0)
+    flying = np.isfinite(stacked).sum(axis=0)
+    spread = np.sqrt(np.nansum((stacked - mean) ** 2, axis=0) / np.maximum(flying - 1, 1))
     panel.plot(time, mean, color=colour, linestyle=line, linewidth=1.1, label=label)
     panel.fill_between(time, mean - spread, mean + spread, color=colour, alpha=0.18, linewidth=0)
 

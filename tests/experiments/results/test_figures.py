@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results.campaign_data import Trace, load_data
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
+from experiments.results.losses import comparisons, first_paragraph, losses
 from experiments.results.page import write_page
 from experiments.results.reproduction import (
     BEGIN_TARGETS,
@@ -28,7 +30,7 @@ from experiments.results.reproduction import (
     write_results,
     write_targets,
 )
-from experiments.results.tables import first_paragraph, losses, tables, target_ratio
+from experiments.results.tables import tables, target_ratio
 from protocol.signals import SIGNAL_INDEX
 from shell.files import write_atomically
 
@@ -125,10 +127,39 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_loss_is_said_first(folder: Path) -> None:
     data = load_data(folder)
-    sure = losses(data, certain=True)
-    assert any(sentence.startswith("a chip, factor 0.7: mrac survives") for sentence in sure)
+    sure = losses(list(comparisons(data)), certain=True)
+    assert any(sentence.startswith("a chip, factor 0.7: dmrac survives 0 % [0, 24] of its") for sentence in sure)
+    assert any(", mrac " in sentence for sentence in sure)
     assert not any("factor 0.9" in sentence for sentence in sure)
-    assert first_paragraph(data).startswith("**DMRAC loses here:** a chip, factor 0.7")
+    # At 0.6 and 0.7 no dmrac flight survives to be compared: three survivals and two errors, with two rivals each.
+    assert first_paragraph(data).startswith("**DMRAC loses here** (2 of 10 comparisons): a chip, factor 0.7")
+
+
+def test_every_error_in_the_table_is_compared(folder: Path) -> None:
+    data = load_data(folder)
+    slow = [row | {"recovery_s": 2.0 if row["controller"] == "dmrac" else 1.0} for row in data.rows]
+    config = data.config.model_copy(update={"metrics": ("settled_rmse_m", "recovery_s", "feature_age_median_s")})
+    told = losses(list(comparisons(replace(data, config=config, rows=tuple(slow)))), certain=True)
+    assert "a chip, factor 0.9: recovery time [s] 2.00 [2.00, 2.00] times that of pid" in told[-1]
+    assert not any("age" in sentence for sentence in told)
+
+
+def test_cases_under_the_same_conditions_are_compared(folder: Path) -> None:
+    """What another controller flies in a case of its own is compared too, where the campaign says that it may be."""
+    data = load_data(folder)
+    cases = (data.config.cases[0], data.config.cases[0].model_copy(update={"name": "others", "label": ""}))
+    rows = tuple(row | {"case": "others"} if row["controller"] == "mrac" else row for row in data.rows)
+    for together, rivals in (((), {"pid"}), ((("chip", "others"),), {"pid", "mrac"})):
+        config = data.config.model_copy(update={"cases": cases, "same_conditions": together})
+        assert {one.rival for one in comparisons(replace(data, config=config, rows=rows))} == rivals
+
+
+def test_few_pairs_are_counted(folder: Path) -> None:
+    data = load_data(folder)
+    rows = tuple(row | {"survived": row["seed"] < 1002} if row["controller"] == "pid" else row for row in data.rows)
+    few = replace(data, rows=rows)
+    table = {(row[0], row[1].strip("*")): row for row in tables(few)[0].rows}
+    assert table["0.9", "dmrac"][6] == "0.20 (2 pairs)"
 
 
 def test_survivors_and_crashes_are_apart(folder: Path) -> None:
@@ -199,7 +230,7 @@ def test_results_page_begins_with_the_losses(folder: Path, tmp_path: Path) -> No
     plan = Reproduction(folder.parent, tmp_path / "results.md", quick=True)
     write_results(plan, [Section(load_data(folder), (), ())])
     text = plan.page.read_text()
-    assert text.split("\n")[2].startswith("- Made up: **DMRAC loses here:**")
+    assert text.split("\n")[2].startswith("- Made up: **DMRAC loses here** (")
     assert "`dmrac reproduce --quick`" in text
     data = load_data(folder)
     assert f"[data/{data.name}.parquet](data/{data.name}.parquet)" in text

@@ -102,13 +102,26 @@ def test_half_survival_point_and_its_interval() -> None:
     rng = np.random.default_rng(5)
     x = np.repeat([0.5, 0.6, 0.65, 0.7, 0.8, 0.9], 40)
     y = rng.random(x.size) < LogisticFit(-28.0, 40.0).probability(x)
-    estimate = half_survival_point(list(x), list(y), rng, 300)
+    estimate = half_survival_point(x, y, np.tile(np.arange(40), 6), rng, 300)
     assert estimate.low < 0.7 < estimate.high
     assert estimate.high - estimate.low < 0.04
 
 
 def test_half_survival_point_of_a_perfect_threshold_is_finite() -> None:
     x = [0.6] * 10 + [0.7] * 10
-    estimate = half_survival_point(x, [False] * 10 + [True] * 10, np.random.default_rng(0), 200)
+    estimate = half_survival_point(x, [False] * 10 + [True] * 10, range(20), np.random.default_rng(0), 200)
     assert 0.6 < estimate.value < 0.7
-    assert math.isnan(half_survival_point(x, [True] * 20, np.random.default_rng(0)).value)
+    assert math.isnan(half_survival_point(x, [True] * 20, range(20), np.random.default_rng(0)).value)
+
+
+def test_half_survival_point_knows_that_flights_of_a_seed_are_alike() -> None:
+    """Each vehicle has a threshold of its own: as often as its flight is repeated, the interval stays as wide."""
+    thresholds = np.random.default_rng(6).normal(0.7, 0.05, 30)
+    x = np.tile([0.6, 0.65, 0.7, 0.75, 0.8], 30)
+    seeds = np.repeat(np.arange(30), 5)
+    once = half_survival_point(x, x > thresholds[seeds], seeds, np.random.default_rng(0), 300)
+    x, seeds = np.tile(x, 4), np.tile(seeds, 4)
+    fourfold = half_survival_point(x, x > thresholds[seeds], seeds, np.random.default_rng(0), 300)
+    apart = half_survival_point(x, x > thresholds[seeds], np.arange(x.size), np.random.default_rng(0), 300)
+    assert fourfold.high - fourfold.low == pytest.approx(once.high - once.low, rel=0.1)
+    assert apart.high - apart.low < 0.75 * (once.high - once.low)

@@ -1,0 +1,43 @@
+"""Metrics and estimates in words, the same in tables, sentences and figures."""
+
+import math
+
+from experiments.results.statistics import Estimate
+
+METRIC_NAMES = {
+    "position_rmse_m": "position RMSE, whole path [m]",
+    "attitude_rmse_rad": "attitude RMSE [rad]",
+    "first_lap_rmse_m": "position RMSE, first lap [m]",
+    "settled_rmse_m": "position RMSE, settled [m]",
+    "before_onset_rmse_m": "position RMSE before the fault [m]",
+    "after_onset_rmse_m": "position RMSE, first 4 s after the onset [m]",
+    "settled_after_onset_rmse_m": "position RMSE from 10 s after the onset [m]",
+    "recovery_s": "recovery time [s]",
+    "worst_error_m": "largest distance to the target [m]",
+    "feature_age_median_s": "median age of the features [s]",
+    "position_swap_jump_max_m_s2": "largest jump of nu_ad at a swap [m/s²]",
+    "attitude_swap_jump_max_rad_s2": "largest jump of nu_ad at a swap [rad/s²]",
+    "down_bytes_s": "bytes per second down",
+    "up_bytes_s": "bytes per second up",
+}
+
+
+def metric_name(metric: str) -> str:
+    """A metric in words, with its unit."""
+    return METRIC_NAMES.get(metric, metric.replace("_", " "))
+
+
+def show(estimate: Estimate, digits: int = 3, percent: bool = False) -> str:
+    """`value [low, high]`, or a dash."""
+    if not math.isfinite(estimate.value):
+        return "–"
+    if percent:
+        return f"{100 * estimate.value:.0f} % [{100 * estimate.low:.0f}, {100 * estimate.high:.0f}]"
+    if not math.isfinite(estimate.low) and not math.isfinite(estimate.high):
+        return f"{estimate.value:.{digits}f}"
+    return f"{estimate.value:.{digits}f} [{estimate.low:.{digits}f}, {estimate.high:.{digits}f}]"
+
+
+def counted(count: int, thing: str) -> str:
+    """`1 pair`, `2 pairs`."""
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
