@@ -68,8 +68,8 @@ def loaded_voltage(vehicle: SimVehicleConfig, thrusts: Sequence[float], volts: f
 
 
 def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
-    """For each step of the sweep: how many of the campaign's seeds can hover without turning, and with what reserve."""
-    reserves: dict[str, list[float]] = {}
+    """For each step of the sweep: how many of the campaign's seeds can hover without turning, and who survives."""
+    reserves: dict[Any, dict[int, float]] = {}
     seeds = len({row["seed"] for row in data.rows})
     first = data.controllers[0]
     for job in unfold(data.config, data.name, seeds):
@@ -77,14 +77,26 @@ def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
             continue
         flight = configuration(job)
         step: Any = dict(job.point)[sweep]
-        reserves.setdefault(json.dumps(step), []).append(reserve(flight.vehicle, flight.seed))
-    rows = tuple(
-        (step, f"{sum(one >= 0.0 for one in found)} of {len(found)}", f"{100 * median(found):+.0f} %")
-        for step, found in reserves.items()
-    )
+        reserves.setdefault(step, {})[flight.seed] = reserve(flight.vehicle, flight.seed)
+    rows = []
+    for step, found in reserves.items():
+        able = {seed for seed, one in found.items() if one >= 0.0}
+        groups = data.select(case, point={sweep: step})
+        survivors = {group.controller: {row["seed"] for row in group.survivors} for group in groups}
+        shares = [survivors.get(name, set()) for name in data.controllers]
+        rows.append(
+            (
+                json.dumps(step),
+                f"{len(able)} of {len(found)}",
+                f"{100 * median(found.values()):+.0f} %",
+                *(f"{len(alive & able)} + {len(alive - able)}" for alive in shares),
+            )
+        )
     label = next(one.label or one.name for one in data.config.sweeps if one.name == sweep)
     caption = (
         "The limit of thrust: with how much the chipped rotor, at full command, exceeds the quarter of the weight that "
-        "hovering without turning takes (fully charged battery under that load)"
+        "hovering without turning takes (fully charged battery under that load). Below each controller its survivors: "
+        "of the flights that can + of those that cannot"
     )
-    return Table(caption, (label, "flights that can hover without turning", "reserve, median"), rows)
+    header = (label, "flights that can hover without turning", "reserve, median", *data.controllers)
+    return Table(caption, header, tuple(rows))

@@ -1,11 +1,17 @@
 """The limit of thrust against the simulated motors and battery, which are run until they are steady."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import sim_vehicle.layout as at
+from experiments.campaigns.campaign import load_campaign, unfold
+from experiments.campaigns.flight_row import empty_row
 from experiments.flights.scenario import Choices, resolve
-from experiments.results.thrust_limit import LONG_AFTER_NS, reserve
+from experiments.results.campaign_data import CampaignData
+from experiments.results.thrust_limit import LONG_AFTER_NS, limit_table, reserve
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.motors import drain_battery, lag_motors
 from sim_vehicle.packing import GRAVITY
@@ -45,3 +51,20 @@ def test_it_is_what_the_simulated_vehicle_has_left(factor: float, seed: int) -> 
 def test_a_sound_vehicle_has_no_chipped_rotor() -> None:
     with pytest.raises(ValueError, match="chipped"):
         reserve(resolve("hover").vehicle, 1)
+
+
+def test_survivors_are_told_apart_by_whether_they_could_hover() -> None:
+    """With 0.5 none of these three vehicles can hover, with 0.65 all: one survives of the former, two of the latter."""
+    campaign, _ = load_campaign("rotor_chip")
+    jobs = [job for job in unfold(campaign, "rotor_chip", 3) if job.controller == "dmrac"]
+    rows = tuple(
+        empty_row()
+        | {"case": job.case, "controller": job.controller, "seed": job.seed, "point": json.dumps(dict(job.point))}
+        | {"survived": job.seed < {0.5: 1001, 0.65: 1002}.get(dict(job.point)["thrust_factor"], 9999)}
+        for job in jobs
+    )
+    table = limit_table(CampaignData(Path(), "rotor_chip", campaign, rows), "hover", "thrust_factor")
+    cells = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
+    able = "flights that can hover without turning"
+    assert (cells["0.5"][able], cells["0.5"]["dmrac"]) == ("0 of 3", "0 + 1")
+    assert (cells["0.65"][able], cells["0.65"]["dmrac"]) == ("3 of 3", "2 + 0")
