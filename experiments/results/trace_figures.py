@@ -62,6 +62,13 @@ def _columns_of_panels(figure: Any, rows: int, groups: list[Group]) -> list[list
     return panels
 
 
+def _within(panels: list[list[Any]], limit: float) -> None:
+    """Cuts off what lies beyond +-limit: lost vehicles. Once all columns are drawn: they share the axis."""
+    for line in panels:
+        low, high = line[0].get_ylim()
+        line[0].set_ylim(max(low, -limit), min(high, limit))
+
+
 def _title(group: Group, traces: list[Trace]) -> str:
     lost = sum(not trace.row["survived"] for trace in traces)
     return f"{group.controller} ({len(traces)} flights{f', {lost} lost' if lost else ''})"
@@ -93,14 +100,13 @@ def position(
             flown = [sign * trace[f"truth_position_{axis}"] for trace in traces]
             _band(panel, traces, flown, look.colour, "-", FLOWN)
             _mark(panel, traces)
-            low, high = panel.get_ylim()
-            panel.set_ylim(max(low, -2.6), min(high, 2.6))
             finish(
                 panel,
                 "time [s]" if row == 2 else "",
                 name if column == 0 else "",
                 _title(group, traces) if row == 0 else "",
             )
+    _within(panels, 2.6)
     legend_below(figure, panels[0][:1], neutral=FLOWN)
     return figure
 
@@ -128,9 +134,8 @@ def attitude(
             _band(panel, traces, commanded, "0.45", "--", "commanded")
             _band(panel, traces, flown, style(group.controller).colour, "-", FLOWN)
             _mark(panel, traces)
-            low, high = panel.get_ylim()
-            panel.set_ylim(max(low, -45.0), min(high, 45.0))
             finish(panel, "time [s]" if row else "", name if column == 0 else "", "" if row else _title(group, traces))
+    _within(panels, 45.0)
     legend_below(figure, panels[0][:1], neutral=FLOWN)
     return figure
 

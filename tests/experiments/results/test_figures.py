@@ -16,6 +16,7 @@ from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
+from experiments.results import trace_figures
 from experiments.results.campaign_data import Trace, load_data
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
@@ -291,3 +292,22 @@ def test_features_that_know_only_the_place_are_at_chance_and_not_below() -> None
     values = np.column_stack([np.sin(k * place + shift) for k in range(1, 9) for shift in (0.0, 1.57)])
     assert np.bincount(samples.regime * 3 + samples.round.astype(int)).tolist() == 9 * [120]
     assert abs(probe_accuracy(values, samples) - 1.0 / 3.0) < 0.1
+
+
+@pytest.mark.parametrize("kind", ["position", "attitude"])
+def test_no_column_is_cut_off_at_another_ones_limits(folder: Path, kind: str) -> None:
+    """The panels of a row share their axis: it must hold what the widest of them shows, in whatever column."""
+    data = load_data(folder)
+    drawn = getattr(trace_figures, kind)(data, "chip", ["pid", "mrac"], {"factor": 0.9})
+    wide = replace(data, folder=folder.parent / f"wide_{kind}")
+    (wide.folder / "traces").mkdir(parents=True)
+    for group in data.select("chip", point={"factor": 0.9}):
+        for trace in data.traces(group):
+            name = trace.row["key"].replace("/", "__") + ".npz"
+            columns = dict(trace.columns)
+            if group.controller == "mrac":
+                columns |= {f"truth_position_{axis}": 2.0 * trace[f"truth_position_{axis}"] for axis in "ned"}
+                columns |= {"tick_quaternion_x": 2.0 * trace["tick_quaternion_x"]}
+            np.savez(wide.folder / "traces" / name, allow_pickle=False, **columns)
+    widened = getattr(trace_figures, kind)(wide, "chip", ["pid", "mrac"], {"factor": 0.9})
+    assert widened.axes[0].get_ylim()[1] > 1.5 * drawn.axes[0].get_ylim()[1]
