@@ -7,7 +7,7 @@ campaign; a worker that dies costs its flight one more try, then that flight bec
 import json
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -177,17 +177,27 @@ def run_campaign(
 
     report: called after every flight.
     """
-    total = sum(1 for _ in run.jobs())
-    progress = Progress(total, done=sum(1 for job in run.jobs() if job.key in store.done))
+    keys = [job.key for job in run.jobs()]
+    done = store.done - _sources_to_refly(run, store.done)
+    progress = Progress(len(keys), done=sum(key in done for key in keys))
     report(progress)
-    if progress.done < total and is_campaign(run.folder):
+    if progress.done < progress.total and is_campaign(run.folder):
         note_place(run.folder)
     try:
         loop = _Loop(run, store, workers, progress, report)
-        loop.fly(job for job in run.jobs() if job.key not in store.done)
+        loop.fly(job for job in run.jobs() if job.key not in done)
     finally:
         workers.close()
     return progress
+
+
+def _sources_to_refly(run: CampaignRun, done: Set[str]) -> set[str]:
+    """Flights that are done, but not what they learnt is here, and others start from it.
+
+    So it is where published rows were taken up: they come without it.
+    """
+    sources = {job.source for job in run.jobs() if job.source and job.key not in done}
+    return {key for key in sources & done if not experience_path(run.folder, key).exists()}
 
 
 class _Loop:
@@ -205,6 +215,8 @@ class _Loop:
         self._progress, self._report = progress, report
         self._executor = workers.open()
         self._under_way: dict[Future[FlightResult], FlightJob] = {}
+        self._suspects: list[FlightJob] = []
+        """Under way when a worker died; any of them may have been the one that killed it."""
         self._tries: dict[str, int] = {}
         self._sources_under_way: set[str] = set()
 
@@ -214,9 +226,22 @@ class _Loop:
         for job in jobs:
             while len(self._under_way) >= limit or job.source in self._sources_under_way:
                 self._take_in()
+                self._clear_suspects()
             self._submit(job)
+        self._land()
+        self._clear_suspects()
+
+    def _land(self) -> None:
+        """Takes in until nothing is under way."""
         while self._under_way:
             self._take_in()
+
+    def _clear_suspects(self) -> None:
+        """Flies each suspect alone, so that no other flight pays for the one that kills its worker."""
+        while self._suspects:
+            self._land()
+            self._submit(self._suspects.pop())
+            self._land()
 
     def _submit(self, job: FlightJob) -> None:
         if job.source:
@@ -248,7 +273,7 @@ class _Loop:
 
     def _again(self, job: FlightJob, reason: str) -> None:
         if self._tries[job.key] < TRIES:
-            self._submit(job)
+            self._suspects.append(job)
         else:
             self._fail(job, reason)
 

@@ -1,7 +1,8 @@
 """Do the learnt features tell flight regimes apart? Silhouette, a linear probe, t-SNE and PCA, before and after.
 
 "Before" is the network the trainer started from, "after" the last version it sent, "rbf" the radial basis functions of
-configs/controllers/mrac.yaml; all see the same flight. The regime of a sample is known from its time. The probe is
+configs/controllers/mrac.yaml, "rbf_same" as many of the same width that see what the network sees and no more: motor
+thrusts alone may tell a regime. All see the same flight. The regime of a sample is known from its time. The probe is
 trained and tested on blocks of time that are apart, so that it cannot profit from neighbouring samples.
 """
 
@@ -22,15 +23,21 @@ from experiments.results.tables import Table
 from offboard.config import NetworkConfig
 from onboard.features import Features, NetworkFeatures, RadialFeatures
 from protocol.codec import decode_feature_set
-from protocol.feature_set import FeatureSet
+from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import CHANNELS, SIGNAL_NAMES
 
 SAMPLES_MAX: Final = 700
 ROUND_S: Final = 6.0
 """Once round the figure-8 of the scenarios: what is left out of every regime at a time holds all places."""
 PROBE_SEED: Final = 7
-KINDS: Final = ("before", "after", "rbf")
-KIND_LABELS: Final = {"before": "before training", "after": "after training", "rbf": "radial basis functions"}
+KIND_LABELS: Final = {
+    "before": "before training",
+    "after": "after training",
+    "rbf_same": "radial basis functions of the same inputs",
+    "rbf": "radial basis functions of mrac",
+}
+DRAWN: Final = ("before", "after", "rbf_same")
+"""Kinds that see the same inputs."""
 
 
 @dataclass(frozen=True)
@@ -113,17 +120,21 @@ def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
         if "features" not in archive.files:
             raise ConfigError("the flight sent no features, there is nothing to probe")
         after = decode_feature_set(archive["features"].tobytes())
-    return {"before": _of(before, channel), "after": _of(after, channel), "rbf": _rbf(channel)}
+    first, last = (_of(features, channel) for features in (before, after))
+    radial, width = _rbf(channel)
+    same = RadialFeatures(first.inputs, first.offset, first.scale, width)
+    return {"before": NetworkFeatures(first), "after": NetworkFeatures(last), "rbf_same": same, "rbf": radial}
 
 
-def _of(features: FeatureSet, channel: int) -> Features:
+def _of(features: FeatureSet, channel: int) -> ChannelFeatures:
     one = (features.position, features.attitude)[channel]
     if one is None:
         raise ConfigError(f"the flight has no features of the {CHANNELS[channel]} channel")
-    return NetworkFeatures(one)
+    return one
 
 
-def _rbf(channel: int) -> Features:
+def _rbf(channel: int) -> tuple[RadialFeatures, float]:
+    """Those of mrac, and their width in scaled inputs."""
     from configs.loader import CONFIG_DIRECTORY
     from onboard.controllers.cascade import CascadeSettings
 
@@ -133,7 +144,7 @@ def _rbf(channel: int) -> Features:
     names = tuple(item.signal for item in augmentation.inputs)
     offset = np.array([item.offset for item in augmentation.inputs])
     scale = np.array([item.scale for item in augmentation.inputs])
-    return RadialFeatures(names, offset, scale, augmentation.rbf_width)
+    return RadialFeatures(names, offset, scale, augmentation.rbf_width), augmentation.rbf_width
 
 
 def phi(features: Features, signals: Array) -> Array:
@@ -187,16 +198,18 @@ def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, flo
     flights = _flights(data.folder, tuple(trace.row["key"] for trace in traces))
     rows = []
     for channel, name in enumerate(CHANNELS):
-        for kind in KINDS:
+        for kind, label in KIND_LABELS.items():
             scores: list[tuple[float, float]] = []
             for trace, flight in zip(traces, flights, strict=True):
                 samples = regimes_of(trace, spans)
-                values = phi(feature_maps(flight, channel)[kind], samples.signals)
+                features = feature_maps(flight, channel)[kind]
+                inputs = features.select(samples.signals[0]).shape[0]
+                values = phi(features, samples.signals)
                 scores.append((silhouette(values, samples), probe_accuracy(values, samples)))
             cells = [_cell([score[which] for score in scores]) for which in (0, 1)]
-            rows.append((name, KIND_LABELS[kind], str(len(scores)), *cells))
+            rows.append((name, label, str(inputs), str(len(scores)), *cells))
     chance = f"linear probe, balanced accuracy (chance {1 / len(spans):.2f})"
-    header = ("channel", "features", "flights", "silhouette", chance)
+    header = ("channel", "features", "inputs", "flights", "silhouette", chance)
     return Table(f"How well features tell {', '.join(spans)} apart", header, tuple(rows))
 
 
@@ -207,7 +220,7 @@ def _cell(values: list[float]) -> str:
 
 
 def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, float]], channel: int) -> Any:
-    """t-SNE and PCA in three dimensions, before and after training and for radial basis functions; one flight."""
+    """t-SNE and PCA in three dimensions, before and after training and for radial functions; one flight."""
     from sklearn.decomposition import PCA
     from sklearn.manifold import TSNE
 
@@ -217,7 +230,7 @@ def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, 
     maps = feature_maps(flight, channel)
     figure = new_figure(7.4, 10.5)
     panels = []
-    for column, kind in enumerate(KINDS):
+    for column, kind in enumerate(DRAWN):
         values = phi(maps[kind], samples.signals)
         pca = PCA(3, random_state=PROBE_SEED).fit(values)
         kept = 100.0 * float(pca.explained_variance_ratio_.sum())
@@ -227,7 +240,8 @@ def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, 
         ):
             panel = figure.add_subplot(2, 3, 3 * row + column + 1, projection="3d")
             _scatter(panel, points, samples)
-            panel.set_title(f"{KIND_LABELS[kind]}\n{name}", fontsize=10)
+            label = KIND_LABELS[kind].replace(" of the same", "\nof the same") if row == 0 else ""
+            panel.set_title(f"{label}\n{name}".strip(), fontsize=10)
             panels.append(panel)
     legend_below(figure, panels[:1])
     return figure

@@ -9,7 +9,7 @@ from typing import Any, Final
 from configs.loader import ConfigError
 from experiments.results import row_figures, trace_figures
 from experiments.results.campaign_data import CampaignData
-from experiments.results.figure_style import save
+from experiments.results.figure_style import drawn_for, save
 from experiments.results.tables import Table
 from experiments.results.thrust_limit import limit_table
 from experiments.results.wording import metric_name
@@ -38,14 +38,20 @@ KINDS: Final[dict[str, tuple[Drawer, str]]] = {
     "compare": (row_figures.compare, "{metric}: median over survivors with bootstrap interval; dots: flights."),
     "cases": (row_figures.compare_cases, "{metric}: median over survivors with bootstrap interval; dots: flights."),
     "laps": (row_figures.laps, "Position RMSE lap by lap, {case}: median and the middle half of the seeds."),
-    "age": (row_figures.age, "Settled RMSE against the age of the features."),
+    "age": (
+        row_figures.age,
+        "Settled RMSE against the age of the features; crosses: flights in which no version was swapped in.",
+    ),
     "swaps": (
         row_figures.swaps,
         "Jump of nu_ad at swaps against the bound that refuses them; live bound against norm(e).",
     ),
     "position": (trace_figures.position, "Position, {case}. " + BAND),
     "attitude": (trace_figures.attitude, "Roll and pitch, {case}. " + BAND),
-    "torques": (trace_figures.torques, "Commands split into feedback, feed-forward and adaptive part, {case}."),
+    "torques": (
+        trace_figures.torques,
+        "Commands split into feedback, feed-forward and adaptive part, means over 0.18 s, {case}.",
+    ),
     "path": (trace_figures.path, "Path in space, {case}."),
     "training": (trace_figures.training, "Training, validation and test loss along a flight, {case}."),
     "position_cases": (trace_figures.position_cases, "Distance to the target. " + BAND),
@@ -55,7 +61,8 @@ KINDS: Final[dict[str, tuple[Drawer, str]]] = {
 def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) -> tuple[list[Picture], list[Table]]:
     """Draws what the campaign's file lists.
 
-    A figure whose flights or traces are missing stays as it was drawn before, or is left out; both are reported.
+    A figure whose flights or traces are missing stays as it was drawn before for the same entry, or is left out; both
+    are reported.
 
     Raises
     ------
@@ -68,8 +75,9 @@ def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) ->
         options = dict(entry)
         kind = str(options.pop("kind", ""))
         name = f"{data.name}_{number + 1:02d}_{kind}"
+        asked = json.dumps(entry, sort_keys=True)
         if kind == "features":
-            found = _draw_features(data, folder, name, options, report)
+            found = _draw_features(data, folder, name, options, asked, report)
             pictures += found[0]
             tables += found[1]
             continue
@@ -82,9 +90,9 @@ def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) ->
         drawer, caption = KINDS[kind]
         picture = Picture(name, _caption(data, caption, options), folder / f"{name}.png")
         if _has_flights(data, kind, options):
-            save(_called(drawer, data, number, options), folder, name)
+            save(_called(drawer, data, number, options), folder, name, asked)
             report(name)
-        elif picture.png.exists():
+        elif drawn_for(picture.png) == asked:
             report(f"{name}: {KEPT}")
         else:
             report(f"{name}: left out, the flights it shows were not flown or kept no traces")
@@ -124,7 +132,7 @@ def _has_flights(data: CampaignData, kind: str, options: dict[str, Any]) -> bool
 
 
 def _draw_features(
-    data: CampaignData, folder: Path, name: str, options: dict[str, Any], report: Callable[[str], None]
+    data: CampaignData, folder: Path, name: str, options: dict[str, Any], asked: str, report: Callable[[str], None]
 ) -> tuple[list[Picture], list[Table]]:
     from experiments.results.feature_probe import feature_figure, probe_table
     from protocol.signals import CHANNELS
@@ -139,12 +147,12 @@ def _draw_features(
     traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
     if traces:
         for channel, picture in enumerate(pictures):
-            save(feature_figure(data, case, spans, channel), folder, picture.name)
+            save(feature_figure(data, case, spans, channel), folder, picture.name, asked)
             report(picture.name)
         table = probe_table(data, case, spans)
         write_atomically(numbers, json.dumps(asdict(table), ensure_ascii=False, indent=1).encode())
         return pictures, [table]
-    if numbers.exists() and all(picture.png.exists() for picture in pictures):
+    if numbers.exists() and all(drawn_for(picture.png) == asked for picture in pictures):
         report(f"{name}: {KEPT}")
         cells = json.loads(numbers.read_bytes())
         rows = tuple(tuple(row) for row in cells["rows"])

@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 WIDTH_IN: Final = 8.0
 DPI: Final = 130
+ASKED: Final = "Description"
+"""Keyword of a PNG under which it says what it was drawn for."""
+LABEL_CHARACTERS: Final = 36
+"""Longer labels of an upright axis take two lines."""
 
 
 class Style(NamedTuple):
@@ -57,7 +61,8 @@ def finish(panel: Any, x_label: str = "", y_label: str = "", title: str = "") ->
     if x_label:
         panel.set_xlabel(x_label)
     if y_label:
-        panel.set_ylabel(y_label)
+        long = len(y_label) > LABEL_CHARACTERS and ", " in y_label
+        panel.set_ylabel(y_label.replace(", ", ",\n", 1) if long else y_label)
     if title:
         panel.set_title(title, fontsize=10)
 
@@ -86,11 +91,25 @@ def legend_below(figure: Any, panels: Sequence[Any], columns: int = 7, neutral: 
         )
 
 
-def save(figure: Any, folder: Path, name: str) -> None:
-    """Writes PNG and SVG; the SVG carries no date, so that it only changes when its content does."""
+def save(figure: Any, folder: Path, name: str, asked: str = "") -> None:
+    """Writes PNG and SVG; the SVG carries no date, so that it only changes when its content does.
+
+    asked: what it was drawn for; the PNG keeps it, for `drawn_for`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f"{name}.png", dpi=DPI)
+    figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={ASKED: asked})
     import matplotlib
 
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
         figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+
+
+def drawn_for(png: Path) -> str | None:
+    """What a picture was drawn for, as `save` was told; None if there is no picture that says so."""
+    from PIL import Image
+
+    try:
+        with Image.open(png) as image:
+            return image.info.get(ASKED)
+    except OSError:  # there is none, or no picture
+        return None

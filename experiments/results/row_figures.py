@@ -7,7 +7,7 @@ import numpy as np
 from experiments.results.campaign_data import CampaignData, Group
 from experiments.results.figure_style import finish, legend_below, new_figure, style
 from experiments.results.statistics import SEPARATION_RIDGE, logistic_fit
-from experiments.results.wording import metric_name
+from experiments.results.wording import counted, metric_name
 
 LOGARITHMIC_FROM = 8.0
 """Largest over smallest value from which a comparison's axis is logarithmic."""
@@ -21,8 +21,8 @@ def _sweep(data: CampaignData, name: str) -> tuple[str, list[Any], bool]:
 
 def _places(values: list[Any], numeric: bool, index: int, count: int) -> list[float]:
     """Where the controllers' points of a sweep stand, moved apart a little."""
-    span = (max(values) - min(values)) / max(len(values) - 1, 1) if numeric else 1.0
-    shift = (index - (count - 1) / 2.0) * span * (0.06 if numeric else 0.1)
+    span = min(np.diff(sorted(values)), default=1.0) if numeric else 1.0
+    shift = (index - (count - 1) / 2.0) * span * 0.1
     return [(float(value) if numeric else float(place)) + shift for place, value in enumerate(values)]
 
 
@@ -223,10 +223,11 @@ def laps(data: CampaignData, case: str, controllers: list[str] | None = None) ->
 
 
 def age(data: CampaignData, controllers: list[str] | None = None) -> Any:
-    """RMSE of each flight against the median age of its features."""
+    """RMSE of each flight against the median age of its features; left of the axis those that never had a version."""
     figure = new_figure(3.8)
     panel = figure.add_subplot()
     markers = "o^sDvP*X<>"
+    ageless: list[float] = []
     for controller in controllers or data.controllers:
         for number, case in enumerate(data.cases()):
             rows = [row for group in data.select(case, controller) for row in group.survivors]
@@ -234,6 +235,14 @@ def age(data: CampaignData, controllers: list[str] | None = None) -> Any:
             label = data.label(case) if len(data.cases()) > 1 else controller
             colour = f"C{number}" if len(data.cases()) > 1 else style(controller).colour
             panel.plot(x, y, markers[number % len(markers)], color=colour, markersize=4, alpha=0.7, label=label)
+            ageless += [error for age_s, error in zip(x, y, strict=True) if not np.isfinite(age_s)]
+    if ageless:
+        end = panel.get_xlim()[1]
+        panel.axvline(0.0, color="0.6", linewidth=0.9)
+        never = f"no version swapped in ({counted(len(ageless), 'flight')})"
+        panel.plot([-0.03 * end] * len(ageless), ageless, "+", color="k", markersize=5, alpha=0.6, label=never)
+        panel.set_xticks([tick for tick in panel.get_xticks() if tick >= 0.0])
+        panel.set_xlim(-0.06 * end, end)
     panel.set_ylim(bottom=0.0)
     finish(panel, "median age of the features [s]", metric_name("settled_rmse_m"), "survivors, one point a flight")
     legend_below(figure, [panel], columns=4)
@@ -263,13 +272,26 @@ def swaps(data: CampaignData) -> Any:
         )
         error = np.array([row[f"{channel}_error_norm_median"] for row in rows], dtype=float)
         bound = np.array([row[f"{channel}_bound_median"] for row in rows], dtype=float)
-        panels[1].loglog(error, bound, look.marker, color=look.colour, markersize=4, alpha=0.6, label=channel)
+        panels[1].loglog(
+            error, bound, look.marker, color=look.colour, markersize=4, alpha=0.6, label=f"{channel}, a flight"
+        )
     panels[0].set_xscale("log")
     panels[0].axvline(1.0, color="k", linewidth=0.9, linestyle=":")
     finish(panels[0], "largest jump at a swap / bound of the swap", "share of the flights")
-    finish(panels[1], "median norm(e) of a flight", "median live bound on norm(e)")
+    finish(panels[1], "median norm(e) of a flight [m, m/s; rad, rad/s]", "median live bound on norm(e)")
     low, high = panels[1].get_xlim()
     panels[1].plot([low, high], [low, high], color="k", linewidth=0.9, linestyle=":")
     panels[1].set_xlim(low, high)
-    legend_below(figure, [panels[0]])
+    _plain_decades(panels[1])
+    legend_below(figure, panels)
     return figure
+
+
+def _plain_decades(panel: Any) -> None:
+    """Both axes logarithmic, with so few numbers that none runs into the next."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())

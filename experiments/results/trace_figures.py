@@ -165,7 +165,7 @@ def torques(
                     label=label,
                 )
             _mark(panel, [trace])
-            title = f"{group.controller}, seed {group.rows[0]['seed']}" if row == 0 else ""
+            title = f"{group.controller}, seed {trace.row['seed']}" if row == 0 else ""
             finish(panel, "time [s]" if row == 2 else "", name if column == 0 else "", title)
             _limit(panel, [values[on_path] for values in parts.values()])
     legend_below(figure, [panels[2][0]])
@@ -224,8 +224,8 @@ def path(
             axis.set_ticks([-most, 0.0, most])
         panel.zaxis.set_ticks([0.6, 1.0, 1.4])
         panel.tick_params(labelsize=8, pad=1)
-        panel.set_box_aspect((1.0, 1.6, 0.8), zoom=0.9)
-        panel.set_title(f"{group.controller}, seed {group.rows[0]['seed']}", fontsize=10, y=0.98)
+        panel.set_box_aspect((1.0, 1.6, 0.8), zoom=0.82)
+        panel.set_title(f"{group.controller}, seed {trace.row['seed']}", fontsize=10, y=0.98)
         panels.append(panel)
     legend_below(figure, panels[:1], neutral="flown")
     return figure

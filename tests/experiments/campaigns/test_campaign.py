@@ -3,11 +3,14 @@
 import json
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -61,6 +64,14 @@ def silent(progress: Progress) -> None:
     pass
 
 
+def stop_after(count: int) -> Callable[[Progress], None]:
+    def report(progress: Progress) -> None:
+        if progress.flown == count:
+            raise KeyboardInterrupt
+
+    return report
+
+
 def pretend(job: FlightJob) -> FlightResult:
     row = empty_row() | {"key": job.key, "case": job.case, "seed": job.seed, "survived": True}
     return FlightResult(job.key, row, experience=b"learnt" if job.keep_experience else None)
@@ -108,13 +119,6 @@ def test_a_case_cannot_start_from_one_that_is_not_there() -> None:
 def test_interrupted_campaign_resumes_without_repeating_or_losing(tmp_path: Path) -> None:
     expected = sorted(job.key for job in unfold(campaign(), "test"))
 
-    def stop_after(count: int) -> Callable[[Progress], None]:
-        def report(progress: Progress) -> None:
-            if progress.flown == count:
-                raise KeyboardInterrupt
-
-        return report
-
     kept: list[str] = []
     for count in (1, 5, 9):
         with pytest.raises(KeyboardInterrupt):
@@ -160,6 +164,57 @@ def test_a_worker_that_dies_costs_one_more_try(tmp_path: Path) -> None:
     assert "left no experience" in rows["warm/pid/1000"]["error"]
     assert rows["source/none/1001"]["error"] == ""
     assert progress.errors == 2
+
+
+def test_no_flight_pays_for_another_one_that_kills_its_worker(tmp_path: Path) -> None:
+    """A pool that breaks takes all with it that is under way: they are tried again one by one."""
+
+    class Pool(InlineWorkers):
+        def open(self) -> Executor:
+            self.opened += 1
+            broken: list[bool] = []
+            waiting: list[tuple[FlightJob, Future[FlightResult]]] = []
+
+            def answer() -> None:
+                jobs, waiting[:] = list(waiting), []
+                broken.extend(job.key == "source/none/1001" for job, _ in jobs)
+                for job, future in jobs:
+                    if any(broken):
+                        future.set_exception(BrokenProcessPool("a process was terminated"))
+                    else:
+                        future.set_result(pretend(job))
+
+            class Together(Executor):
+                def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> "Future[Any]":
+                    if any(broken):
+                        raise BrokenProcessPool("broken before")
+                    future: Future[Any] = Future()
+                    waiting.append((args[0], future))
+                    threading.Timer(0.1, answer).start()
+                    return future
+
+            return Together()
+
+    progress = fly_all(tmp_path, Pool(pretend))
+    rows = read_table(tmp_path).to_pylist()
+    # The second one starts from what the first would have learnt.
+    assert [row["key"] for row in rows if row["error"]] == ["source/none/1001", "warm/none/1001"]
+    assert progress.done == progress.total == len(rows)
+
+
+def test_rows_without_what_they_learnt_are_flown_again_for_others(tmp_path: Path) -> None:
+    """Rows that were published and taken up elsewhere come without the experience that others start from."""
+    workers = InlineWorkers(pretend)
+    with pytest.raises(KeyboardInterrupt):
+        fly_all(tmp_path, workers, report=stop_after(4))
+    shutil.rmtree(tmp_path / "experience")
+    sources, again = list(workers.flown), InlineWorkers(pretend)
+    progress = fly_all(tmp_path, again)
+    rows = read_table(tmp_path).to_pylist()
+    assert len({row["key"] for row in rows}) == len(rows) == progress.total == progress.done
+    assert not any(row["error"] for row in rows)
+    assert {key for key in sources if key.startswith("source/pid")} <= set(again.flown)
+    assert fly_all(tmp_path, again).flown == 0
 
 
 def test_rows_of_a_torn_journal(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult
 from experiments.results.campaign_data import load_data
 from experiments.results.figure_plan import draw_all
+from experiments.results.figure_style import new_figure, save
 from experiments.results.reproduction import Reproduction, fly, publish_rows, take_up
 from tests.experiments.inline_workers import InlineWorkers
 
@@ -42,8 +43,10 @@ def published(folder: Path) -> Reproduction:
     publish_rows(plan, "features")
     picture = folder / "docs" / "pictures" / "results" / "features_02_training.png"
     picture.parent.mkdir(parents=True)
-    for name in ("features_01_features_position", "features_01_features_attitude", "features_02_training"):
-        (picture.parent / f"{name}.png").write_bytes(b"as drawn before")
+    probe, training = (json.dumps(entry, sort_keys=True) for entry in run.campaign.figures)
+    for name in ("features_01_features_position", "features_01_features_attitude"):
+        save(new_figure(1.0, 1.0), picture.parent, name, probe)
+    save(new_figure(1.0, 1.0), picture.parent, picture.stem, training)
     cells = {"caption": "Linear probe", "header": ["features", "accuracy"], "rows": [["after", "0.9"]]}
     (picture.parent / "features_01_features.json").write_text(json.dumps(cells))
     picture.with_name("features_of_others.png").write_bytes(b"another's")
@@ -70,7 +73,9 @@ def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
     assert "numpy" in data.flown_on[0]
     said: list[str] = []
     pictures, tables = draw_all(data, plan.folder / "features" / "figures", said.append)
-    assert [picture.png.read_bytes() for picture in pictures] == 3 * [b"as drawn before"]
+    drawn = plan.page.parent / "pictures" / "results"
+    assert [one.png.read_bytes() for one in pictures] == [(drawn / one.png.name).read_bytes() for one in pictures]
+    assert len(pictures) == 3
     assert [table.rows for table in tables] == [(("after", "0.9"),)]
     assert all("kept as it was drawn before" in text for text in said)
 
@@ -95,3 +100,17 @@ def test_machines_are_named_once() -> None:
     here, elsewhere = "AMD EPYC, 2 cores; python 3.11.2", "AMD EPYC, 2 cores; python 3.11.7"
     lines = (f"{here}; commit 1a", elsewhere, f"{here}; commit 2b-dirty", f"{elsewhere}; commit 1a")
     assert by_place(lines) == (f"{here}; commit 1a, 2b-dirty", f"{elsewhere}; commit 1a")
+
+
+def test_a_picture_drawn_for_something_else_is_not_shown(tmp_path: Path) -> None:
+    """Its name has the number of its entry and its kind alone: after a change of the entry it would lie."""
+    plan = published(tmp_path)
+    data = load_data(plan.folder / "features")
+    pictures = plan.page.parent / "pictures" / "results"
+    assert len(draw_all(data, pictures, lambda text: None)[0]) == 3
+    changed = tuple(entry | {"case": "regimes", "controllers": ["mrac"]} for entry in data.config.figures[1:])
+    figures = (*data.config.figures[:1], *changed)
+    said: list[str] = []
+    kept, _ = draw_all(replace(data, config=data.config.model_copy(update={"figures": figures})), pictures, said.append)
+    assert len(kept) == 2
+    assert "features_02_training: left out" in said[-1]
