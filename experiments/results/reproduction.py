@@ -4,6 +4,7 @@ import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -74,6 +75,25 @@ class Section:
     pictures: tuple[Picture, ...]
     extra: tuple[Table, ...]
 
+    @cached_property
+    def losses(self) -> str:
+        """Its line of the page's first paragraph; "" if DMRAC flew alone."""
+        if not any(comparisons(self.data)):
+            return ""
+        return f"- {self.data.config.title or self.data.name}: {first_paragraph(self.data, brief=True)}"
+
+    @cached_property
+    def report(self) -> str:
+        """Its part of the page, worked out once: the page is written anew after every campaign."""
+        listed = [(Path("pictures/results") / one.png.name, one.caption) for one in self.pictures]
+        return "\n".join([markdown_report(self.data, listed), *(table.markdown() for table in self.extra)])
+
+    @cached_property
+    def targets(self) -> list[tuple[str, ...]]:
+        """Its rows of the table of targets."""
+        title = self.data.config.title or self.data.name
+        return [(title, *row) for row in target_rows(self.data)]
+
 
 def fly(
     plan: Reproduction, name: str, open_workers: Callable[[], Workers], report: Callable[[Progress], None]
@@ -139,9 +159,7 @@ def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:
     targets = _targets(sections)
     parts += [targets.markdown()] if targets.rows else []
     for section in sections:
-        listed = [(Path("pictures/results") / one.png.name, one.caption) for one in section.pictures]
-        parts.append(markdown_report(section.data, listed))
-        parts += [table.markdown() for table in section.extra]
+        parts.append(section.report)
         rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
         parts.append(f"All of these flights, a row each: [{rows}]({rows}). {_flown_on(section.data)}\n")
     write_atomically(plan.page, "\n".join(parts).encode())
@@ -162,11 +180,7 @@ def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool
 
 def _opening(sections: Sequence[Section]) -> str:
     """The first paragraph: where DMRAC loses, campaign by campaign."""
-    lines = []
-    for section in sections:
-        if any(comparisons(section.data)):
-            title = section.data.config.title or section.data.name
-            lines.append(f"- {title}: {first_paragraph(section.data, brief=True)}")
+    lines = [section.losses for section in sections if section.losses]
     return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
 
 
@@ -188,9 +202,5 @@ def _flown_on(data: CampaignData) -> str:
 
 
 def _targets(sections: Sequence[Section]) -> Table:
-    rows = [
-        (section.data.config.title or section.data.name, *row)
-        for section in sections
-        for row in target_rows(section.data)
-    ]
-    return Table("Targets", ("campaign", *TARGET_HEADER), tuple(rows))
+    rows = tuple(row for section in sections for row in section.targets)
+    return Table("Targets", ("campaign", *TARGET_HEADER), rows)
