@@ -7,7 +7,7 @@ campaign; a worker that dies costs its flight one more try, then that flight bec
 import json
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Set
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -177,27 +177,28 @@ def run_campaign(
 
     report: called after every flight.
     """
-    keys = [job.key for job in run.jobs()]
-    done = store.done - _sources_to_refly(run, store.done)
-    progress = Progress(len(keys), done=sum(key in done for key in keys))
+    jobs = list(run.jobs())
+    done = store.done - _sources_to_refly(run.folder, jobs, store.done)
+    missing = [job for job in jobs if job.key not in done]
+    progress = Progress(len(jobs), done=len(jobs) - len(missing))
     report(progress)
-    if progress.done < progress.total and is_campaign(run.folder):
+    if missing and is_campaign(run.folder):
         note_place(run.folder)
     try:
         loop = _Loop(run, store, workers, progress, report)
-        loop.fly(job for job in run.jobs() if job.key not in done)
+        loop.fly(missing)
     finally:
         workers.close()
     return progress
 
 
-def _sources_to_refly(run: CampaignRun, done: Set[str]) -> set[str]:
+def _sources_to_refly(folder: Path, jobs: Iterable[FlightJob], done: Set[str]) -> set[str]:
     """Flights that are done, but not what they learnt is here, and others start from it.
 
     So it is where published rows were taken up: they come without it.
     """
-    sources = {job.source for job in run.jobs() if job.source and job.key not in done}
-    return {key for key in sources & done if not experience_path(run.folder, key).exists()}
+    sources = {job.source for job in jobs if job.source and job.key not in done}
+    return {key for key in sources & done if not experience_path(folder, key).exists()}
 
 
 class _Loop:
@@ -220,7 +221,7 @@ class _Loop:
         self._tries: dict[str, int] = {}
         self._sources_under_way: set[str] = set()
 
-    def fly(self, jobs: Iterator[FlightJob]) -> None:
+    def fly(self, jobs: Iterable[FlightJob]) -> None:
         """Submits and takes in until nothing is left."""
         limit = self._workers.count * QUEUED_PER_WORKER
         for job in jobs:

@@ -196,15 +196,15 @@ def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, flo
     """Silhouette and probe accuracy over the flights of a case, medians with intervals."""
     traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
     flights = _flights(data.folder, tuple(trace.row["key"] for trace in traces))
+    sampled = [regimes_of(trace, spans) for trace in traces]
     rows = []
     for channel, name in enumerate(CHANNELS):
+        maps = [feature_maps(flight, channel) for flight in flights]
         for kind, label in KIND_LABELS.items():
+            inputs = maps[0][kind].select(sampled[0].signals[0]).shape[0]
             scores: list[tuple[float, float]] = []
-            for trace, flight in zip(traces, flights, strict=True):
-                samples = regimes_of(trace, spans)
-                features = feature_maps(flight, channel)[kind]
-                inputs = features.select(samples.signals[0]).shape[0]
-                values = phi(features, samples.signals)
+            for features, samples in zip(maps, sampled, strict=True):
+                values = phi(features[kind], samples.signals)
                 scores.append((silhouette(values, samples), probe_accuracy(values, samples)))
             cells = [_cell([score[which] for score in scores]) for which in (0, 1)]
             rows.append((name, label, str(inputs), str(len(scores)), *cells))

@@ -247,6 +247,18 @@ def test_two_campaigns_do_not_share_a_folder(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize(
+    ("together", "said"),
+    [
+        ("[[chip, ghost]]", "case ghost is none; allowed are source, chip, warm"),
+        ("[[chip], [chip]]", "chip stands there"),
+    ],
+)
+def test_cases_under_the_same_conditions_are_known_and_named_once(together: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"same_conditions: .*{said}"):
+        campaign(TEXT + f"same_conditions: {together}\n")
+
+
 def test_a_folder_is_for_one_campaign(tmp_path: Path) -> None:
     prepare_folder(campaign_run(tmp_path), resume=False)
     with pytest.raises(ConfigError, match="add --resume"):
