@@ -1,4 +1,7 @@
-"""Where and with what flights were flown: commit, machine, versions. Last digits differ between processors."""
+"""Where and with what flights were flown: commit, machine, versions.
+
+Last digits differ with the kernels that OpenBLAS chooses for a processor, so these belong to the machine.
+"""
 
 import os
 import platform
@@ -10,19 +13,42 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
+import numpy  # noqa: F401  with its BLAS; that of scipy may be another one
+import scipy.linalg  # noqa: F401
+from threadpoolctl import threadpool_info
+
 PACKAGES: Final = ("async-dmrac", "numpy", "scipy", "numba", "torch", "pyarrow", "scikit-learn", "matplotlib")
 _COMMIT: Final = "; commit "
+_KERNELS: Final = "OpenBLAS kernels "
+
+
+def openblas_kernels() -> str:
+    """For which processor OpenBLAS's kernels in use were written: "SkylakeX"; "" with another BLAS.
+
+    OpenBLAS chooses them when it is loaded, by the processor, and a release may not know a newer one: the variable
+    OPENBLAS_CORETYPE chooses otherwise. Should numpy's and scipy's differ, both are named, with a slash.
+    """
+    found = (str(library["architecture"]) for library in threadpool_info() if library["internal_api"] == "openblas")
+    return "/".join(sorted(set(found)))
 
 
 def machine() -> str:
-    """Processor, cores, system."""
+    """Processor, cores, system, kernels of the linear algebra."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
         found = re.search(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8", errors="replace"))
         model = found.group(1).strip() if found else model
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model}, {cores} cores in use, {platform.system()} {platform.release()}"
+    kernels = openblas_kernels()
+    used = f", {_KERNELS}{kernels}" if kernels else ""
+    return f"{model}, {cores} cores in use, {platform.system()} {platform.release()}{used}"
+
+
+def kernels_of(line: str) -> str:
+    """The OpenBLAS kernels that a line of `here` names; "" if it names none."""
+    found = re.search(rf", {re.escape(_KERNELS)}([\w/]+)", line)
+    return found.group(1) if found else ""
 
 
 def versions() -> dict[str, str]:

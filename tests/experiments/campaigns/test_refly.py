@@ -14,10 +14,12 @@ from experiments.campaigns import flown as flown_module
 from experiments.campaigns.campaign import CampaignConfig, FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.flown import FlownCampaign, publish, read_flown
+from experiments.campaigns.provenance import here, kernels_of, openblas_kernels
 from experiments.campaigns.refly import pick, refly
 from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.command_line import main
+from experiments.commands.refly import other_kernels
 from tests.experiments.inline_workers import InlineWorkers
 
 TEXT = """
@@ -120,6 +122,19 @@ def test_who_only_looks_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     assert "elsewhere" not in resume(3)
     assert "elsewhere" in resume(4)
+
+
+def test_other_kernels_of_the_linear_algebra_are_told() -> None:
+    """They are what most often keeps a flight from repeating to the bit on another machine."""
+    place = here()
+    assert kernels_of(place) == openblas_kernels()
+    assert "numpy" in place
+    older = "AMD EPYC, 2 cores in use, Linux 6; python 3.11.7, numpy 2.4.6; commit 234f4bd"
+    line = "AMD EPYC, 2 cores in use, Linux 6, OpenBLAS kernels SkylakeX; python 3.11.7; commit 234f4bd"
+    assert [kernels_of(text) for text in (older, line)] == ["", "SkylakeX"]
+    assert other_kernels([older, line], "SkylakeX") == ""
+    assert other_kernels([older], "Haswell") == ""
+    assert "OPENBLAS_CORETYPE=SkylakeX" in other_kernels([older, line], "Haswell")
 
 
 def test_what_came_out_otherwise_is_told(tmp_path: Path) -> None:
