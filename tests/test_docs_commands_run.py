@@ -170,7 +170,7 @@ def small(campaign: dict[str, Any]) -> dict[str, Any]:
     sweeps = [{**sweep, **first_step(sweep)} for sweep in campaign.get("sweeps", [])]
     changed = {"cases": [{**case, "duration_s": 6.0}], "controllers": campaign["controllers"][-1:], "sweeps": sweeps}
     changed["figures"] = [{"kind": "compare", "metric": "position_rmse_m"}]
-    dropped = ("targets", "traces", "compare_to", "quick_seeds")
+    dropped = ("targets", "traces", "compare_to", "same_conditions", "quick_seeds")
     return {key: value for key, value in campaign.items() if key not in dropped} | changed
 
 
