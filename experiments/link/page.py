@@ -22,7 +22,7 @@ import numpy as np
 from configs.loader import ConfigError
 from experiments.campaigns.flight_row import Row, point_of
 from experiments.campaigns.store import read_table
-from experiments.results.statistics import Estimate, median, wilson
+from experiments.results.statistics import Estimate, median, outcomes_differ, wilson
 
 CAMPAIGN: Final = "dropouts"
 SWEEP: Final = "link"
@@ -135,8 +135,9 @@ def _flown(cell: Cell | None, perfect: Cell | None) -> list[str]:
 
 
 def is_below(cell: Cell, perfect: Cell) -> bool:
-    """Whether survival is below the perfect link's beyond both Wilson intervals."""
-    return cell.survival.high < perfect.survival.low
+    """Whether survival is below the perfect link's at the 95 % level, on the same seeds."""
+    ours, theirs = ({row["seed"]: bool(row["survived"]) for row in one.rows} for one in (cell, perfect))
+    return cell.survival.value < perfect.survival.value and outcomes_differ(ours, theirs)
 
 
 def verdict(cells: Cells, controllers: Sequence[str]) -> str:
@@ -153,9 +154,9 @@ def verdict(cells: Cells, controllers: Sequence[str]) -> str:
     seeds = len({row["seed"] for cell in cells.values() for row in cell.rows})
     said = f"{flights} flights, {seeds} seeds, {lost} vehicles lost. Survival is "
     said += (
-        "below the perfect link's beyond the intervals for: " + ", ".join(below)
+        "below the perfect link's at the 95 % level for: " + ", ".join(below)
         if below
-        else ("nowhere below that of the same controller with a perfect link beyond the 95 % intervals")
+        else "nowhere below that of the same controller with a perfect link at the 95 % level"
     )
     return said + "."
 

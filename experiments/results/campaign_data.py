@@ -44,6 +44,11 @@ class Group:
         """Share of vehicles that survived, Wilson interval."""
         return wilson(len(self.survivors), len(self.rows))
 
+    @property
+    def outcomes(self) -> dict[int, bool]:
+        """Whether the vehicle survived, by seed."""
+        return {row["seed"]: bool(row["survived"]) for row in self.rows}
+
     def values(self, metric: str) -> dict[int, float]:
         """Metric of the survivors, by seed."""
         return {row["seed"]: float(row[metric]) for row in self.survivors if np.isfinite(row[metric])}

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from experiments.results.campaign_data import CampaignData, Group
-from experiments.results.statistics import INTERVAL_COUNT, Estimate
+from experiments.results.statistics import INTERVAL_COUNT, Estimate, outcomes_differ
 from experiments.results.wording import counted, metric_name, show
 
 OURS: Final = "dmrac"
 DOUBTFUL_LISTED: Final = 8
-"""So many sentences about what lies within the intervals; what lies beyond is told in full."""
+"""So many sentences about what is not sure; what is, is told in full."""
 ERRORS: Final = ("rmse_m", "rmse_rad", "worst_error_m", "recovery_s")
 """How the names of metrics end of which less is better."""
 
@@ -26,7 +26,7 @@ class Comparison:
     worse: bool
     """Whether DMRAC is behind, by the median of the ratios or by the count of survivors."""
     sure: bool
-    """Whether that is beyond the 95 % intervals: the ratio's, or the two of survival, which then do not overlap."""
+    """Whether that is so at the 95 % level: beyond the ratio's interval, or by the paired test of survival."""
     before: str
     """What is compared, and DMRAC's own share where it is survival."""
     found: str
@@ -64,7 +64,7 @@ def _survival(place: str, ours: Group, theirs: Group) -> Comparison:
         place,
         theirs.controller,
         worse=other.value > mine.value,
-        sure=other.low > mine.high,
+        sure=other.value > mine.value and outcomes_differ(ours.outcomes, theirs.outcomes),
         before=f"{OURS} survives {show(mine, percent=True)} of its flights,",
         found=f"{theirs.controller} {show(other, percent=True)}",
     )
@@ -85,7 +85,7 @@ def _error(place: str, metric: str, rival: str, ratio: Estimate) -> Comparison:
 def losses(compared: Sequence[Comparison], certain: bool) -> list[str]:
     """Where DMRAC is behind, a sentence for each place and quantity.
 
-    certain: True for what lies beyond the 95 % intervals, False for what only the median or the count says.
+    certain: True for what is so at the 95 % level, False for what only the median or the count says.
     """
     behind = [one for one in compared if one.worse and one.sure is certain]
     subjects = dict.fromkeys(one.subject for one in behind)
@@ -93,7 +93,7 @@ def losses(compared: Sequence[Comparison], certain: bool) -> list[str]:
 
 
 def first_paragraph(data: CampaignData, brief: bool = False) -> str:
-    """What a report begins with. brief: what lies within the intervals is counted, not listed."""
+    """What a report begins with. brief: what is not sure is counted, not listed."""
     seeds = sorted({row["seed"] for row in data.rows})
     about = f"{len(data.rows)} flights, seeds {seeds[0]} to {seeds[-1]}, the same for every controller."
     compared = list(comparisons(data))
@@ -102,7 +102,7 @@ def first_paragraph(data: CampaignData, brief: bool = False) -> str:
     sure = [one for one in compared if one.worse and one.sure]
     unsure = [one for one in compared if one.worse and not one.sure]
     share = f"{len(sure)} of {counted(len(compared), 'comparison')}"
-    text = f"DMRAC loses nowhere beyond the 95 % intervals ({share})."
+    text = f"DMRAC loses nowhere at the 95 % level ({share})."
     if sure:
         text = f"**DMRAC loses here** ({share}): {'; '.join(losses(compared, certain=True))}."
     if len(seeds) < INTERVAL_COUNT:

@@ -192,8 +192,9 @@ def _provenance(plan: Reproduction, sections: Sequence[Section]) -> str:
         f"Made by `{plan.command}`, no number or picture is edited by hand. "
         f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; each section says where. "
         "Medians are over survivors, with 95 % bootstrap intervals (six flights at least); survival has Wilson "
-        "intervals; ratios are paired by seed. Nothing is corrected for the number of comparisons: between equals, one "
-        "in forty would be called a loss. What each column means: [experiments.md](experiments.md).\n"
+        "intervals; ratios are paired by seed, and so is the test of survival (McNemar's, exact). Nothing is "
+        "corrected for the number of comparisons: between equals, one in forty would be called a loss. "
+        "What each column means: [experiments.md](experiments.md).\n"
     )
 
 

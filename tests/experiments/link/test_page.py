@@ -45,7 +45,7 @@ CELLS = {
 }
 
 
-def test_a_link_is_below_only_beyond_both_intervals() -> None:
+def test_a_link_is_below_only_if_pairs_of_seeds_say_so() -> None:
     perfect = CELLS["loss_0", "dmrac"]
     assert not is_below(CELLS["loss_50", "dmrac"], perfect)
     assert is_below(CELLS["loss_100", "dmrac"], perfect)

@@ -11,6 +11,7 @@ from experiments.results.statistics import (
     half_survival_point,
     logistic_fit,
     median,
+    outcomes_differ,
     paired_ratio,
     wilson,
 )
@@ -71,6 +72,19 @@ def test_ratio_is_paired_by_seed() -> None:
     ours = {seed: 0.5 * value for seed, value in theirs.items()} | {99: 1.0}
     estimate = paired_ratio(ours, theirs, np.random.default_rng(0))
     assert (estimate.value, estimate.low, estimate.high, estimate.count) == pytest.approx((0.5, 0.5, 0.5, 7))
+
+
+@pytest.mark.parametrize(
+    ("only_ours", "only_theirs", "differ"),
+    [(0, 5, False), (0, 6, True), (6, 0, True), (4, 14, True), (5, 14, False), (0, 0, False)],
+)
+def test_survival_is_compared_on_the_same_seeds(only_ours: int, only_theirs: int, differ: bool) -> None:
+    """Sign test: 2 * 0.5^5 = 0.0625, 2 * 0.5^6 = 0.031; 4 of 18 p = 0.031, 5 of 19 p = 0.064. Equal ones count not."""
+    outcomes = [(True, False)] * only_ours + [(False, True)] * only_theirs + [(True, True)] * 80 + [(False, False)] * 7
+    ours, theirs = ({seed: pair[side] for seed, pair in enumerate(outcomes)} for side in (0, 1))
+    assert outcomes_differ(ours, theirs) is differ
+    assert outcomes_differ(theirs, ours) is differ
+    assert not outcomes_differ({1: True}, {2: False})
 
 
 def test_logistic_fit_equals_unpenalised_likelihood() -> None:
