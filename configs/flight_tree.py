@@ -21,11 +21,17 @@ Seed = Annotated[int, Field(ge=0, lt=2**31)]
 Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
 
 
+VehicleNumber = Annotated[int, Field(ge=1, le=100)]
+PORTS_EACH: Final = 100
+"""The ports of vehicle n lie so many times n - 1 above those of network.yaml."""
+
+
 class _Options(Record):
-    """What `--seed` and `--duration` may be."""
+    """What `--seed`, `--duration` and `--vehicle` may be."""
 
     seed: Seed | None
     duration: Duration | None
+    vehicle: VehicleNumber
 
 
 class ScenarioFile(Record):
@@ -58,6 +64,8 @@ class Choices:
     """`path.to.key=value`, on the resolved tree."""
     real: bool = False
     """For a real vehicle: nothing happens by itself, and every limit is tight (configs/real_vehicle.yaml)."""
+    vehicle: int = 1
+    """Its number, where several fly at once: its id on the link, and ports of its own."""
 
 
 def named_file(kind: str, name: str) -> Path:
@@ -90,6 +98,8 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     path = named_file("scenarios", scenario)
     file = fill(ScenarioFile, read_tree(path), str(path))
     tree = compose(file, path.stem, choices)
+    if choices.vehicle != 1:
+        tree = numbered(tree, choices.vehicle)
     for assignment in choices.assignments:
         tree = set_path(tree, assignment)
     return tree, str(path) + "".join(f" --set {item}" for item in choices.assignments)
@@ -98,10 +108,22 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
 def _check_choices(choices: Choices) -> None:
     """An option out of range is named as what was typed, not as the keys of the file that it would have changed."""
     try:
-        _Options(seed=choices.seed, duration=choices.duration_s)
+        _Options(seed=choices.seed, duration=choices.duration_s, vehicle=choices.vehicle)
     except ValidationError as error:
         fault = error.errors()[0]
         raise ConfigError(f"--{fault['loc'][0]} {fault['input']}: {fault['msg']}") from None
+
+
+def numbered(tree: Mapping[str, Any], vehicle: int) -> dict[str, Any]:
+    """A flight's plain tree for one of several vehicles: with its id, and beside the others' ports."""
+    own = {"vehicle_id": vehicle}
+    network = {name: _ports_above(address, PORTS_EACH * (vehicle - 1)) for name, address in tree["network"].items()}
+    return merge(tree, {"onboard": own, "offboard": own, "network": network})
+
+
+def _ports_above(address: str, by: int) -> str:
+    host, _, port = address.rpartition(":")
+    return f"{host}:{int(port) + by}"
 
 
 def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:

@@ -47,8 +47,9 @@ MAY_NOT_USE: dict[str, set[str]] = {
 }
 
 SHELL_NAMES = {"process", "realtime", "__main__"}
-NAMED_SHELLS = {"protocol.keys", "sim_vehicle.compiled"}
-"""Modules outside the shells' names that touch files, and why they may: key files; the compiler's cache."""
+NAMED_SHELLS = {"protocol.keys", "sim_vehicle.compiled", "offboard.vehicle_service", "offboard.worker"}
+"""Modules outside the shells' names that are shells, and why: key files; the compiler's cache; the offboard process's
+part for each vehicle, and its thread."""
 FOR_SHELLS = ("shell.", "flight_record.writer")
 WITH_CORES = ("protocol", "onboard", "offboard", "sim_vehicle")
 NOT_IN_A_CORE = {

@@ -3,11 +3,13 @@
 import argparse
 from pathlib import Path
 
+from configs.flight_tree import PORTS_EACH
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
 EXAMPLES = """examples:
   dmrac config figure8_wind > flight.yaml
   dmrac config figure8_calm --real --out flight.yaml
+  dmrac config hover --vehicle 2 --out second.yaml          beside another one that flies at the same time
   dmrac sim --config flight.yaml & dmrac offboard --config flight.yaml & dmrac onboard --config flight.yaml
 """
 
@@ -19,13 +21,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int)
     parser.add_argument("--duration", type=float, metavar="S")
     parser.add_argument("--real", action="store_true", help="for a real vehicle: see docs/real_mambo.md")
+    parser.add_argument(
+        "--vehicle",
+        type=int,
+        default=1,
+        metavar="N",
+        help=f"number of the vehicle where several fly (default: 1): its id, and all ports {PORTS_EACH} (N - 1) higher",
+    )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments")
     parser.add_argument("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Writes the configuration; returns 0."""
-    choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments, arguments.real)
+    choices = Choices(
+        arguments.controller,
+        arguments.seed,
+        arguments.duration,
+        arguments.assignments,
+        arguments.real,
+        arguments.vehicle,
+    )
     text = resolve(arguments.scenario, choices).to_yaml()
     if arguments.out is None:
         print(text, end="")

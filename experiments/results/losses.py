@@ -53,9 +53,10 @@ def comparisons(data: CampaignData) -> Iterator[Comparison]:
 
 
 def _same_conditions(data: CampaignData, ours: Group) -> list[Group]:
+    """Groups at the same point, and those of cases that are not swept."""
     together = [cases for cases in data.config.same_conditions if ours.case in cases]
     cases = together[0] if together else (ours.case,)
-    return [group for case in cases for group in data.select(case, point=dict(ours.point))]
+    return [group for case in cases for group in data.select(case) if group.point in (ours.point, ())]
 
 
 def _survival(place: str, ours: Group, theirs: Group) -> Comparison:

@@ -20,7 +20,7 @@ from shell.files import write_atomically
 
 CAMPAIGNS: Final = (
     *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),
-    *("sim_to_real", "features", "dropouts", "paper_preset", "ablations"),
+    *("sim_to_real", "features", "dropouts", "shared_trainer", "paper_preset", "ablations"),
 )
 """In the order of docs/results.md."""
 

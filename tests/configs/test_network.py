@@ -6,6 +6,7 @@ import pytest
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, read_tree
 from configs.network import RESERVED_PORTS, NetworkConfig, SerialLine, load_network, serial_line
+from experiments.flights.scenario import Choices, resolve
 
 DEFAULTS = read_tree(CONFIG_DIRECTORY / "network.yaml")
 
@@ -19,6 +20,19 @@ def test_the_shipped_file_is_valid_and_avoids_the_reserved_ports() -> None:
     bound = network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard()
     assert len(set(bound.values())) == len(bound) == 7
     assert not {int(address.rpartition(":")[2]) for address in bound.values()} & set(RESERVED_PORTS)
+
+
+def test_vehicles_of_all_numbers_stand_beside_one_another() -> None:
+    taken: set[str] = set()
+    for number in range(1, 101):
+        flight = resolve("hover", Choices(vehicle=number))
+        network = flight.network
+        bound = network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard()
+        assert not taken & set(bound.values())
+        taken |= set(bound.values())
+        assert flight.onboard.vehicle_id == flight.offboard.vehicle_id == number
+    given = resolve("hover", Choices(vehicle=2, assignments=("network.vehicle=10.0.0.2:14560",)))
+    assert given.network.vehicle == "10.0.0.2:14560", "what is set by name stays"
 
 
 @pytest.mark.parametrize("address", ["14560", "127.0.0.1", "127.0.0.1:0", "127.0.0.1:65536", "127.0.0.1:x", ":14560"])

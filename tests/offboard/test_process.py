@@ -1,59 +1,109 @@
-"""The offboard process at its end: one last checkpoint, whatever its worker is writing."""
+"""The offboard process: which vehicles it serves, that one does not cost the others, and what it refuses."""
 
-import threading
+import argparse
+import socket
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from configs.network import load_network
+from experiments.flights.scenario import Choices, resolve
 from offboard import process as offboard_process
-from offboard.process import OffboardProcess
+from offboard.process import serve
+from tests.experiments.processes import on_ports
 
 
-@pytest.fixture
-def process(tmp_path: Path):
-    network: Any = SimpleNamespace(
-        offboard_link="127.0.0.1:0", radio_offboard="127.0.0.1:9", motion_capture="127.0.0.1:0"
-    )
-    core: Any = SimpleNamespace(final_checkpoint=lambda: b"last")
-    nothing: Any = SimpleNamespace()
-    asked_to_end: Any = SimpleNamespace(count=1)
-    made = OffboardProcess(core, network, nothing, tmp_path, nothing, asked_to_end)
-    yield made
-    made._link.close()
-    made._poses.close()
+class Service:
+    """Counts its steps; asks to end after so many, or fails in every one."""
+
+    def __init__(self, stop: Any, steps: int, failing: bool = False) -> None:
+        self.sockets = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM),)
+        self.sockets[0].bind(("127.0.0.1", 0))
+        self.steps, self.ended = 0, False
+        self._stop, self._until, self._failing = stop, steps, failing
+
+    @property
+    def given_up(self) -> bool:
+        return self._failing and self.steps >= self._until
+
+    def due(self, now_ns: int) -> bool:
+        return True
+
+    def step(self) -> None:
+        self.steps += 1
+        if self.steps >= self._until and not self._failing:
+            self._stop.count = 1
+
+    def end(self) -> None:
+        self.ended = True
+        self.sockets[0].close()
 
 
-def test_the_last_checkpoint_waits_for_the_worker_and_stays(
-    process: OffboardProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_vehicle_given_up_does_not_cost_the_others(tmp_path: Path) -> None:
+    stop: Any = SimpleNamespace(count=0)
+    services: Any = [Service(stop, 2, failing=True), Service(stop, 5)]
+    assert serve(services, stop) == 1
+    assert [service.steps for service in services] == [2, 5]
+    assert all(service.ended for service in services)
+
+
+def test_all_given_up_ends_the_process(tmp_path: Path) -> None:
+    stop: Any = SimpleNamespace(count=0)
+    services: Any = [Service(stop, 2, failing=True), Service(stop, 3, failing=True)]
+    assert serve(services, stop) == 1
+    assert [service.steps for service in services] == [2, 3]
+
+
+def test_nothing_went_wrong_is_status_0(tmp_path: Path) -> None:
+    stop: Any = SimpleNamespace(count=0)
+    service: Any = Service(stop, 3)
+    assert serve([service], stop) == 0
+
+
+def configuration(path: Path, vehicle: int, first_port: int) -> Path:
+    path.write_text(on_ports(resolve("hover", Choices(vehicle=vehicle)), first_port).to_yaml(), encoding="utf-8")
+    return path
+
+
+def refused(capfd: pytest.CaptureFixture[str], *words: object) -> str:
+    parser = argparse.ArgumentParser()
+    offboard_process.add_arguments(parser)
+    assert offboard_process.run(parser.parse_args([str(word) for word in words])) == 2
+    return capfd.readouterr().err
+
+
+def test_several_vehicles_need_their_own_number_and_addresses(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    under_way, go_on = threading.Event(), threading.Event()
-    write = offboard_process.write_atomically
-
-    def slow(path: Path, content: bytes) -> None:
-        if content == b"worker's":
-            under_way.set()
-            assert go_on.wait(10.0)
-        write(path, content)
-
-    monkeypatch.setattr(offboard_process, "write_atomically", slow)
-    worker = threading.Thread(target=process._write_checkpoint, args=(b"worker's",))
-    worker.start()
-    assert under_way.wait(10.0)
-    threading.Timer(0.1, go_on.set).start()
-    assert process.serve() == 0
-    worker.join()
-    process._write_checkpoint(b"too late")
-    assert (tmp_path / "checkpoint.npz").read_bytes() == b"last"
+    first = configuration(tmp_path / "first.yaml", 1, 18000)
+    twin = configuration(tmp_path / "twin.yaml", 1, 18020)
+    neighbour = configuration(tmp_path / "neighbour.yaml", 2, 18000)
+    said = refused(capfd, "--config", first, "--also", twin, "--out", tmp_path)
+    assert "twin.yaml: offboard.vehicle_id: 1 is that of" in said
+    said = refused(capfd, "--config", first, "--also", neighbour, "--out", tmp_path)
+    assert "neighbour.yaml: network." in said
+    assert "is taken by" in said
 
 
-def test_a_full_disk_at_the_end_is_one_line(
-    process: OffboardProcess, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(path: Path, content: bytes) -> None:
-        raise OSError(28, "No space left on device")
+def test_options_for_one_vehicle_are_refused_beside_also(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first = configuration(tmp_path / "first.yaml", 1, 18000)
+    second = configuration(tmp_path / "second.yaml", 2, 18020)
+    assert "--also: only beside --config" in refused(capfd, "--onboard", "127.0.0.1:14571", "--also", second)
+    both = ("--config", first, "--also", second, "--out", tmp_path)
+    assert "--bind-link: not beside --also" in refused(capfd, *both, "--bind-link", "127.0.0.1:18099")
+    assert "the folder is wanted" in refused(capfd, *both, "--resume", tmp_path / "checkpoint.npz")
+    (tmp_path / "vehicle_2").mkdir()
+    (tmp_path / "vehicle_2" / "checkpoint.npz").write_bytes(b"damaged")
+    assert "vehicle_2/checkpoint.npz: " in refused(capfd, *both, "--resume", tmp_path)
 
-    monkeypatch.setattr(offboard_process, "write_atomically", full)
-    assert process.serve() == 0
-    assert capsys.readouterr().err.strip().endswith("checkpoint.npz: cannot be written: No space left on device")
+
+def test_an_address_in_use_is_named_as_the_file_names_it(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first = configuration(tmp_path / "first.yaml", 1, 18040)
+    second = configuration(tmp_path / "second.yaml", 2, 18060)
+    address = load_network(second, {}).offboard_link
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", int(address.rpartition(":")[2])))
+        said = refused(capfd, "--config", first, "--also", second, "--out", tmp_path)
+    assert said.startswith(f"network.offboard_link: {address} is in use")

@@ -24,6 +24,8 @@ from flight_record import viewer
         ("fly --web", "--web: only with --view"),
         ("fly --view --lockstep", "--view: only in real time"),
         ("config --out no/such/folder.yaml", "no/such/folder.yaml: No such file or directory"),
+        ("config --vehicle 0", "--vehicle 0: Input should be greater than or equal to 1"),
+        ("config --vehicle 101", "--vehicle 101: Input should be less than or equal to 100"),
         ("campaign magic", "unknown campaign 'magic': allowed are ablations, "),
         ("refly nothing", "nothing: not a campaign's folder: there is no campaign.yaml"),
         ("replay nothing", "nothing: no such flight"),

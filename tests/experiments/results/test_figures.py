@@ -155,6 +155,19 @@ def test_cases_under_the_same_conditions_are_compared(folder: Path) -> None:
         assert {one.rival for one in comparisons(replace(data, config=config, rows=rows))} == rivals
 
 
+def test_a_case_that_is_not_swept_is_compared_at_every_point(folder: Path) -> None:
+    data = load_data(folder)
+    cases = (data.config.cases[0], data.config.cases[0].model_copy(update={"name": "others", "label": ""}))
+    once = [row for row in data.rows if row["controller"] == "mrac" and json.loads(row["point"])["factor"] == 0.9]
+    ours = [row for row in data.rows if row["controller"] == "dmrac"]
+    rows = (*ours, *(row | {"case": "others", "point": "{}"} for row in once))
+    config = data.config.model_copy(update={"cases": cases, "same_conditions": (("chip", "others"),)})
+    compared = list(comparisons(replace(data, config=config, rows=rows)))
+    places = {one.place for one in compared}
+    assert {place.rpartition(" ")[2] for place in places} == {"0.6", "0.7", "0.9"}
+    assert {one.rival for one in compared} == {"mrac"}
+
+
 def test_few_pairs_are_counted(folder: Path) -> None:
     data = load_data(folder)
     rows = tuple(row | {"survived": row["seed"] < 1002} if row["controller"] == "pid" else row for row in data.rows)

@@ -1,0 +1,47 @@
+"""Two vehicles in the air and one trainer for both, as processes over UDP in real time."""
+
+from pathlib import Path
+
+import pytest
+
+from experiments.flights.scenario import Choices, resolve
+from flight_record.reader import open_flight
+from tests.experiments.processes import Processes, on_ports
+
+pytestmark = pytest.mark.realtime
+
+DURATION_S = 16.0
+NUMBERS = (1, 2)
+
+
+def test_one_trainer_teaches_two_vehicles(tmp_path: Path) -> None:
+    """Each learns from its own samples and keeps its own files; what one flies never reaches the other."""
+    configs, folders = {}, {}
+    for number in NUMBERS:
+        choices = Choices(seed=number, duration_s=DURATION_S, vehicle=number)
+        config = on_ports(resolve("figure8_wind" if number == 2 else "hover", choices), 16600 + 20 * number)
+        configs[number] = tmp_path / f"{number}.yaml"
+        configs[number].write_text(config.to_yaml(), encoding="utf-8")
+        folders[number] = tmp_path / f"vehicle_{number}"
+        folders[number].mkdir()
+    with Processes(tmp_path) as trainer, Processes(folders[1]) as first, Processes(folders[2]) as second:
+        trainer.start("offboard", configs[1], "--also", str(configs[2]))
+        for number, vehicle in ((1, first), (2, second)):
+            vehicle.start("sim", configs[number])
+            vehicle.start("onboard", configs[number])
+        for vehicle in (first, second):
+            assert vehicle.wait("sim", DURATION_S + 30.0) == 0
+            vehicle.end("onboard")
+        trainer.end("offboard")
+        assert trainer.running["offboard"].returncode == 0
+        for vehicle in (first, second):
+            sim, onboard, offboard = (vehicle.summary(name) for name in ("sim", "onboard", "offboard"))
+            assert sim["survived"], sim["crash_reason"]
+            assert onboard["features"]["swaps"] >= 1
+            assert offboard["rounds"] >= 2
+            assert offboard["escapes"] == 0
+    for number in NUMBERS:
+        assert (folders[number] / "checkpoint.npz").exists()
+        flight = open_flight(folders[number])
+        assert flight.faults == ()
+        assert {"onboard/tick", "offboard/training"} <= set(flight.topics)
