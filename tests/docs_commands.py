@@ -25,7 +25,7 @@ def block_commands(page: Path) -> Iterator[str]:
     for line in text_of(page).splitlines():
         if line.startswith("|"):  # a table's cells are prose; their commands stand in backticks
             continue
-        for part in re.split(r"(?:&&|\||\s&)\s", line):
+        for part in re.split(r"(?:&&|\||\s&)(?:\s|$)", line):
             found = re.match(rf"^\s*(?:\$ )?({START}(?:\s.*)?)$", part)
             if found and "`" not in part:
                 yield found.group(1)
