@@ -19,6 +19,17 @@ def _sweep(data: CampaignData, name: str) -> tuple[str, list[Any], bool]:
     return sweep.label or name, values, all(isinstance(value, int | float) for value in values)
 
 
+def _swept(data: CampaignData) -> list[str]:
+    """Cases with flights at points of a sweep."""
+    return [case for case in data.cases() if any(group.point for group in data.select(case))]
+
+
+def _flown_once(data: CampaignData, case: str) -> list[Group]:
+    """Groups of the cases that are not swept, but flown under the same conditions as this one."""
+    together = [other for cases in data.config.same_conditions if case in cases for other in cases]
+    return [group for other in together for group in data.select(other) if not group.point]
+
+
 def _places(values: list[Any], numeric: bool, index: int, count: int) -> list[float]:
     """Where the controllers' points of a sweep stand, moved apart a little."""
     span = min(np.diff(sorted(values)), default=1.0) if numeric else 1.0
@@ -39,7 +50,7 @@ def _name_ticks(panel: Any, values: list[Any], numeric: bool) -> None:
 def survival(data: CampaignData, sweep: str, controllers: list[str] | None = None) -> Any:
     """Share of survivors against a sweep: counts with Wilson intervals, and the logistic fit through all flights."""
     label, values, numeric = _sweep(data, sweep)
-    cases, chosen = data.cases(), controllers or data.controllers
+    cases, chosen = _swept(data), controllers or data.controllers
     figure = new_figure(4.4 * len(cases))
     panels = [figure.add_subplot(len(cases), 1, number + 1) for number in range(len(cases))]
     for panel, case in zip(panels, cases, strict=True):
@@ -87,9 +98,12 @@ def _survival_curve(
 
 
 def sweep_metric(data: CampaignData, sweep: str, metric: str, controllers: list[str] | None = None) -> Any:
-    """A metric's median (survivors) with its bootstrap interval against a sweep."""
+    """A metric's median (survivors) with its bootstrap interval against a sweep.
+
+    What was flown once under the same conditions is a broken line.
+    """
     label, values, numeric = _sweep(data, sweep)
-    cases, chosen = data.cases(), controllers or data.controllers
+    cases, chosen = _swept(data), controllers or data.controllers
     figure = new_figure(4.2 * len(cases))
     panels = [figure.add_subplot(len(cases), 1, number + 1) for number in range(len(cases))]
     for panel, case in zip(panels, cases, strict=True):
@@ -99,6 +113,11 @@ def sweep_metric(data: CampaignData, sweep: str, metric: str, controllers: list[
             groups = [group for group in data.select(case, controller) if group.values(metric)]
             x = [places[dict(group.point)[sweep]] for group in groups]
             shown += _interval_line(panel, x, groups, metric, controller, joined=numeric)
+        for group in _flown_once(data, case):
+            if group.controller in chosen and group.values(metric):
+                shown.append(group.estimate(metric).value)
+                look = style(group.controller)
+                panel.axhline(shown[-1], color=look.colour, linestyle="--", label=group.controller)
         _upward_axis(panel, shown)
         _name_ticks(panel, values, numeric)
         finish(panel, label, metric_name(metric), f"{data.label(case)}: survivors only")

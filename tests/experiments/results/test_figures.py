@@ -17,7 +17,7 @@ from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results import trace_figures
-from experiments.results.campaign_data import Trace, load_data
+from experiments.results.campaign_data import CampaignData, Trace, load_data
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
 from experiments.results.losses import comparisons, first_paragraph, losses
@@ -31,6 +31,7 @@ from experiments.results.reproduction import (
     write_results,
     write_targets,
 )
+from experiments.results.row_figures import sweep_metric
 from experiments.results.tables import tables, target_ratio
 from protocol.signals import SIGNAL_INDEX
 from shell.files import write_atomically
@@ -155,17 +156,29 @@ def test_cases_under_the_same_conditions_are_compared(folder: Path) -> None:
         assert {one.rival for one in comparisons(replace(data, config=config, rows=rows))} == rivals
 
 
-def test_a_case_that_is_not_swept_is_compared_at_every_point(folder: Path) -> None:
-    data = load_data(folder)
+def flown_once_beside(data: CampaignData, together: tuple[tuple[str, ...], ...]) -> CampaignData:
+    """Ours at every point, and mrac in a case of its own that is not swept."""
     cases = (data.config.cases[0], data.config.cases[0].model_copy(update={"name": "others", "label": ""}))
     once = [row for row in data.rows if row["controller"] == "mrac" and json.loads(row["point"])["factor"] == 0.9]
     ours = [row for row in data.rows if row["controller"] == "dmrac"]
     rows = (*ours, *(row | {"case": "others", "point": "{}"} for row in once))
-    config = data.config.model_copy(update={"cases": cases, "same_conditions": (("chip", "others"),)})
-    compared = list(comparisons(replace(data, config=config, rows=rows)))
-    places = {one.place for one in compared}
-    assert {place.rpartition(" ")[2] for place in places} == {"0.6", "0.7", "0.9"}
+    return replace(data, config=data.config.model_copy(update={"cases": cases, "same_conditions": together}), rows=rows)
+
+
+def test_a_case_that_is_not_swept_is_compared_at_every_point(folder: Path) -> None:
+    compared = list(comparisons(flown_once_beside(load_data(folder), (("chip", "others"),))))
+    assert {one.place.rpartition(" ")[2] for one in compared} == {"0.6", "0.7", "0.9"}
     assert {one.rival for one in compared} == {"mrac"}
+
+
+@pytest.mark.parametrize(("together", "drawn"), [((("chip", "others"),), ["mrac"]), ((), [])])
+def test_what_was_flown_once_is_a_line_across_the_sweep(
+    folder: Path, together: tuple[tuple[str, ...], ...], drawn: list[str]
+) -> None:
+    figure = sweep_metric(flown_once_beside(load_data(folder), together), "factor", "settled_rmse_m")
+    (panel,) = figure.axes
+    across = [line for line in panel.lines if line.get_linestyle() == "--" and len(set(line.get_ydata())) == 1]
+    assert [line.get_label() for line in across if len(line.get_ydata()) == 2] == drawn
 
 
 def test_few_pairs_are_counted(folder: Path) -> None:
