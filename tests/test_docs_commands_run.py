@@ -106,14 +106,17 @@ def short_form(command: str, address: str = "") -> list[str]:
     words = [PLACES.get(word, word) for word in words_of(command)]
     if "--scheduler" in words:
         words[words.index("--scheduler") + 1] = address
-    return [*words, *SHORTER.get(words[0], [])]
+    added = SHORTER.get(words[0], [])
+    if "--vehicle" in words:  # that has its own addresses
+        added = [word for word in added if not word.startswith("--set")]
+    return [*words, *added]
 
 
 def test_every_kind_of_command_is_there() -> None:
     assert len(COMMANDS) > 40
     assert len(of("alone")) > 25
     assert {command.split()[0] for command in of("script")} <= NO_ARGUMENTS
-    assert len(pages_with_processes()) == 3
+    assert len(pages_with_processes()) == 4
 
 
 @pytest.mark.parametrize("command", of("cheap"))

@@ -43,7 +43,7 @@ class Processes:
                 [*command, *options], stdout=file, stderr=subprocess.STDOUT, env=environment, stdin=subprocess.DEVNULL
             )
         limit = time.monotonic() + READY_LIMIT_S
-        while "ready" not in said.read_text(encoding="utf-8", errors="replace"):
+        while ": ready" not in said.read_text(encoding="utf-8", errors="replace"):
             assert self.running[name].poll() is None, said.read_text(encoding="utf-8")
             assert time.monotonic() < limit, f"{name} is not ready"
             time.sleep(0.05)
