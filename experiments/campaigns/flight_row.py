@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -191,3 +192,8 @@ def point_of(row: Row) -> dict[str, Any]:
     """The point in the sweeps that a row belongs to."""
     point: dict[str, Any] = json.loads(row["point"])
     return point
+
+
+def outcomes(rows: Iterable[Row]) -> dict[int, bool]:
+    """Whether the vehicle survived, by seed."""
+    return {row["seed"]: bool(row["survived"]) for row in rows}

@@ -51,6 +51,23 @@ def kernels_of(line: str) -> str:
     return found.group(1) if found else ""
 
 
+def other_kernels(flown_on: Iterable[str], here: str) -> str:
+    """What to try if flights differ; "" if none of a campaign is known to be flown with other kernels than `here`.
+
+    Parameters
+    ----------
+    flown_on: lines of `here`, where it was flown.
+    """
+    others = sorted({kernels_of(line) for line in flown_on} - {here, ""})
+    if not others:
+        return ""
+    now = f"those for {here}" if here else "none"
+    return (
+        f"flown with OpenBLAS's kernels for {' or '.join(others)}, here with {now}; "
+        f"OPENBLAS_CORETYPE={others[0].partition('/')[0]} chooses the former, if this processor has their instructions"
+    )
+
+
 def versions() -> dict[str, str]:
     """Python and the packages that flights depend on."""
     found = {"python": sys.version.split()[0]}

@@ -2,7 +2,6 @@
 
 import argparse
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 all the same to the bit, 1 some differ, 130 interrupted."""
     from experiments.campaigns.flown import read_flown
-    from experiments.campaigns.provenance import openblas_kernels
+    from experiments.campaigns.provenance import openblas_kernels, other_kernels
     from experiments.campaigns.refly import pick, refly
 
     console = Console()
@@ -60,22 +59,3 @@ def run(arguments: argparse.Namespace) -> int:
         if others and (advice := other_kernels(flown.about.flown_on, openblas_kernels())):
             console.print(f"  {advice}", soft_wrap=True, highlight=False, markup=False)
     return 1 if differ else 0
-
-
-def other_kernels(flown_on: Sequence[str], here: str) -> str:
-    """What to try if flights differ; "" if none of a campaign is known to be flown with other kernels than `here`.
-
-    Parameters
-    ----------
-    flown_on: where it was flown, lines as `experiments.campaigns.provenance.here` gives them.
-    """
-    from experiments.campaigns.provenance import kernels_of
-
-    others = sorted({kernels_of(line) for line in flown_on} - {here, ""})
-    if not others:
-        return ""
-    now = f"those for {here}" if here else "none"
-    return (
-        f"flown with OpenBLAS's kernels for {' or '.join(others)}, here with {now}; "
-        f"OPENBLAS_CORETYPE={others[0].partition('/')[0]} chooses the former, if this processor has their instructions"
-    )

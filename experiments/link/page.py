@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError
-from experiments.campaigns.flight_row import Row, point_of
+from experiments.campaigns.flight_row import Row, outcomes, point_of
 from experiments.campaigns.store import read_table
 from experiments.results.statistics import Estimate, median, outcomes_differ, wilson
 
@@ -136,8 +136,7 @@ def _flown(cell: Cell | None, perfect: Cell | None) -> list[str]:
 
 def is_below(cell: Cell, perfect: Cell) -> bool:
     """Whether survival is below the perfect link's at the 95 % level, on the same seeds."""
-    ours, theirs = ({row["seed"]: bool(row["survived"]) for row in one.rows} for one in (cell, perfect))
-    return cell.survival.value < perfect.survival.value and outcomes_differ(ours, theirs)
+    return cell.survival.value < perfect.survival.value and outcomes_differ(outcomes(cell.rows), outcomes(perfect.rows))
 
 
 def verdict(cells: Cells, controllers: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, load
 from experiments.campaigns.campaign import PRESENTATION, CampaignConfig, flown_keys
-from experiments.campaigns.flight_row import Row
+from experiments.campaigns.flight_row import Row, outcomes
 from experiments.campaigns.flown import read_flown
 from experiments.campaigns.provenance import by_place
 from experiments.results.statistics import Estimate, median, paired_ratio, wilson
@@ -47,7 +47,7 @@ class Group:
     @property
     def outcomes(self) -> dict[int, bool]:
         """Whether the vehicle survived, by seed."""
-        return {row["seed"]: bool(row["survived"]) for row in self.rows}
+        return outcomes(self.rows)
 
     def values(self, metric: str) -> dict[int, float]:
         """Metric of the survivors, by seed."""
@@ -123,6 +123,11 @@ class CampaignData:
             and (controller is None or group.controller == controller)
             and all(dict(group.point).get(name) == value for name, value in wanted)
         ]
+
+    def same_conditions(self, case: str) -> tuple[str, ...]:
+        """The case and those that differ from it only in how the vehicle is controlled."""
+        together = [cases for cases in self.config.same_conditions if case in cases]
+        return together[0] if together else (case,)
 
     def label(self, case: str) -> str:
         """What a case is called in tables and figures."""

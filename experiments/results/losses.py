@@ -54,8 +54,7 @@ def comparisons(data: CampaignData) -> Iterator[Comparison]:
 
 def _same_conditions(data: CampaignData, ours: Group) -> list[Group]:
     """Groups at the same point, and those of cases that are not swept."""
-    together = [cases for cases in data.config.same_conditions if ours.case in cases]
-    cases = together[0] if together else (ours.case,)
+    cases = data.same_conditions(ours.case)
     return [group for case in cases for group in data.select(case) if group.point in (ours.point, ())]
 
 

@@ -26,8 +26,7 @@ def _swept(data: CampaignData) -> list[str]:
 
 def _flown_once(data: CampaignData, case: str) -> list[Group]:
     """Groups of the cases that are not swept, but flown under the same conditions as this one."""
-    together = [other for cases in data.config.same_conditions if case in cases for other in cases]
-    return [group for other in together for group in data.select(other) if not group.point]
+    return [group for other in data.same_conditions(case) for group in data.select(other) if not group.point]
 
 
 def _places(values: list[Any], numeric: bool, index: int, count: int) -> list[float]:

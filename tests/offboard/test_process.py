@@ -41,7 +41,7 @@ class Service:
         self.sockets[0].close()
 
 
-def test_a_vehicle_given_up_does_not_cost_the_others(tmp_path: Path) -> None:
+def test_a_vehicle_given_up_does_not_cost_the_others() -> None:
     stop: Any = SimpleNamespace(count=0)
     services: Any = [Service(stop, 2, failing=True), Service(stop, 5)]
     assert serve(services, stop) == 1
@@ -49,14 +49,14 @@ def test_a_vehicle_given_up_does_not_cost_the_others(tmp_path: Path) -> None:
     assert all(service.ended for service in services)
 
 
-def test_all_given_up_ends_the_process(tmp_path: Path) -> None:
+def test_all_given_up_ends_the_process() -> None:
     stop: Any = SimpleNamespace(count=0)
     services: Any = [Service(stop, 2, failing=True), Service(stop, 3, failing=True)]
     assert serve(services, stop) == 1
     assert [service.steps for service in services] == [2, 3]
 
 
-def test_nothing_went_wrong_is_status_0(tmp_path: Path) -> None:
+def test_nothing_went_wrong_is_status_0() -> None:
     stop: Any = SimpleNamespace(count=0)
     service: Any = Service(stop, 3)
     assert serve([service], stop) == 0

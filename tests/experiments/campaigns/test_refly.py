@@ -14,12 +14,11 @@ from experiments.campaigns import flown as flown_module
 from experiments.campaigns.campaign import CampaignConfig, FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.flown import FlownCampaign, publish, read_flown
-from experiments.campaigns.provenance import here, kernels_of, openblas_kernels
+from experiments.campaigns.provenance import here, kernels_of, openblas_kernels, other_kernels
 from experiments.campaigns.refly import pick, refly
 from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.command_line import main
-from experiments.commands.refly import other_kernels
 from tests.experiments.inline_workers import InlineWorkers
 
 TEXT = """
