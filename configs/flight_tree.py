@@ -24,6 +24,8 @@ Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot
 VehicleNumber = Annotated[int, Field(ge=1, le=100)]
 PORTS_EACH: Final = 100
 """The ports of vehicle n lie so many times n - 1 above those of network.yaml."""
+REAL_PEERS: Final = ("vehicle", "ground")
+"""Addresses that a real vehicle and its ground station bind themselves."""
 
 
 class _Options(Record):
@@ -99,7 +101,7 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     file = fill(ScenarioFile, read_tree(path), str(path))
     tree = compose(file, path.stem, choices)
     if choices.vehicle != 1:
-        tree = numbered(tree, choices.vehicle)
+        tree = numbered(tree, choices.vehicle, choices.real)
     for assignment in choices.assignments:
         tree = set_path(tree, assignment)
     return tree, str(path) + "".join(f" --set {item}" for item in choices.assignments)
@@ -114,16 +116,22 @@ def _check_choices(choices: Choices) -> None:
         raise ConfigError(f"--{fault['loc'][0]} {fault['input']}: {fault['msg']}") from None
 
 
-def numbered(tree: Mapping[str, Any], vehicle: int) -> dict[str, Any]:
-    """A flight's plain tree for one of several vehicles: with its id, and beside the others' ports."""
+def numbered(tree: Mapping[str, Any], vehicle: int, real: bool = False) -> dict[str, Any]:
+    """A flight's plain tree for one of several vehicles: with its id, and beside the others' ports.
+
+    real: the ports of vehicle and ground station are theirs and stay.
+    """
+    by = PORTS_EACH * (vehicle - 1)
+    stay = REAL_PEERS if real else ()
+    network = {name: _port_above(value, by) for name, value in tree["network"].items() if name not in stay}
     own = {"vehicle_id": vehicle}
-    network = {name: _ports_above(address, PORTS_EACH * (vehicle - 1)) for name, address in tree["network"].items()}
     return merge(tree, {"onboard": own, "offboard": own, "network": network})
 
 
-def _ports_above(address: str, by: int) -> str:
-    host, _, port = address.rpartition(":")
-    return f"{host}:{int(port) + by}"
+def _port_above(value: Any, by: int) -> Any:
+    """An address with a higher port; what has none (a serial line, a key file, nothing) stays as it is."""
+    host, _, port = str(value).rpartition(":")
+    return f"{host}:{int(port) + by}" if port.isdecimal() else value
 
 
 def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:

@@ -35,19 +35,22 @@ from shell.status import StatusLines
 
 
 def serve(services: Sequence[VehicleService], stop: StopRequest) -> int:
-    """Serve all vehicles until asked to end; returns the exit status: 0, or 1 if one had to be given up.
+    """Serve all vehicles until asked to end; returns the exit status: 0, or 1 if one was given up or ended badly.
 
     A vehicle that is given up does not cost the others their teacher.
     """
-    while stop.count == 0 and (served := [service for service in services if not service.given_up]):
+    served = list(services)
+    while served and stop.count == 0:
         sockets = [socket for service in served for socket in service.sockets]
         readable, _, _ = select.select(sockets, (), (), STEP_PERIOD_NS * 1e-9)
         for service in served:
             if service.due(time.monotonic_ns()) or any(socket in readable for socket in service.sockets):
                 service.step()
-    for service in services:
-        service.end()
-    return int(any(service.given_up for service in services))
+        for service in [one for one in served if one.given_up]:
+            service.end()
+            served.remove(service)
+    ended = [service.end() for service in served]
+    return int(len(ended) < len(services) or not all(ended))
 
 
 EXAMPLES: Final = """examples:
@@ -148,7 +151,12 @@ def run(arguments: argparse.Namespace) -> int:
         for log in logs:
             log.close()
     for vehicle, service in zip(vehicles, services, strict=True):
-        write_json(vehicle.out / "offboard_summary.json", service.summary())
+        file = vehicle.out / "offboard_summary.json"
+        try:
+            write_json(file, service.summary())
+        except Exception as error:  # whatever it is: the other vehicles' summaries are still to be written
+            print(f"{file}: cannot be written: {error}", file=sys.stderr)
+            result = 1
     # A round of training may still run; nobody waits for it, and torch must not be torn down under it.
     sys.stdout.flush()
     sys.stderr.flush()
@@ -159,6 +167,7 @@ def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
     """All vehicles that the command line names. Raises ConfigError."""
     _check_several(arguments)
     several = bool(arguments.also)
+    resumed = False
     vehicles: dict[int, Vehicle] = {}
     for path in (arguments.config, *arguments.also):
         one = argparse.Namespace(**{**vars(arguments), "config": path})
@@ -181,8 +190,11 @@ def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
             if not checkpoint.exists():
                 status.say(f"{checkpoint} is not there: vehicle {number} starts anew")
                 checkpoint = None
+        resumed |= checkpoint is not None
         _load_experience(core, checkpoint, arguments.warm_start)
     _check_addresses(vehicles.values())
+    if several and arguments.resume is not None and not resumed:
+        raise ConfigError(f"--resume {arguments.resume}: holds no vehicle_N/checkpoint.npz of any of these vehicles")
     return list(vehicles.values())
 
 

@@ -13,6 +13,7 @@ from configs.network import NetworkConfig
 from flight_record.writer import FlightLogWriter
 from offboard.core import OffboardCore
 from offboard.records import OffboardOutput
+from offboard.training_job import TrainingResult
 from offboard.worker import Results, Worker
 from shell.files import write_atomically
 from shell.kernel import resident_mb
@@ -20,7 +21,7 @@ from shell.sockets import AddressInUseError, DatagramSocket
 from shell.status import StatusLines
 
 STEP_PERIOD_NS: Final = 10_000_000
-"""The core steps at least this often, and whenever something arrived."""
+"""The core steps about this often, and whenever something arrived."""
 LINK_DATAGRAMS_PER_STEP: Final = 64
 POSE_DATAGRAMS_PER_STEP: Final = 16
 ESCAPES_MAX: Final = 100
@@ -64,7 +65,9 @@ class VehicleService:
             raise
         self.sockets: Final = (self._link, self._poses)
         self._worker = worker
-        self._results: Results = queue.SimpleQueue()
+        self._trained: Results = queue.SimpleQueue()
+        self._unwritten: Results = queue.SimpleQueue()
+        """Reports of files: apart from the above, for they say nothing of the training job that is under way."""
         self._checkpoint_lock = threading.Lock()
         self._checkpoint_closed = False
         self._latest_report = ""
@@ -72,6 +75,7 @@ class VehicleService:
         self.steps = 0
         self.escapes = 0
         self.failed_jobs = 0
+        self.failed_writes = 0
 
     @property
     def given_up(self) -> bool:
@@ -93,12 +97,17 @@ class VehicleService:
             self._note_escape(now)
         self.steps += 1
 
-    def end(self) -> None:
-        """Closes the sockets and writes the last checkpoint."""
+    def end(self) -> bool:
+        """Closes the sockets and writes the last checkpoint. False if the core could not give one."""
         self.close()
-        last = self._core.final_checkpoint()
+        try:
+            last = self._core.final_checkpoint()
+        except Exception:
+            self._report(time.monotonic_ns(), traceback.format_exc(), "there is no last checkpoint")
+            return False
         if last is not None:
             self._write_last_checkpoint(last)
+        return True
 
     def close(self) -> None:
         """Closes the sockets."""
@@ -110,33 +119,33 @@ class VehicleService:
             self._core.take_in_motion_capture(datagram, now)
         for datagram in self._link.receive(LINK_DATAGRAMS_PER_STEP):
             self._core.take_in(datagram, now)
-        try:
-            result = self._results.get_nowait()
-        except queue.Empty:
-            return
+        while isinstance(report := _taken(self._unwritten), str):
+            self.failed_writes += 1
+            self._report(now, report, f"a file could not be written ({self.failed_writes} times)")
+        result = _taken(self._trained)
         if isinstance(result, str):
             self.failed_jobs += 1
             self._core.training_failed(now)
             self._report(now, result, f"training failed ({self.failed_jobs} times)")
-        else:
+        elif result is not None:
             self._core.take_in_training(result, now)
 
     def _give_out(self, output: OffboardOutput, now: int) -> None:
         for datagram in output.to_onboard:
             self._link.send(datagram)
         if output.job is not None:
-            self._worker.give(output.job.run, self._results)
+            self._worker.give(output.job.run, self._trained)
         for record_type, time_ns, vector in output.records:
             self._log.write(record_type, time_ns, vector)
         for time_ns, text in output.events:
             self._log.event(time_ns, text)
             self._status.say(text)
         if output.checkpoint is not None:
-            self._worker.give(partial(self._write_checkpoint, output.checkpoint), self._results)
+            self._worker.give(partial(self._write_checkpoint, output.checkpoint), self._unwritten)
         if output.version_file is not None:
             version, content = output.version_file
             file = self._out / f"features_{version}.npz"
-            self._worker.give(partial(write_atomically, file, content), self._results)
+            self._worker.give(partial(write_atomically, file, content), self._unwritten)
         if self._status.due(now):
             self._status.write({**self._core.status(now), "escapes": self.escapes})
 
@@ -157,6 +166,10 @@ class VehicleService:
     def _note_escape(self, now: int) -> None:
         self.escapes += 1
         self._report(now, traceback.format_exc(), f"a step failed ({self.escapes} of {ESCAPES_MAX})")
+        if self.given_up:
+            text = "given up: neither features nor poses until this process is started again"
+            self._log.event(now, text)
+            self._status.say(text)
 
     def _report(self, now: int, report: str, what: str) -> None:
         """Tell of a failure: in full when it is not the same as the last one."""
@@ -173,5 +186,13 @@ class VehicleService:
             "steps": self.steps,
             "escapes": self.escapes,
             "failed_jobs": self.failed_jobs,
+            "failed_writes": self.failed_writes,
             "rss_mb": round(resident_mb(), 1),
         }
+
+
+def _taken(results: Results) -> TrainingResult | str | None:
+    try:
+        return results.get_nowait()
+    except queue.Empty:
+        return None

@@ -14,13 +14,13 @@ NICENESS: Final = 10
 
 Work = Callable[[], TrainingResult | None]
 Results = queue.SimpleQueue[TrainingResult | str]
-"""Results of training, and the reports of jobs that failed."""
+"""What came of work: results of training, and the reports of what failed."""
 
 
 class Worker:
     """Runs training jobs and writes files one after the other, with a low claim on the processor.
 
-    Who gives work has at most one training job here, so that several vehicles are trained for in turn.
+    Each vehicle has at most one training job here (its core sees to that), so that all are trained for in turn.
     """
 
     def __init__(self) -> None:

@@ -26,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=1,
         metavar="N",
-        help=f"number of the vehicle where several fly (default: 1): its id, and all ports {PORTS_EACH} (N - 1) higher",
+        help="number of the vehicle where several fly (default: 1): its id, and ports "
+        f"{PORTS_EACH} (N - 1) higher, all of them, with --real all but those of vehicle and ground station",
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments")
     parser.add_argument("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")

@@ -22,7 +22,7 @@ import numpy as np
 from configs.loader import ConfigError
 from experiments.campaigns.flight_row import Row, outcomes, point_of
 from experiments.campaigns.store import read_table
-from experiments.results.statistics import Estimate, median, outcomes_differ, wilson
+from experiments.results.statistics import Estimate, median, survives_less, wilson
 
 CAMPAIGN: Final = "dropouts"
 SWEEP: Final = "link"
@@ -136,7 +136,7 @@ def _flown(cell: Cell | None, perfect: Cell | None) -> list[str]:
 
 def is_below(cell: Cell, perfect: Cell) -> bool:
     """Whether survival is below the perfect link's at the 95 % level, on the same seeds."""
-    return cell.survival.value < perfect.survival.value and outcomes_differ(outcomes(cell.rows), outcomes(perfect.rows))
+    return survives_less(outcomes(cell.rows), outcomes(perfect.rows))
 
 
 def verdict(cells: Cells, controllers: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from experiments.results.campaign_data import CampaignData, Group
-from experiments.results.statistics import INTERVAL_COUNT, Estimate, outcomes_differ
+from experiments.results.statistics import INTERVAL_COUNT, Estimate, survives_less
 from experiments.results.wording import counted, metric_name, show
 
 OURS: Final = "dmrac"
@@ -60,11 +60,12 @@ def _same_conditions(data: CampaignData, ours: Group) -> list[Group]:
 
 def _survival(place: str, ours: Group, theirs: Group) -> Comparison:
     mine, other = ours.survival, theirs.survival
+    sure = survives_less(ours.outcomes, theirs.outcomes)
     return Comparison(
         place,
         theirs.controller,
-        worse=other.value > mine.value,
-        sure=other.value > mine.value and outcomes_differ(ours.outcomes, theirs.outcomes),
+        worse=sure or other.value > mine.value,
+        sure=sure,
         before=f"{OURS} survives {show(mine, percent=True)} of its flights,",
         found=f"{theirs.controller} {show(other, percent=True)}",
     )

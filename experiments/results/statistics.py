@@ -81,10 +81,22 @@ def outcomes_differ(ours: Mapping[int, bool], theirs: Mapping[int, bool]) -> boo
     Of the seeds on which the outcomes differ, half should go either way if the shares are equal (McNemar 1947; the
     binomial tail instead of chi squared). Fewer than six such seeds never suffice.
     """
+    only_ours, only_theirs = _discordant(ours, theirs)
+    discordant = only_ours + only_theirs
+    return discordant > 0 and float(binomtest(only_ours, discordant).pvalue) < 1.0 - CONFIDENCE
+
+
+def survives_less(ours: Mapping[int, bool], theirs: Mapping[int, bool]) -> bool:
+    """Whether the outcomes differ in that sense, to our disadvantage; seeds that only one flew say nothing."""
+    only_ours, only_theirs = _discordant(ours, theirs)
+    return only_ours < only_theirs and outcomes_differ(ours, theirs)
+
+
+def _discordant(ours: Mapping[int, bool], theirs: Mapping[int, bool]) -> tuple[int, int]:
+    """On how many seeds only ours survived, and on how many only theirs."""
     seeds = set(ours) & set(theirs)
     only_ours = sum(ours[seed] and not theirs[seed] for seed in seeds)
-    discordant = sum(ours[seed] != theirs[seed] for seed in seeds)
-    return discordant > 0 and float(binomtest(only_ours, discordant).pvalue) < 1.0 - CONFIDENCE
+    return only_ours, sum(theirs[seed] and not ours[seed] for seed in seeds)
 
 
 def _finite(values: Sequence[float]) -> Array:

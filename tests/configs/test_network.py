@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from configs.flight_tree import numbered
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, read_tree
 from configs.network import RESERVED_PORTS, NetworkConfig, SerialLine, load_network, serial_line
 from experiments.flights.scenario import Choices, resolve
@@ -33,6 +34,11 @@ def test_vehicles_of_all_numbers_stand_beside_one_another() -> None:
         assert flight.onboard.vehicle_id == flight.offboard.vehicle_id == number
     given = resolve("hover", Choices(vehicle=2, assignments=("network.vehicle=10.0.0.2:14560",)))
     assert given.network.vehicle == "10.0.0.2:14560", "what is set by name stays"
+    real = resolve("hover", Choices(vehicle=2, real=True)).network
+    assert (real.vehicle, real.ground) == (DEFAULTS["vehicle"], DEFAULTS["ground"]), "these are not ours to choose"
+    assert real.onboard_link == "127.0.0.1:14671"
+    without_port = {"vehicle": "serial:///dev/ttyUSB0?baud=9", "key_file": "flight.key", "ground_key_file": None}
+    assert numbered({"onboard": {}, "offboard": {}, "network": without_port}, 2)["network"] == without_port
 
 
 @pytest.mark.parametrize("address", ["14560", "127.0.0.1", "127.0.0.1:0", "127.0.0.1:65536", "127.0.0.1:x", ":14560"])

@@ -21,7 +21,7 @@ class Service:
     def __init__(self, stop: Any, steps: int, failing: bool = False) -> None:
         self.sockets = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM),)
         self.sockets[0].bind(("127.0.0.1", 0))
-        self.steps, self.ended = 0, False
+        self.steps, self.ended, self.ends_well = 0, False, True
         self._stop, self._until, self._failing = stop, steps, failing
 
     @property
@@ -36,9 +36,10 @@ class Service:
         if self.steps >= self._until and not self._failing:
             self._stop.count = 1
 
-    def end(self) -> None:
+    def end(self) -> bool:
         self.ended = True
         self.sockets[0].close()
+        return self.ends_well
 
 
 def test_a_vehicle_given_up_does_not_cost_the_others() -> None:
@@ -60,6 +61,14 @@ def test_nothing_went_wrong_is_status_0() -> None:
     stop: Any = SimpleNamespace(count=0)
     service: Any = Service(stop, 3)
     assert serve([service], stop) == 0
+
+
+def test_a_bad_end_is_status_1_and_the_others_end_too() -> None:
+    stop: Any = SimpleNamespace(count=0)
+    services: Any = [Service(stop, 3), Service(stop, 3)]
+    services[0].ends_well = False
+    assert serve(services, stop) == 1
+    assert all(service.ended for service in services)
 
 
 def configuration(path: Path, vehicle: int, first_port: int) -> Path:
@@ -94,6 +103,7 @@ def test_options_for_one_vehicle_are_refused_beside_also(tmp_path: Path, capfd: 
     both = ("--config", first, "--also", second, "--out", tmp_path)
     assert "--bind-link: not beside --also" in refused(capfd, *both, "--bind-link", "127.0.0.1:18099")
     assert "the folder is wanted" in refused(capfd, *both, "--resume", tmp_path / "checkpoint.npz")
+    assert "holds no vehicle_N/checkpoint.npz" in refused(capfd, *both, "--resume", tmp_path)
     (tmp_path / "vehicle_2").mkdir()
     (tmp_path / "vehicle_2" / "checkpoint.npz").write_bytes(b"damaged")
     assert "vehicle_2/checkpoint.npz: " in refused(capfd, *both, "--resume", tmp_path)

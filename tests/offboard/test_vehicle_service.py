@@ -1,6 +1,7 @@
-"""What the process does for one vehicle: at the end one last checkpoint, whatever the worker is writing."""
+"""What the process does for one vehicle: whatever fails is told and costs neither training nor another vehicle."""
 
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,7 +9,9 @@ from typing import Any
 import pytest
 
 from offboard import vehicle_service
-from offboard.vehicle_service import VehicleService
+from offboard.records import OffboardOutput
+from offboard.vehicle_service import ESCAPES_MAX, VehicleService
+from offboard.worker import Worker
 
 
 @pytest.fixture
@@ -55,3 +58,87 @@ def test_a_full_disk_at_the_end_is_one_line(
     monkeypatch.setattr(vehicle_service, "write_atomically", full)
     service.end()
     assert capsys.readouterr().err.strip().endswith("checkpoint.npz: cannot be written: No space left on device")
+
+
+class Core:
+    """Orders a round of training whenever none is outstanding, and writes a checkpoint with each."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.outstanding = name, 0
+        self.trained: list[object] = []
+        self.failed = 0
+
+    def step(self, now_ns: int) -> OffboardOutput:
+        out = OffboardOutput()
+        if self.outstanding == 0 and len(self.trained) < 5:
+            self.outstanding += 1
+            out.job = SimpleNamespace(run=lambda: f"{self.name} {len(self.trained)}".encode())  # type: ignore[assignment]
+            out.checkpoint = self.name.encode()
+        return out
+
+    def take_in_training(self, result: object, now_ns: int) -> None:
+        self.outstanding -= 1
+        self.trained.append(result)
+
+    def training_failed(self, now_ns: int) -> None:
+        self.failed += 1
+
+    def final_checkpoint(self) -> bytes | None:
+        raise RuntimeError("broken")
+
+
+class Told:
+    """Stands in for status lines and log."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+    def event(self, time_ns: int, text: str) -> None:
+        pass
+
+    def due(self, now_ns: int) -> bool:
+        return False
+
+
+def served(core: Any, told: Any, out: Path, worker: Any) -> VehicleService:
+    network: Any = SimpleNamespace(
+        offboard_link="127.0.0.1:0", radio_offboard="127.0.0.1:9", motion_capture="127.0.0.1:0"
+    )
+    return VehicleService(core, network, told, out, told, worker)
+
+
+def test_failed_writes_are_told_and_leave_training_alone(tmp_path: Path) -> None:
+    """One of two vehicles has no folder to write to: each still gets its own results, one job at a time."""
+    worker, cores, told = Worker(), [Core("first"), Core("second")], [Told(), Told()]
+    (tmp_path / "first").mkdir()
+    services = [served(core, one, tmp_path / core.name, worker) for core, one in zip(cores, told, strict=True)]
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end and not all(len(core.trained) == 5 for core in cores):
+        for service in services:
+            service.step()
+        time.sleep(0.001)
+    for service in services:
+        service.close()
+    assert [core.trained for core in cores] == [
+        [f"{core.name} {number}".encode() for number in range(5)] for core in cores
+    ]
+    assert [core.failed for core in cores] == [0, 0]
+    assert [service.escapes for service in services] == [0, 0]
+    assert services[0].failed_writes == 0
+    assert services[1].failed_writes > 0
+    assert any(line.startswith("a file could not be written (1 times): FileNotFoundError") for line in told[1].lines)
+
+
+def test_a_core_that_fails_is_given_up_with_a_line_and_ends(tmp_path: Path) -> None:
+    told, broken = Told(), Core("broken")
+    service = served(SimpleNamespace(final_checkpoint=broken.final_checkpoint), told, tmp_path, None)
+    for _ in range(ESCAPES_MAX):
+        assert not service.given_up
+        service.step()
+    assert service.given_up
+    assert told.lines[-1].startswith("given up: ")
+    assert service.end() is False
+    assert told.lines[-1] == "there is no last checkpoint: RuntimeError: broken"

@@ -13,6 +13,7 @@ from experiments.results.statistics import (
     median,
     outcomes_differ,
     paired_ratio,
+    survives_less,
     wilson,
 )
 
@@ -85,6 +86,15 @@ def test_survival_is_compared_on_the_same_seeds(only_ours: int, only_theirs: int
     assert outcomes_differ(ours, theirs) is differ
     assert outcomes_differ(theirs, ours) is differ
     assert not outcomes_differ({1: True}, {2: False})
+    assert survives_less(ours, theirs) is (differ and only_theirs > only_ours)
+
+
+def test_seeds_that_only_one_flew_do_not_say_who_survives_less() -> None:
+    """Here the share of all flights points the other way."""
+    ours = {seed: seed < 10 for seed in range(100)}
+    theirs = {seed: seed < 4 for seed in range(10)}
+    assert not survives_less(ours, theirs)
+    assert survives_less(theirs, ours)
 
 
 def test_logistic_fit_equals_unpenalised_likelihood() -> None:
