@@ -1,6 +1,6 @@
 """How a flight's whole configuration comes together: plain trees of the YAML files, laid over one another.
 
-A scenario file names the parts (configs/vehicle, configs/controllers, configs/radio) and lays its own values over
+A scenario file names the parts (configs/vehicles, configs/controllers, configs/radio) and lays its own values over
 their defaults. Nothing is checked here but the scenario file itself: each process fills its own records from its
 section (experiments.flights.scenario from all of them), so that none needs the others' code.
 """
@@ -145,7 +145,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     law = read_tree(named_file("controllers", controller))
     onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
     onboard = merge(onboard, {"seed": seed, "controller": law})
-    vehicle = merge(read_vehicle_tree(named_file("vehicle", file.vehicle)), {"disturbances": list(file.disturbances)})
+    vehicle = merge(read_vehicle_tree(named_file("vehicles", file.vehicle)), {"disturbances": list(file.disturbances)})
     return {
         "scenario": name,
         "description": file.description,
@@ -213,7 +213,7 @@ def read_vehicle_tree(name: str | Path) -> dict[str, Any]:
     seen: list[Path] = []
     below: Any = name
     while below is not None:
-        path = CONFIG_DIRECTORY / "vehicle" / f"{below}.yaml" if Path(below).suffix == "" else Path(below)
+        path = CONFIG_DIRECTORY / "vehicles" / f"{below}.yaml" if Path(below).suffix == "" else Path(below)
         if path in seen:
             raise ConfigError(f"{path}: based_on goes round in a ring")
         seen.append(path)

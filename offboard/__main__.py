@@ -8,7 +8,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import sys
 
-from offboard.process import add_arguments, run
+from offboard.command import add_arguments, run
 
 
 def main() -> int:

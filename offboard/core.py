@@ -13,12 +13,13 @@ from typing import Final
 import numpy as np
 
 from offboard.config import OffboardConfig
-from offboard.experience import dump_version, load_experience, load_version
-from offboard.learner import Learner, Outcome
-from offboard.pose_relay import PoseRelay
-from offboard.records import EPOCH, LINK, TRAINING, Array, OffboardOutput
-from offboard.training_job import TrainingJob, TrainingResult
+from offboard.data.experience import dump_version, load_experience, load_version
+from offboard.data.records import EPOCH, LINK, TRAINING, OffboardOutput
+from offboard.links.pose_relay import PoseRelay
+from offboard.training.job import TrainingJob, TrainingResult
+from offboard.training.learner import Learner, Outcome
 from protocol.clock import ForwardClock
+from protocol.conventions import Array
 from protocol.endpoint import Endpoint
 from protocol.feature_set import FeatureSet
 from protocol.messages import (

@@ -8,7 +8,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import sys
 
-from onboard.process import add_arguments, run
+from onboard.command import add_arguments, run
 
 
 def main() -> int:

@@ -6,15 +6,15 @@ from pydantic import Field, model_validator
 
 from configs.loader import Record
 from configs.realtime import RealtimeConfig
-from onboard.airframe import AirframeConfig
-from onboard.controllers.interface import ControllerConfig
-from onboard.estimator_config import EstimatorConfig
-from onboard.ground_link import GroundLinkConfig
-from onboard.guidance import GuidanceConfig
-from onboard.pose_health import PoseHealthConfig
-from onboard.sampler import SamplerConfig
-from onboard.supervisor import SupervisorConfig
-from onboard.vehicle_link import VehicleLinkConfig
+from onboard.control.airframe import AirframeConfig
+from onboard.control.interface import ControllerConfig
+from onboard.estimation.config import EstimatorConfig
+from onboard.estimation.pose_health import PoseHealthConfig
+from onboard.flight.guidance import GuidanceConfig
+from onboard.flight.supervisor import SupervisorConfig
+from onboard.links.ground import GroundLinkConfig
+from onboard.links.vehicle import VehicleLinkConfig
+from onboard.sampling.sampler import SamplerConfig
 from protocol.endpoint import CHALLENGE_PERIOD_NS
 
 STATUS_BYTES: Final = 154

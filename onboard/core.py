@@ -10,30 +10,31 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from onboard.airframe import GRAVITY, ActuatorModel, Mixer, Thrusts
-from onboard.arming import ArmingChecks
 from onboard.config import OnboardConfig
-from onboard.control_records import ControlInputs, ControlOutput, Target
-from onboard.estimator import Estimator
-from onboard.feature_reception import FeatureReception
-from onboard.flight_modes import AIRBORNE, SPINNING, Command, FlightMode
-from onboard.ground_link import GroundLink
-from onboard.guidance import Guidance
-from onboard.offboard_link import OffboardLink
-from onboard.preflight_record import CLEAR, Clearance
-from onboard.records import NEVER_NS, BatteryReading
-from onboard.sampler import SampleQueue
-from onboard.signal_vector import SignalVector
-from onboard.supervisor import Supervisor, SupervisorInputs
-from onboard.tick_record import OFFSET, TICK, write_channel
-from onboard.vehicle_link import VehicleLink
+from onboard.control.actuators import ActuatorModel
+from onboard.control.airframe import GRAVITY
+from onboard.control.feature_reception import FeatureReception
+from onboard.control.mixer import Mixer, Thrusts
+from onboard.control.records import ControlInputs, ControlOutput, Target
+from onboard.estimation.estimator import Estimator
+from onboard.flight.arming import ArmingChecks
+from onboard.flight.guidance import Guidance
+from onboard.flight.modes import AIRBORNE, SPINNING, Command, FlightMode
+from onboard.flight.supervisor import Supervisor, SupervisorInputs
+from onboard.links.ground import GroundLink
+from onboard.links.offboard import OffboardLink
+from onboard.links.readings import BatteryReading
+from onboard.links.vehicle import VehicleLink
+from onboard.preflight.certificate import CLEAR, Clearance
+from onboard.record.tick import OFFSET, TICK, write_channel
+from onboard.sampling.sampler import SampleQueue
+from onboard.sampling.signal_vector import SignalVector
 from protocol.clock import ForwardClock
+from protocol.conventions import NEVER_NS, Array
 from protocol.mavlink_frames import SigningClock
 from protocol.session import session_start_ns
 
-Array = NDArray[np.float64]
 ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
 """Below this the floor's cushion and contact would be learnt as a disturbance."""
@@ -57,11 +58,11 @@ class OnboardOutput:
     to_offboard: list[bytes] = field(default_factory=list)
     to_ground: list[bytes] = field(default_factory=list)
     tick: Array = field(default_factory=lambda: np.zeros(len(TICK.fields)))
-    """Per onboard.tick_record.TICK; rewritten by the next step."""
+    """Per onboard.record.tick.TICK; rewritten by the next step."""
     events: list[tuple[int, str]] = field(default_factory=list)
     """(time_ns, text)."""
     clock_offset: Array | None = None
-    """Per flight_record.schema.CLOCK_OFFSET, once a second when it is known."""
+    """Per flight_log.schema.CLOCK_OFFSET, once a second when it is known."""
 
 
 class OnboardCore:

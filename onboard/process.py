@@ -7,40 +7,29 @@ escapes ends the flight with the motors off. The first SIGINT or SIGTERM asks th
 once.
 """
 
-import argparse
 import contextlib
-import secrets
 import sys
 import time
 import traceback
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from configs.loader import ConfigError, fill_section
-from configs.network import NetworkConfig, is_loopback, seen_from_onboard, serial_line
+from configs.addresses import NetworkConfig, serial_line
 from configs.realtime import RealtimeConfig
-from flight_record.schema import CLOCK_OFFSET, RecordType
-from flight_record.writer import FlightLogWriter
-from onboard.config import OnboardConfig
+from flight_log.schema import CLOCK_OFFSET, RecordType
+from flight_log.writer import FlightLogWriter
 from onboard.core import OnboardCore, OnboardOutput
-from onboard.frame_stream import FrameStream
-from onboard.preflight_record import Clearance, objection, read_record, record_name, vehicle_url
-from onboard.realtime import DurationStatistics, PaceKeeper
-from onboard.tape import TOPIC, Entry, TapeWriter
-from onboard.tick_record import TICK
+from onboard.links.frame_stream import FrameStream
+from onboard.record.input_log import TOPIC, Entry, TapeWriter
+from onboard.record.tick import TICK
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
-from protocol.keys import load_keys
-from protocol.session import session_number
-from shell.errors import StartError
-from shell.files import make_folder, write_json
-from shell.flight_options import add_flight_options, flight_of
-from shell.kernel import ask_for_realtime, quiet_interpreter, resident_mb
-from shell.serial_port import SerialPort
-from shell.signals import StopRequest
-from shell.sockets import AddressInUseError, DatagramSocket
-from shell.status import StatusLines
+from runtime.kernel import resident_mb
+from runtime.pace import DurationStatistics, PaceKeeper
+from runtime.serial_port import SerialPort
+from runtime.signals import StopRequest
+from runtime.sockets import AddressInUseError, DatagramSocket
+from runtime.status import StatusLines
 
 VEHICLE_DATAGRAMS_PER_TICK: Final = 16
 GROUND_DATAGRAMS_PER_TICK: Final = 4
@@ -220,115 +209,6 @@ class OnboardProcess:
             "escapes": self.escapes,
             "rss_mb": round(resident_mb(), 1),
         }
-
-
-EXAMPLES: Final = """examples:
-  dmrac onboard --vehicle udp://192.168.3.1:14560 --offboard 10.0.0.7:14573 --key-file flight.key --out flight
-  dmrac onboard --vehicle "serial:///dev/ttyUSB0?baud=921600" --offboard 127.0.0.1:14573 --controller pid
-  dmrac config figure8_wind > flight.yaml
-  dmrac onboard --config flight.yaml --out flight
-  dmrac onboard --config flight.yaml --vehicle udp://192.168.3.1:14560 --bind-vehicle 192.168.3.2:14561 \\
-      --offboard 10.0.0.7:14573 --bind-link 10.0.0.2:14571 --key-file flight.key
-"""
-OPTIONS: Final = {
-    "vehicle": "--vehicle",
-    "radio_onboard": "--offboard",
-    "ground": "--ground",
-    "onboard_vehicle": "--bind-vehicle",
-    "onboard_link": "--bind-link",
-    "key_file": "--key-file",
-    "vehicle_key_file": "--vehicle-key-file",
-    "ground_key_file": "--ground-key-file",
-}
-"""What overrules which key of the configuration's network."""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `python -m onboard` and `dmrac onboard`."""
-    add_flight_options(parser)
-    parser.add_argument(
-        "--preflight",
-        type=Path,
-        metavar="FILE",
-        help="what dmrac preflight wrote of this vehicle (default: here)",
-    )
-    parser.add_argument(
-        "--no-preflight", action="store_true", help="arm without that record, as a simulated vehicle elsewhere may be"
-    )
-    parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
-    parser.add_argument("--vehicle", metavar="URL", help="the vehicle: udp://HOST:PORT or serial:///dev/ttyX?baud=N")
-    parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio towards it")
-    parser.add_argument("--ground", metavar="HOST:PORT", help="ground station that gets telemetry")
-    parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own address towards the vehicle")
-    parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards offboard")
-    parser.add_argument("--key-file", metavar="FILE", help="key shared with offboard")
-    parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink: sign it")
-    parser.add_argument("--ground-key-file", metavar="FILE", help="key of the ground station's MAVLink: sign it")
-    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the process; returns the exit status (0 flown, 1 ended by failures, 2 bad configuration or address)."""
-    stop = StopRequest()
-    status = StatusLines("onboard", arguments.json)
-    try:
-        needed = {"--vehicle": "URL", "--offboard": "HOST:PORT"}
-        flight = flight_of(arguments, OPTIONS, needed, seen_from_onboard)
-        network = flight.network
-        config = fill_section(OnboardConfig, flight.tree, flight.source, "onboard")
-        keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
-        session = session_number(time.time_ns(), secrets.randbits(20))
-        clearance = clearance_of(arguments, network.vehicle, config)
-        core = OnboardCore(config, session, keys.offboard, keys.vehicle, keys.ground, clearance)
-        make_folder(arguments.out)
-        sockets = Sockets(network)
-    except (ConfigError, StartError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    attachments = {"config.yaml": flight.text}
-    about = {"seed": str(config.seed), "session": str(session), "keyed": str(keys.any)}
-    about |= {"arming_bar": clearance.bar, "notice": clearance.notice}
-    log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
-    try:
-        status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
-        quiet_interpreter()
-        status.say(f"vehicle {network.vehicle}, offboard {network.radio_onboard}, ground station {network.ground}")
-        if clearance.bar:
-            status.say(f"will not arm: {clearance.bar}")
-        status.say("ready")
-        process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
-        result = process.fly()
-    finally:
-        log.close()
-        sockets.close()
-    write_json(arguments.out / "onboard_summary.json", process.summary())
-    return result
-
-
-def clearance_of(arguments: argparse.Namespace, vehicle: str, config: OnboardConfig) -> Clearance:
-    """Whether a person has done the preflight check of the vehicle. One on this machine is simulated and needs none.
-
-    Raises
-    ------
-    ConfigError
-        If two options contradict each other, or the file is no record.
-    """
-    if arguments.no_preflight and arguments.preflight is not None:
-        raise ConfigError("--no-preflight: not beside --preflight")
-    if arguments.no_preflight:
-        return Clearance(notice="PREFLIGHT OVERRIDDEN (--no-preflight): nobody vouches for this vehicle")
-    if is_loopback(vehicle) and arguments.preflight is None:
-        return Clearance()
-    if config.supervisor.auto_arm:
-        return Clearance("auto_arm is for simulation: use dmrac config --real")
-    path = arguments.preflight or Path(record_name(vehicle))
-    try:
-        record = read_record(path.read_bytes(), str(path))
-    except FileNotFoundError:
-        return Clearance(f"no {path.name}: run dmrac preflight --vehicle {vehicle_url(vehicle)}")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    return Clearance(objection(record, vehicle, config.supervisor.arm_needs_pose, time.time()))
 
 
 def _last_line(report: str) -> str:

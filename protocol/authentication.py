@@ -2,7 +2,7 @@
 
 The direction is BLAKE2b's `person` parameter, so that a datagram thrown back at its sender carries a wrong MAC.
 Without a key the same 16 bytes are an unkeyed BLAKE2b: they find corruption and prove nothing, which is why the
-configuration (configs.network) then accepts addresses of this machine only.
+configuration (configs.addresses) then accepts addresses of this machine only.
 """
 
 import hashlib

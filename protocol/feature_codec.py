@@ -11,8 +11,9 @@ from typing import Any, Final, Literal
 import msgpack
 import numpy as np
 
+from protocol.conventions import Array
 from protocol.errors import ProtocolError
-from protocol.feature_set import LAYERS_MAX, WIDTH_MAX, Array, ChannelFeatures, FeatureSet
+from protocol.feature_set import LAYERS_MAX, WIDTH_MAX, ChannelFeatures, FeatureSet
 from protocol.messages import ABSOLUTE_VALUE_MAX, CHUNK_COUNT_MAX, CHUNK_DATA_MAX_BYTES
 from protocol.msgpack_array import unpack_array
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX

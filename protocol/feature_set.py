@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.conventions import Array
 from protocol.signals import input_indices
 
 LAYERS_MAX: Final = 4
 WIDTH_MAX: Final = 128
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -80,7 +80,7 @@ class Status:
     """Up, several times a second: what onboard flies, what it has received, how it is."""
 
     mode: int
-    """onboard.supervisor.FlightMode as a number."""
+    """onboard.flight.supervisor.FlightMode as a number."""
     feature_version: int
     """Version in use; 0 for the random start features."""
     transfer_version: int

@@ -8,7 +8,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import sys
 
-from sim_vehicle.process import add_arguments, run
+from sim_vehicle.command import add_arguments, run
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""The simulated vehicle's configuration, and how configs/vehicle/*.yaml is read."""
+"""The simulated vehicle's configuration, and how configs/vehicles/*.yaml is read."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,8 +8,9 @@ from pydantic import Field
 
 from configs.flight_tree import read_vehicle_tree
 from configs.loader import Record, fill, merge
-from sim_vehicle.disturbances import Disturbance
-from sim_vehicle.parameters import (
+from sim_vehicle.disturbances.records import Disturbance
+from sim_vehicle.link.radio import RadioConfig
+from sim_vehicle.physics.parameters import (
     BatteryConfig,
     BodyConfig,
     DragConfig,
@@ -20,7 +21,6 @@ from sim_vehicle.parameters import (
     NominalConfig,
     SensorsConfig,
 )
-from sim_vehicle.radio import RadioConfig
 
 
 class SimVehicleConfig(Record):

@@ -15,11 +15,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-
 
 class Vehicle(Protocol):
     """sim_vehicle.vehicle.SimVehicle, as lockstep uses it."""
@@ -52,7 +47,7 @@ class TickResult:
     from_offboard: list[bytes] = field(default_factory=list)
     """Datagrams of offboard that onboard took in."""
     radio: Any = None
-    """sim_vehicle.radio.Radio, for what became of each datagram."""
+    """sim_vehicle.link.radio.Radio, for what became of each datagram."""
 
 
 class Lockstep:

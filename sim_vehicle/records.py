@@ -5,7 +5,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from flight_record.schema import RecordType, vector_fields
+from flight_log.schema import RecordType, vector_fields
 
 Array: TypeAlias = NDArray[np.float64]
 

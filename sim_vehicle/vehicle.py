@@ -10,8 +10,12 @@ from typing import Final
 
 import numpy as np
 
-import sim_vehicle.layout as at
-from sim_vehicle.advance import (
+import sim_vehicle.physics.layout as at
+from sim_vehicle.config import SimVehicleConfig
+from sim_vehicle.disturbances.world import GUST_STREAM, World, row_count
+from sim_vehicle.link.mavlink import VehicleCodec
+from sim_vehicle.link.radio import Radio
+from sim_vehicle.physics.advance import (
     HARD_TOUCH,
     SOUND,
     TILTED,
@@ -22,16 +26,12 @@ from sim_vehicle.advance import (
     verdict,
     write_truth,
 )
-from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.draws import Normals, SubstepNormals
-from sim_vehicle.faults import SensorFaults
-from sim_vehicle.limits import flight_limits
-from sim_vehicle.mavlink_link import VehicleCodec
-from sim_vehicle.packing import GRAVITY, SUBSTEP_NS
-from sim_vehicle.radio import Radio
+from sim_vehicle.physics.draws import Normals, SubstepNormals
+from sim_vehicle.physics.limits import flight_limits
+from sim_vehicle.physics.packing import GRAVITY, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, Array, VehicleOutput
-from sim_vehicle.sensors import BatterySample, Flow, Imu, MotionCapture, Schedule, Ultrasonic
-from sim_vehicle.world import GUST_STREAM, World, row_count
+from sim_vehicle.sensors.faults import SensorFaults
+from sim_vehicle.sensors.sensors import BatterySample, Flow, Imu, MotionCapture, Schedule, Ultrasonic
 
 SAMPLE_NS: Final = 5 * SUBSTEP_NS
 """ns, IMU period."""

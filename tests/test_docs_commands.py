@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.command_line import SUBCOMMANDS, build_parser
+from async_dmrac.command_line import SUBCOMMANDS, build_parser
 from tests.docs_commands import BLOCKS, INLINE, PAGES, ROOT, words_of
 
 

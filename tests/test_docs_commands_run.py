@@ -20,11 +20,11 @@ from typing import Any
 import pytest
 import yaml
 
+from async_dmrac.command_line import build_parser, main
+from async_dmrac.commands import tune as tune_module
+from configs.addresses import NetworkConfig
 from configs.loader import CONFIG_DIRECTORY
-from configs.network import NetworkConfig
 from experiments.campaigns import campaign as campaign_module
-from experiments.command_line import build_parser, main
-from experiments.commands import tune as tune_module
 from experiments.results import campaign_data
 from tests.dask_cluster import running_cluster
 from tests.docs_commands import BLOCKS, INLINE, NO_ARGUMENTS, PAGES, ROOT, block_commands, words_of
@@ -206,8 +206,8 @@ def test_a_command_runs(command: str, place: Path) -> None:
 
 def run_view(words: list[str]) -> None:
     """The page is served until Ctrl-C."""
-    pytest.importorskip("flight_record.recording", reason="the viz extra is not installed")
-    command = [sys.executable, "-m", "experiments.command_line", *words, "--port", "0"]
+    pytest.importorskip("flight_log.rerun_scene", reason="the viz extra is not installed")
+    command = [sys.executable, "-m", "async_dmrac", *words, "--port", "0"]
     environment = {**os.environ, "BROWSER": "true"}  # no window of a person's own browser
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as view:
         assert view.stdout is not None

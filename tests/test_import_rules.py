@@ -9,7 +9,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("configs", "protocol", "onboard", "offboard", "sim_vehicle", "flight_record", "shell", "experiments")
+PACKAGES = (
+    "async_dmrac",
+    "configs",
+    "protocol",
+    "onboard",
+    "offboard",
+    "sim_vehicle",
+    "flight_log",
+    "runtime",
+    "experiments",
+)
 HEAVY = {"torch", "numba", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed"}
 """What only extras install; the base install (onboard) must live without."""
 
@@ -19,9 +29,10 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "onboard": ("configs", "protocol"),
     "offboard": ("configs", "protocol"),
     "sim_vehicle": ("configs", "protocol"),
-    "flight_record": ("configs", "shell"),
-    "shell": ("configs",),
-    "experiments": PACKAGES,
+    "flight_log": ("configs", "runtime"),
+    "runtime": ("configs",),
+    "experiments": PACKAGES[1:],
+    "async_dmrac": PACKAGES,
 }
 MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "flights": (),
@@ -30,27 +41,31 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "campaigns": ("flights",),
     "results": ("campaigns",),
     "link": ("flights", "replays", "campaigns", "results"),
-    "commands": ("flights", "replays", "timing", "campaigns", "results", "link"),
-    "command_line": (),
 }
-"""The rooms of `experiments`, each with the rooms it uses; the command line names its commands as text."""
-FOR_EVERYONE = ("configs.loader", "flight_record.schema")
+"""The rooms of `experiments`, each with the other rooms that it may import."""
+FOR_EVERYONE = ("configs.loader", "flight_log.schema")
 MAY_NOT_USE: dict[str, set[str]] = {
     "configs": HEAVY,
     "protocol": HEAVY,
     "onboard": HEAVY,
     "offboard": HEAVY - {"torch"},
     "sim_vehicle": HEAVY - {"numba"},
-    "flight_record": HEAVY - {"matplotlib", "rerun"},
-    "shell": HEAVY,
+    "flight_log": HEAVY - {"matplotlib", "rerun"},
+    "runtime": HEAVY,
     "experiments": set(),
+    "async_dmrac": set(),
 }
 
-SHELL_NAMES = {"process", "realtime", "__main__"}
-NAMED_SHELLS = {"protocol.keys", "sim_vehicle.compiled", "offboard.vehicle_service", "offboard.worker"}
+SHELL_NAMES = {"process", "command", "__main__"}
+NAMED_SHELLS = {
+    "protocol.keys",
+    "sim_vehicle.physics.compiled",
+    "offboard.links.vehicle_service",
+    "offboard.training.worker",
+}
 """Modules outside the shells' names that are shells, and why: key files; the compiler's cache; the offboard process's
 part for each vehicle, and its thread."""
-FOR_SHELLS = ("shell.", "flight_record.writer")
+FOR_SHELLS = ("runtime.", "flight_log.writer")
 WITH_CORES = ("protocol", "onboard", "offboard", "sim_vehicle")
 NOT_IN_A_CORE = {
     *("asyncio", "concurrent", "ctypes", "multiprocessing", "queue", "random", "secrets", "select", "selectors"),
@@ -66,7 +81,7 @@ PURE_STANDARD_LIBRARY = {
     *("itertools", "math", "operator", "struct", "types", "typing", "zlib"),
 }
 PROTOCOL_MAY_USE = {
-    *("configs", "flight_record", "msgpack", "numpy", "protocol", "pydantic", "pymavlink"),
+    *("configs", "flight_log", "msgpack", "numpy", "protocol", "pydantic", "pymavlink"),
     *PURE_STANDARD_LIBRARY,
 }
 
@@ -93,7 +108,7 @@ def border_faults(module: str, tree: ast.AST) -> Iterator[str]:
             yield f"{module} imports {top}"
         if top not in PACKAGES or top == package or top in MAY_IMPORT[package]:
             continue
-        writes = is_shell(module) and name.startswith(("flight_record.writer", "shell."))
+        writes = is_shell(module) and name.startswith(("flight_log.writer", "runtime."))
         if not (writes or name.startswith(FOR_EVERYONE)):
             yield f"{module} imports {name}"
 
@@ -140,6 +155,11 @@ def faults(module: str, source: str) -> list[str]:
         found += core_faults(module, tree)
     if module.startswith("experiments."):
         found += room_faults(module, tree)
+    found += [
+        f"{module} imports {name}"
+        for name in imports(tree)
+        if name.startswith("async_dmrac.commands") and not module.startswith("async_dmrac.commands")
+    ]
     return found
 
 
@@ -161,21 +181,21 @@ def test_every_module_keeps_the_rules() -> None:
         ("protocol.codec", "from onboard.core import OnboardCore"),
         ("onboard.core", "import torch.nn as nn"),
         ("onboard.process", "def f():\n    import torch"),
-        ("onboard.core", "from flight_record.writer import FlightLogWriter"),
-        ("onboard.core", "from shell.sockets import DatagramSocket"),
+        ("onboard.core", "from flight_log.writer import FlightLogWriter"),
+        ("onboard.core", "from runtime.sockets import DatagramSocket"),
         ("onboard.core", "from offboard import labels"),
         ("onboard.core", "import os\nx = os.environ['A']"),
         ("onboard.core", "from time import monotonic_ns"),
         ("onboard.core", "f = open('a')"),
-        ("offboard.core", "import sim_vehicle.radio"),
+        ("offboard.core", "import sim_vehicle.link.radio"),
         ("sim_vehicle.lockstep", "from onboard.core import OnboardCore"),
-        ("sim_vehicle.world", "import numpy as np\nnp.random.normal()"),
-        ("sim_vehicle.world", "import numpy as np\nrng = np.random.default_rng()"),
-        ("flight_record.writer", "import torch"),
+        ("sim_vehicle.disturbances.world", "import numpy as np\nnp.random.normal()"),
+        ("sim_vehicle.disturbances.world", "import numpy as np\nrng = np.random.default_rng()"),
+        ("flight_log.writer", "import torch"),
         ("experiments.flights.trace", "from experiments.campaigns.campaign import load_campaign"),
         ("experiments.campaigns.worker", "def f():\n    from experiments.results import tables"),
-        ("experiments.link.page", "from experiments.command_line import main"),
-        ("experiments.command_line", "import experiments.commands.fly"),
+        ("experiments.link.link_page", "from async_dmrac.command_line import main"),
+        ("async_dmrac.command_line", "import async_dmrac.commands.fly"),
         ("experiments.helpers", "import math"),
     ],
 )
@@ -187,11 +207,11 @@ def test_the_rules_catch(module: str, source: str) -> None:
     ("module", "source"),
     [
         ("protocol.transfer", "from configs.loader import Record\nimport numpy as np\nimport hashlib"),
-        ("onboard.process", "import socket, time\nfrom flight_record.writer import FlightLogWriter"),
-        ("onboard.process", "from shell.sockets import DatagramSocket"),
-        ("onboard.records", "from flight_record.schema import RecordType"),
-        ("sim_vehicle.world", "import numpy as np\nrng = np.random.default_rng([seed, 3])"),
-        ("experiments.commands.fly", "from onboard.core import OnboardCore\nimport offboard.core, time"),
+        ("onboard.process", "import socket, time\nfrom flight_log.writer import FlightLogWriter"),
+        ("onboard.process", "from runtime.sockets import DatagramSocket"),
+        ("onboard.core", "from flight_log.schema import RecordType"),
+        ("sim_vehicle.disturbances.world", "import numpy as np\nrng = np.random.default_rng([seed, 3])"),
+        ("async_dmrac.commands.fly", "from onboard.core import OnboardCore\nimport offboard.core, time"),
     ],
 )
 def test_the_rules_allow(module: str, source: str) -> None:

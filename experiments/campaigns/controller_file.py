@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from configs.loader import ConfigError
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 HEADER_MARK = "# Tuned: "
 """Comment lines of the search's record begin with it; a new search replaces them."""

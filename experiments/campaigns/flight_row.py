@@ -11,8 +11,9 @@ import pyarrow as pa
 from experiments.flights.lockstep_flight import LockstepOutcome
 from experiments.flights.metrics import flight_metrics, rms
 from experiments.flights.scenario import FlightConfig
-from experiments.flights.trace import Array, FlightTrace
-from onboard.supervisor import FlightMode
+from experiments.flights.trace import FlightTrace
+from onboard.flight.supervisor import FlightMode
+from protocol.conventions import Array
 from sim_vehicle.lockstep import TickResult
 
 AFTER_ONSET_S = 4.0

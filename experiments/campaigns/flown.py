@@ -12,7 +12,7 @@ from configs.loader import ConfigError, Record, fill, load, parse_mapping
 from experiments.campaigns.campaign import CampaignConfig, fingerprint
 from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 CAMPAIGN_FILE: Final = "campaign.yaml"
 _METADATA: Final = b"campaign.yaml"

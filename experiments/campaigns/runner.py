@@ -21,7 +21,7 @@ from experiments.campaigns.flown import CAMPAIGN_FILE, About, is_campaign, read_
 from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 TRIES: Final = 2
 QUEUED_PER_WORKER: Final = 2

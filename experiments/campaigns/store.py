@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.campaigns.flight_row import SCHEMA, Row
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 PARQUET: Final = "flights.parquet"
 JOURNAL: Final = "flights.journal"

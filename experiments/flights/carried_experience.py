@@ -1,8 +1,8 @@
 """What one lockstep flight hands to another: a trainer's experience, last layers for controllers without a trainer.
 
-The file is an experience (offboard.experience) with two things beside it: the last version alone (key "features") and
-the adaptive controllers' last layers. A learning controller gets the last version, which offboard sends again over the
-link; a controller with fixed features (mrac, bias) starts from the last layer.
+The file is an experience (offboard.data.experience) with two things beside it: the last version alone (key
+"features") and the adaptive controllers' last layers. A learning controller gets the last version, which offboard
+sends again over the link; a controller with fixed features (mrac, bias) starts from the last layer.
 """
 
 import io
@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError
-from onboard.controllers.interface import Learner
+from onboard.control.interface import Learner
 from onboard.core import OnboardCore
 
 CHANNEL_KEYS: Final = ("position_last_layer", "attitude_last_layer")
@@ -63,7 +63,7 @@ def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = 
     learns = isinstance(controller, Learner) and controller.accepts_features
     try:
         if learns and offboard is not None:
-            from offboard.experience import ExperienceError
+            from offboard.data.experience import ExperienceError
 
             try:
                 if frozen:

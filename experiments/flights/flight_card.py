@@ -11,7 +11,7 @@ from rich.table import Table
 from experiments.flights.metrics import flight_metrics
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
-from shell.files import write_json
+from runtime.files import write_json
 
 
 def build_summary(

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.flights.trace import FlightTrace
+from protocol.conventions import Array
 
-Array = NDArray[np.float64]
 AXES = ("north", "east", "down")
 STYLES = ("-", "--", ":")
 WIND_SCALE = 12.0

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Final
 
 from configs.loader import ConfigError
-from flight_record.viewer import OPENED
-from shell.signals import die_with_parent
+from flight_log.viewer import OPENED
+from runtime.signals import die_with_parent
 
 READY_LIMIT_S: Final = 60.0
 NICENESS: Final = 10
@@ -33,7 +33,7 @@ def live_view(folder: Path, web: bool, port: int | None = None) -> Iterator[Call
     ConfigError
         If the viewer cannot be shown: what it said.
     """
-    command = [sys.executable, "-m", "experiments.command_line", "view", str(folder), "--live"]
+    command = [sys.executable, "-m", "async_dmrac", "view", str(folder), "--live"]
     command += ["--web"] if web else []
     command += ["--port", str(port)] if port is not None else []
     process = subprocess.Popen(

@@ -5,24 +5,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.flights.carried_experience import dump_learnt, read_experience, start_from
 from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import Columns, FlightTrace
-from flight_record.schema import RecordType
+from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from onboard.core import OnboardCore
-from onboard.supervisor import FlightMode
-from onboard.tick_record import OFFSET, TICK
+from onboard.flight.supervisor import FlightMode
+from onboard.record.tick import OFFSET, TICK
+from protocol.conventions import Array
 from protocol.keys import load_key, load_keys
+from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Direction, Fate, Radio, Recording
 from sim_vehicle.lockstep import Lockstep, TickResult
-from sim_vehicle.radio import DIRECTIONS, RADIO_STREAM, Direction, Fate, Radio, Recording
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
-Array = NDArray[np.float64]
 ONBOARD_SESSION = 1
 OFFBOARD_SESSION = 2
 _TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
@@ -91,7 +90,7 @@ def fly_lockstep(
     Parameters
     ----------
     experience: what an earlier flight learnt (carried_experience); None: what the config names, if any.
-    recorded: fates of an earlier flight, by direction, for this one's datagrams (sim_vehicle.radio.Recording).
+    recorded: fates of an earlier flight, by direction, for this one's datagrams (sim_vehicle.link.radio.Recording).
 
     Raises
     ------

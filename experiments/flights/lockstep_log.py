@@ -7,12 +7,12 @@ from typing import Self
 from experiments.flights.carried_experience import read_experience
 from experiments.flights.lockstep_flight import ONBOARD_SESSION
 from experiments.flights.scenario import FlightConfig
-from flight_record.schema import CLOCK_OFFSET
-from flight_record.writer import FlightLogWriter
-from onboard.tape import TOPIC, Entry, TapeWriter
-from onboard.tick_record import TICK
+from flight_log.schema import CLOCK_OFFSET
+from flight_log.writer import FlightLogWriter
+from onboard.record.input_log import TOPIC, Entry, TapeWriter
+from onboard.record.tick import TICK
+from sim_vehicle.link.radio import DIRECTIONS, FATE, fate_vector
 from sim_vehicle.lockstep import TickResult
-from sim_vehicle.radio import DIRECTIONS, FATE, fate_vector
 from sim_vehicle.records import TRUTH
 
 PROCESSES = ("sim_vehicle", "onboard", "offboard")

@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.flights.trace import FlightTrace
-from onboard.trajectory import Path, TrajectoryConfig
+from onboard.flight.trajectory import Path, TrajectoryConfig
+from protocol.conventions import Array
 
-Array = NDArray[np.float64]
 TARGET_DISTANCE_MAX_M = 2.5
 """Farther from the target than this the flight counts as lost (docs/experiments.md)."""
 

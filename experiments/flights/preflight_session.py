@@ -6,7 +6,7 @@ by asking for consent, one at a time, and are told to stop whatever happens.
 
 from typing import Final, Protocol
 
-from onboard.preflight import (
+from onboard.preflight.checks import (
     MOTORS,
     Check,
     MotorAnswer,
@@ -17,8 +17,8 @@ from onboard.preflight import (
     check_still,
     skipped,
 )
-from onboard.preflight_motion import check_motion
-from onboard.preflight_recording import PoseSample, Recorder, Recording
+from onboard.preflight.motion_checks import check_motion
+from onboard.preflight.recorder import PoseSample, Recorder, Recording
 
 STILL_S: Final = 6.0
 MOTION_S: Final = 8.0

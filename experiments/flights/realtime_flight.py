@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from configs.network import NetworkConfig
-from shell.errors import StartError
-from shell.signals import StopRequest, die_with_parent
-from shell.sockets import require_free
+from configs.addresses import NetworkConfig
+from runtime.errors import StartError
+from runtime.signals import StopRequest, die_with_parent
+from runtime.sockets import require_free
 
 MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
 """In the order of starting; onboard's first motor command starts the flight."""

@@ -8,14 +8,14 @@ from typing import Annotated, Any
 import yaml
 from pydantic import Field
 
+from configs.addresses import NetworkConfig
 from configs.flight_tree import DEFAULT_SCENARIO, Choices, Duration, Seed, flight_tree, named_file
 from configs.loader import Record, fill
-from configs.network import NetworkConfig
 from offboard.config import OffboardConfig
 from onboard.config import OnboardConfig
-from onboard.controllers.interface import Learner
+from onboard.control.interface import Learner
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.radio import RadioConfig
+from sim_vehicle.link.radio import RadioConfig
 
 __all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "named_file", "resolve"]
 

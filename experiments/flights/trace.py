@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flight_record.reader import Flight
-from flight_record.schema import RecordType
-from onboard.supervisor import FlightMode
-from onboard.tick_record import TICK
+from flight_log.reader import Flight
+from flight_log.schema import RecordType
+from onboard.flight.supervisor import FlightMode
+from onboard.record.tick import TICK
+from protocol.conventions import Array
 from sim_vehicle.records import TRUTH
 
-Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 

@@ -10,7 +10,7 @@ A .csv file holds what became of each datagram of a flight, one a line:
 `direction` is up (onboard to offboard) or down; `sent_ms` counts from the start of the flight and grows within a
 direction; `outcome` is delivered, loss, burst, blackout or queue; the delays, to microseconds, are empty where no such
 copy arrived; `flipped_bit` is the bit that was inverted, if any. Another flight's datagrams meet these fates by time
-(sim_vehicle.radio.Recording); past the end the `perfect` radio takes over.
+(sim_vehicle.link.radio.Recording); past the end the `perfect` radio takes over.
 
 A .yaml file holds a `description`, a profile of configs/radio by name (`radio`, perfect unless given) and what is laid
 over it (`radio_values`), as a scenario does.
@@ -27,7 +27,7 @@ from pydantic import Field
 from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, load, merge, read_tree
 from experiments.flights.lockstep_flight import Fates
 from experiments.flights.scenario import named_file
-from sim_vehicle.radio import DIRECTIONS, OUTCOMES, Direction, Fate, RadioConfig
+from sim_vehicle.link.radio import DIRECTIONS, OUTCOMES, Direction, Fate, RadioConfig
 
 FOLDER: Final = CONFIG_DIRECTORY / "dropouts"
 COLUMNS: Final = ("direction", "sent_ms", "outcome", "delay_ms", "copy_delay_ms", "flipped_bit")

@@ -20,7 +20,7 @@ from protocol.endpoint import Endpoint
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.messages import FeatureChunk, Status
 from protocol.transfer import FeatureReceiver, FeatureSender
-from sim_vehicle.radio import DirectionConfig, Radio, RadioConfig
+from sim_vehicle.link.radio import DirectionConfig, Radio, RadioConfig
 
 LOSSES: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 WIDTHS: Final = (6, 32, 32, 20)

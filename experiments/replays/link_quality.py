@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_vehicle.radio import Fate
+from sim_vehicle.link.radio import Fate
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from experiments.flights.lockstep_flight import Fates
 from experiments.flights.lockstep_log import EXPERIENCE
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace, trace_of
-from flight_record.log_file import LogFile
-from flight_record.reader import Flight, FlightError, open_flight
-from sim_vehicle.radio import DIRECTIONS, FATE, Direction, Fate, fate_from_vector
+from flight_log.log_file import LogFile
+from flight_log.reader import Flight, FlightError, open_flight
+from sim_vehicle.link.radio import DIRECTIONS, FATE, Direction, Fate, fate_from_vector
 
 CONFIG_NAME: Final = "config.yaml"
 

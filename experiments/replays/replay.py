@@ -16,8 +16,8 @@ from experiments.flights.scenario import FlightConfig, complete, named_file
 from experiments.flights.trace import FlightTrace
 from experiments.replays.link_quality import LinkQuality, link_quality
 from experiments.replays.recorded_flight import RecordedFlight
-from onboard.controllers.interface import Learner
-from sim_vehicle.radio import DIRECTIONS, Direction
+from onboard.control.interface import Learner
+from sim_vehicle.link.radio import DIRECTIONS, Direction
 
 NOTHING: Final = "-"
 SEED_MAX: Final = 2**31 - 1

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from configs.loader import ConfigError
 from experiments.flights.carried_experience import start_from
 from experiments.replays.recorded_flight import RecordedFlight
-from flight_record.log_file import LogFile
-from onboard.controllers.interface import Learner
+from flight_log.log_file import LogFile
+from onboard.control.interface import Learner
 from onboard.core import OnboardCore, OnboardOutput
-from onboard.preflight_record import Clearance
-from onboard.tape import TIME, TOPIC, Entry, TapeTick, read_tick
-from onboard.tick_record import TICK
+from onboard.preflight.certificate import Clearance
+from onboard.record.input_log import TIME, TOPIC, Entry, TapeTick, read_tick
+from onboard.record.tick import TICK
 from protocol.keys import LinkKeys, load_keys
 
 OUTPUTS: Final = (

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, load
 from experiments.campaigns.campaign import PRESENTATION, CampaignConfig, flown_keys
@@ -18,8 +17,8 @@ from experiments.campaigns.flight_row import Row, outcomes
 from experiments.campaigns.flown import read_flown
 from experiments.campaigns.provenance import by_place
 from experiments.results.statistics import Estimate, median, paired_ratio, wilson
+from protocol.conventions import Array
 
-Array = NDArray[np.float64]
 REPORT_SEED = 20_000
 """Resampling draws from generators of its own, so that a report is the same whenever it is made."""
 CONTROLLER_ORDER = ("none", "pid", "indi", "l1", "bias", "paper_mrac", "mrac", "paper_dmrac", "dmrac")

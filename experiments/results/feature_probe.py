@@ -17,12 +17,13 @@ import numpy as np
 from configs.loader import ConfigError, fill, read_tree
 from experiments.campaigns.runner import experience_path
 from experiments.results.campaign_data import CampaignData, Trace
-from experiments.results.figure_style import Array, legend_below, new_figure
+from experiments.results.figure_style import legend_below, new_figure
 from experiments.results.statistics import median
 from experiments.results.tables import Table
 from offboard.config import NetworkConfig
-from onboard.features import Features, NetworkFeatures, RadialFeatures
+from onboard.control.features import Features, NetworkFeatures, RadialFeatures
 from protocol.codec import decode_feature_set
+from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import CHANNELS, SIGNAL_NAMES
 
@@ -112,7 +113,7 @@ def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
     ConfigError
         If the flight sent no features of that channel.
     """
-    from offboard.network import InputPlan, feature_set, initial_state
+    from offboard.training.network import InputPlan, feature_set, initial_state
 
     start = initial_state(flight.network, np.random.default_rng([flight.seed, 1]))
     before = feature_set(start, InputPlan.of(flight.network), 1, 0, 0)
@@ -136,7 +137,7 @@ def _of(features: FeatureSet, channel: int) -> ChannelFeatures:
 def _rbf(channel: int) -> tuple[RadialFeatures, float]:
     """Those of mrac, and their width in scaled inputs."""
     from configs.loader import CONFIG_DIRECTORY
-    from onboard.controllers.cascade import CascadeSettings
+    from onboard.control.cascade import CascadeSettings
 
     tree = read_tree(CONFIG_DIRECTORY / "controllers" / "mrac.yaml")
     settings = fill(CascadeSettings, tree["settings"], "mrac.yaml", "settings.")

@@ -13,7 +13,7 @@ from experiments.results.figure_style import drawn_for, save
 from experiments.results.tables import Table
 from experiments.results.thrust_limit import limit_table
 from experiments.results.wording import metric_name
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 Drawer = Callable[..., Any]
 

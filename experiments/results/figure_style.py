@@ -4,10 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 WIDTH_IN: Final = 8.0
 DPI: Final = 130
 ASKED: Final = "Description"

@@ -12,11 +12,11 @@ from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.flown import is_campaign, publish, read_about, unpublish
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
 from experiments.results.campaign_data import CampaignData, load_data
+from experiments.results.campaign_page import write_page
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.losses import comparisons, first_paragraph
-from experiments.results.page import write_page
 from experiments.results.tables import TARGET_HEADER, Table, markdown_report, target_rows
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 CAMPAIGNS: Final = (
     *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),

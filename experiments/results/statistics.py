@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binomtest
 
-Array = NDArray[np.float64]
+from protocol.conventions import Array
+
 CONFIDENCE: Final = 0.95
 Z_95: Final = 1.959963984540054
 """Normal quantile at 0.975."""

@@ -5,8 +5,8 @@ must give less too, and yaw is lost (a slow turn makes up for a hundredth or so)
 
     f g (V / V_rated)^2 T_max        f: thrust factor, g: gain of its motor,
 
-and the voltage V falls with the power of all four, which is taken as the simulated battery takes it
-(sim_vehicle/motors.py): V = V_open - (R + R_slow)(I_idle + k sum(T^1.5) / V), T the thrust that a sound rotor would
+and the voltage V falls with the power of all four, as the simulated battery has it (sim_vehicle/physics/motors.py):
+V = V_open - (R + R_slow)(I_idle + k sum(T^1.5) / V), T the thrust that a sound rotor would
 give. What is left over is the reserve, with which the attitude is held.
 """
 
@@ -20,10 +20,10 @@ from experiments.campaigns.campaign import unfold
 from experiments.campaigns.worker import configuration
 from experiments.results.campaign_data import CampaignData
 from experiments.results.tables import Table
-from sim_vehicle import layout as at
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.packing import GRAVITY
-from sim_vehicle.world import World
+from sim_vehicle.disturbances.world import World
+from sim_vehicle.physics import layout as at
+from sim_vehicle.physics.packing import GRAVITY
 
 LONG_AFTER_NS = 10**15
 """Every fault of the scenario is present."""

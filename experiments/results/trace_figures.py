@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from experiments.results.campaign_data import CampaignData, Group, Trace
-from experiments.results.figure_style import Array, finish, legend_below, new_figure, style
+from experiments.results.figure_style import finish, legend_below, new_figure, style
+from protocol.conventions import Array
 
 DEG = 180.0 / np.pi
 FLOWN = "flown: mean, ± standard deviation"

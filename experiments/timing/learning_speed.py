@@ -42,7 +42,7 @@ def _first_job(config: FlightConfig) -> Any:
 
 def admission_ms(samples: int = 100) -> float:
     """Kernel test, best swap and replacement in a buffer of 1000 that is full: median over `samples`, ms of a core."""
-    from offboard.novelty import KernelNovelty, best_swap
+    from offboard.data.novelty import KernelNovelty, best_swap
 
     rng = np.random.default_rng(3)
     novelty = KernelNovelty(CAPACITY, INPUTS)

@@ -9,7 +9,7 @@ from typing import Final
 
 from experiments.flights.realtime_flight import Child
 from experiments.flights.scenario import FlightConfig
-from shell.errors import StartError
+from runtime.errors import StartError
 
 START_LIMIT_S: Final = 20.0
 

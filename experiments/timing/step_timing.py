@@ -11,12 +11,12 @@ import numpy as np
 
 from experiments.flights.lockstep_flight import ONBOARD_SESSION, build
 from experiments.flights.scenario import FlightConfig
-from flight_record.writer import FlightLogWriter
+from flight_log.writer import FlightLogWriter
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.process import LOOP
-from onboard.realtime import PaceKeeper
-from onboard.tape import TOPIC, Entry, TapeWriter
-from onboard.tick_record import TICK
+from onboard.record.input_log import TOPIC, Entry, TapeWriter
+from onboard.record.tick import TICK
+from runtime.pace import PaceKeeper
 
 STEP: Final = "whole tick"
 BLOCKS: Final = (

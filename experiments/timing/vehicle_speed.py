@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-import sim_vehicle.layout as at
-from sim_vehicle.advance import WORK_ROWS, advance
-from sim_vehicle.batch import VehicleBatch
+import sim_vehicle.physics.layout as at
 from sim_vehicle.config import load_vehicle
-from sim_vehicle.packing import pack_parameters
+from sim_vehicle.physics.advance import WORK_ROWS, advance
+from sim_vehicle.physics.batch import VehicleBatch
+from sim_vehicle.physics.packing import pack_parameters
 from sim_vehicle.vehicle import SimVehicle, initial_state
 
 WORLD: Final[list[dict[str, Any]]] = [

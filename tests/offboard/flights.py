@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from configs.loader import fill, merge, read_tree
 from offboard.config import OffboardConfig
+from protocol.conventions import Array
 from protocol.messages import SampleBatch
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
-
-Array = NDArray[np.float64]
 
 PERIOD_S = 0.02
 PERIOD_NS = 20_000_000

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from flight_record.schema import RecordType
-from offboard.buffer import VALIDATION
+from flight_log.schema import RecordType
 from offboard.core import OffboardCore
-from offboard.pose_relay import PoseRelay
-from offboard.records import EPOCH, LINK, TRAINING
+from offboard.data.buffer import VALIDATION
+from offboard.data.records import EPOCH, LINK, TRAINING
+from offboard.links.pose_relay import PoseRelay
 from protocol.endpoint import Endpoint
 from protocol.feature_set import FeatureSet
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from configs.network import load_network
+from configs.addresses import load_network
 from experiments.flights.scenario import Choices, resolve
-from offboard import process as offboard_process
+from offboard import command as offboard_command
 from offboard.process import serve
 from tests.experiments.processes import on_ports
 
@@ -78,8 +78,8 @@ def configuration(path: Path, vehicle: int, first_port: int) -> Path:
 
 def refused(capfd: pytest.CaptureFixture[str], *words: object) -> str:
     parser = argparse.ArgumentParser()
-    offboard_process.add_arguments(parser)
-    assert offboard_process.run(parser.parse_args([str(word) for word in words])) == 2
+    offboard_command.add_arguments(parser)
+    assert offboard_command.run(parser.parse_args([str(word) for word in words])) == 2
     return capfd.readouterr().err
 
 

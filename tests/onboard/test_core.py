@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from experiments.flights.scenario import Choices, resolve
+from onboard.control.feature_reception import FeatureReception
+from onboard.control.feature_swap import SwapConfig
+from onboard.control.features import random_channel
 from onboard.core import OnboardCore
-from onboard.feature_reception import FeatureReception
-from onboard.feature_swap import SwapConfig
-from onboard.features import random_channel
-from onboard.supervisor import FlightMode
-from onboard.tick_record import OFFSET
+from onboard.flight.supervisor import FlightMode
+from onboard.record.tick import OFFSET
 from protocol.codec import encode_feature_set
 from protocol.config import TransferConfig
 from protocol.endpoint import Endpoint

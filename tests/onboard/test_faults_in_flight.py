@@ -10,11 +10,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
-from onboard.records import FlowReading
-from onboard.supervisor import FlightMode
+from onboard.flight.supervisor import FlightMode
+from onboard.links.readings import FlowReading
 from protocol.session import session_number
+from sim_vehicle.link.radio import Radio
 from sim_vehicle.lockstep import Lockstep
-from sim_vehicle.radio import Radio
 from sim_vehicle.vehicle import SimVehicle
 
 FAULT_S = 6.0

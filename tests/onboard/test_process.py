@@ -9,7 +9,7 @@ import pytest
 from configs.realtime import RealtimeConfig
 from onboard.core import OnboardOutput
 from onboard.process import FINAL_SAFE_COMMANDS, OnboardProcess
-from onboard.tape import Entry, TapeTick, read_tick
+from onboard.record.input_log import Entry, TapeTick, read_tick
 
 PERIOD_NS = 1_000_000
 REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)

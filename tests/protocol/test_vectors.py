@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from onboard.flight_modes import FlightMode
+from onboard.flight.modes import FlightMode
 from protocol.codec import decode_feature_set, encode_feature_set
 from protocol.endpoint import Endpoint
 from protocol.messages import REFUSALS, TimeSyncRequest

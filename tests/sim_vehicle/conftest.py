@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-import sim_vehicle.layout as at
+import sim_vehicle.physics.layout as at
 from configs.loader import merge
-from sim_vehicle.advance import WORK_ROWS, advance
 from sim_vehicle.config import SimVehicleConfig, load_vehicle
-from sim_vehicle.packing import pack_parameters
+from sim_vehicle.physics.advance import WORK_ROWS, advance
+from sim_vehicle.physics.packing import pack_parameters
 from sim_vehicle.records import Array
 from sim_vehicle.vehicle import SimVehicle, initial_state
 

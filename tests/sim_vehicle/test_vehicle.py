@@ -11,7 +11,7 @@ import pytest
 from configs.flight_tree import read_vehicle_tree
 from configs.loader import ConfigError
 from sim_vehicle.config import load_vehicle
-from sim_vehicle.packing import GRAVITY
+from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
@@ -221,7 +221,7 @@ def test_acceleration_is_the_velocity_gained(vehicle, motors):
 
 def test_battery_falls_as_in_the_flight_logs():
     """From 4.135 V to 3.59 V after 18 s under load; thrust sags 5-12 % between take-off and the end of a flight."""
-    from sim_vehicle.batch import VehicleBatch
+    from sim_vehicle.physics.batch import VehicleBatch
 
     batch = VehicleBatch(load_vehicle("mambo", {"initial": {"position_ned_m": [0, 0, -3]}, "box_m": 1e6}), [1])
     volts = [batch.states[0, 27]]
@@ -285,7 +285,7 @@ WITHOUT_NUMBA = """
 import sys
 sys.modules["numba"] = None
 sys.path[:0] = {path!r}
-from sim_vehicle.compiled import COMPILED
+from sim_vehicle.physics.compiled import COMPILED
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.vehicle import SimVehicle
 assert not COMPILED

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from async_dmrac.command_line import build_parser
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, parse_yaml, read_tree
 from experiments.campaigns.campaign import CampaignConfig, FlightJob, load_campaign, unfold
 from experiments.campaigns.flight_row import empty_row, recovery_s
@@ -31,7 +32,6 @@ from experiments.campaigns.runner import (
 )
 from experiments.campaigns.store import JOURNAL, PARQUET, CampaignStore, read_table
 from experiments.campaigns.worker import FlightResult, fly_job
-from experiments.command_line import build_parser
 from experiments.flights.scenario import Choices, resolve
 from tests.dask_cluster import running_cluster
 from tests.experiments.inline_workers import InlineWorkers
@@ -325,7 +325,7 @@ def test_killed_campaign_resumes(tmp_path: Path) -> None:
     """SIGKILL to a whole `dmrac campaign`, then --resume."""
     file = tmp_path / "short.yaml"
     file.write_text(SHORT.replace("count: 2", "count: 6"), encoding="utf-8")
-    command = [sys.executable, "-m", "experiments.command_line", "campaign", str(file)]
+    command = [sys.executable, "-m", "async_dmrac", "campaign", str(file)]
     command += ["--jobs", "2", "--out", str(tmp_path / "out")]
     process = subprocess.Popen(
         command, cwd=Path(__file__).resolve().parents[3], start_new_session=True, stdout=subprocess.DEVNULL

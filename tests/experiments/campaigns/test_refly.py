@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from async_dmrac.command_line import main
 from configs.loader import ConfigError, fill, parse_yaml
 from experiments.campaigns import flown as flown_module
 from experiments.campaigns.campaign import CampaignConfig, FlightJob
@@ -18,7 +19,6 @@ from experiments.campaigns.provenance import here, kernels_of, openblas_kernels,
 from experiments.campaigns.refly import pick, refly
 from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
 from experiments.campaigns.worker import FlightResult, fly_job
-from experiments.command_line import main
 from tests.experiments.inline_workers import InlineWorkers
 
 TEXT = """

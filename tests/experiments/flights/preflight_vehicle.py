@@ -7,8 +7,8 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 from scipy.spatial.transform import Rotation
 
-from onboard.preflight import MAMBO_PLACES, MOTORS, MotorAnswer, Step
-from onboard.preflight_recording import PoseSample
+from onboard.preflight.checks import MAMBO_PLACES, MOTORS, MotorAnswer, Step
+from onboard.preflight.recorder import PoseSample
 
 TICK_NS = 5_000_000
 GRAVITY = 9.81

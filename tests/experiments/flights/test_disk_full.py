@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from configs.network import NetworkConfig
+from configs.addresses import NetworkConfig
 from experiments.flights.scenario import Choices, resolve
-from flight_record.reader import open_flight
+from flight_log.reader import open_flight
 from tests.experiments.processes import Processes
 
 DURATION_S = 8.0

@@ -13,8 +13,8 @@ from experiments.flights.realtime_flight import Supervisor
 from experiments.flights.scenario import Choices, resolve
 from experiments.replays.recorded_flight import read_recorded
 from experiments.replays.replay_check import check_flight
-from flight_record.reader import open_flight
-from onboard.flight_modes import FlightMode
+from flight_log.reader import open_flight
+from onboard.flight.modes import FlightMode
 from tests.experiments.processes import on_ports
 
 pytestmark = pytest.mark.realtime
@@ -92,7 +92,7 @@ def test_a_process_alone_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
     config = on_ports(resolve("hover"), 16460).to_yaml()
     path = tmp_path / "config.yaml"
     wrong = {
-        "onboard": (config.replace("priority: 40", "priority: 4000"), "onboard.realtime.priority: 4000"),
+        "onboard": (config.replace("priority: 40", "priority: 4000"), "runtime.pace.priority: 4000"),
         "offboard": (config.replace("offboard_link:", "offboard_lnk:"), "network.offboard_lnk: unknown key"),
         "sim_vehicle": (config.replace("seed: 1\n", "seed: one\n", 1), "seed 'one'"),
     }

@@ -4,7 +4,7 @@ import pytest
 
 from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from onboard.supervisor import FlightMode
+from onboard.flight.supervisor import FlightMode
 
 FROZEN = "vehicle.disturbances=[{kind: sensor_fault, sensor: motion_capture, fault: frozen, onset_s: 9.0}]"
 
@@ -22,5 +22,5 @@ def test_it_is_taken_for_silent_and_said() -> None:
 
 
 def test_without_the_look_at_repeated_poses_the_vehicle_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("offboard.pose_relay.FROZEN_POSES", 10**9)
+    monkeypatch.setattr("offboard.links.pose_relay.FROZEN_POSES", 10**9)
     assert flown().crash_reason

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from configs.network import NetworkConfig
-from flight_record.live import END_FILE
-from flight_record.reader import open_flight
+from configs.addresses import NetworkConfig
+from flight_log.live import END_FILE
+from flight_log.reader import open_flight
 from tests import browser
 
 DURATION_S = 300.0
@@ -31,7 +31,7 @@ pytestmark = [
 
 
 def test_a_browser_sees_the_flight_while_it_is_flown(tmp_path: Path) -> None:
-    pytest.importorskip("flight_record.recording", reason="the viz extra is not installed")
+    pytest.importorskip("flight_log.rerun_scene", reason="the viz extra is not installed")
     folder = tmp_path / "flight"
 
     async def look(page: browser.Page) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +70,7 @@ def test_a_browser_sees_the_flight_while_it_is_flown(tmp_path: Path) -> None:
 def fly_command(folder: Path) -> list[str]:
     """The flight, on addresses that no flight of a person uses."""
     names = sorted(name for name in NetworkConfig.model_fields if not name.endswith("key_file"))
-    command = [sys.executable, "-m", "experiments.command_line", "fly", "figure8_wind", "--view", "--web"]
+    command = [sys.executable, "-m", "async_dmrac", "fly", "figure8_wind", "--view", "--web"]
     command += ["--out", str(folder), "--duration", str(DURATION_S)]
     for index, name in enumerate(names):
         command += ["--set", f"network.{name}=127.0.0.1:{16560 + index}"]

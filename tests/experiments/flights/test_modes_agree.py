@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from experiments.commands.fly import fly_in_lockstep, fly_in_real_time
+from experiments.flights.logged_flight import fly_in_lockstep, fly_in_real_time
 from experiments.flights.scenario import resolve
 
 pytestmark = [pytest.mark.realtime, pytest.mark.full]

@@ -2,15 +2,15 @@
 
 import pytest
 
-from experiments import command_line
-from experiments.commands.preflight import PersonAtTerminal, keep_record, table_of, verdict
+from async_dmrac import command_line
+from async_dmrac.commands.preflight import PersonAtTerminal, keep_record, table_of, verdict
 from experiments.flights.preflight_session import PreflightSession
-from onboard.preflight import MotorAnswer, PreflightConfig, Result, Step, check_still
-from onboard.preflight_motion import check_motion
-from onboard.preflight_record import objection, read_record
-from onboard.preflight_recording import Recorder
-from onboard.vehicle_link import VehicleLinkConfig
-from shell.errors import StartError
+from onboard.links.vehicle import VehicleLinkConfig
+from onboard.preflight.certificate import objection, read_record
+from onboard.preflight.checks import MotorAnswer, PreflightConfig, Result, Step, check_still
+from onboard.preflight.motion_checks import check_motion
+from onboard.preflight.recorder import Recorder
+from runtime.errors import StartError
 from tests.experiments.flights.preflight_vehicle import HeldVehicle
 
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from async_dmrac import command_line
+from configs.addresses import load_network
 from configs.loader import CONFIG_DIRECTORY, read_tree
-from configs.network import load_network
-from experiments import command_line
 from experiments.flights.scenario import Choices, resolve
-from onboard.frame_stream import FrameStream
-from onboard.preflight_record import AGE_MAX_S, record_name
+from onboard.links.frame_stream import FrameStream
+from onboard.preflight.certificate import AGE_MAX_S, record_name
 from sim_vehicle.vehicle import SimVehicle
 from tests.experiments.processes import ROOT, Processes
 
@@ -175,7 +175,7 @@ def test_preflight_listens_to_the_simulated_vehicle(tmp_path):
     words = ["--vehicle", f"udp://{PORTS['vehicle']}", "--bind", PORTS["onboard_vehicle"]]
     try:
         processes.start("sim", path)
-        command = [sys.executable, "-m", "experiments.command_line", "preflight", *words, "--listen-only"]
+        command = [sys.executable, "-m", "async_dmrac", "preflight", *words, "--listen-only"]
         command += ["--pose", PORTS["motion_capture"], "--config", str(path)]
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "160"}
         run = {"capture_output": True, "text": True, "timeout": 60, "check": False, "env": environment}

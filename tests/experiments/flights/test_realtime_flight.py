@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from configs.addresses import NetworkConfig
 from configs.loader import CONFIG_DIRECTORY, load
-from configs.network import NetworkConfig
 from experiments.flights import realtime_flight
 from experiments.flights.realtime_flight import Child, FlightStartError, RealtimeResult, run
-from shell.sockets import AddressInUseError, DatagramSocket
+from runtime.sockets import AddressInUseError, DatagramSocket
 
 ROOT = Path(__file__).resolve().parents[3]
 NETWORK = load(NetworkConfig, CONFIG_DIRECTORY / "network.yaml")

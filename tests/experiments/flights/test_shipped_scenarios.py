@@ -6,7 +6,7 @@ import pytest
 from configs.loader import CONFIG_DIRECTORY
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from onboard.flight_modes import FlightMode
+from onboard.flight.modes import FlightMode
 
 SCENARIOS = sorted(path.stem for path in (CONFIG_DIRECTORY / "scenarios").glob("*.yaml"))
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.command_line import main
-from flight_record.reader import open_flight
+from async_dmrac.command_line import main
+from flight_log.reader import open_flight
 from protocol.keys import read_key
 
 KEYS = ("key_file", "vehicle_key_file", "ground_key_file")

@@ -4,7 +4,7 @@ import pytest
 
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from onboard.flight_modes import FlightMode
+from onboard.flight.modes import FlightMode
 
 
 @pytest.mark.parametrize("controller", ["pid", "mrac"])

@@ -9,9 +9,9 @@ import pytest
 from experiments.flights import realtime_flight
 from experiments.flights.realtime_flight import run
 from experiments.flights.scenario import Choices, resolve
-from flight_record.log_file import read_log_file
-from flight_record.reader import open_flight
-from flight_record.schema import CLOCK_OFFSET
+from flight_log.log_file import read_log_file
+from flight_log.reader import open_flight
+from flight_log.schema import CLOCK_OFFSET
 from tests.experiments.processes import on_ports
 
 pytestmark = pytest.mark.realtime
@@ -25,7 +25,7 @@ ANOTHER_MACHINE = f"""
 import sys, time
 real = time.monotonic_ns
 time.monotonic_ns = lambda: (now := real()) + now // {DRIFT} + {AHEAD_NS}
-from flight_record import metadata
+from flight_log import metadata
 describe = metadata.describe_process
 wrong = {{"clock": "monotonic/another machine", "started_utc": "2020-01-01T00:00:00+00:00"}}
 metadata.describe_process = lambda: describe() | wrong

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from experiments.flights.scenario import Choices, resolve
-from flight_record.reader import open_flight
+from flight_log.reader import open_flight
 from tests.experiments.processes import Processes, on_ports
 
 pytestmark = pytest.mark.realtime

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from async_dmrac.command_line import main
 from configs.loader import ConfigError
-from experiments.command_line import main
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from experiments.link.dropout_flights import HEADINGS, DropoutFlight, fly_one
 from experiments.link.dropout_trace import COLUMNS, FOLDER, load_trace, trace_names, write_csv
 from experiments.replays.link_quality import link_quality
-from sim_vehicle.radio import Fate, Radio, RadioConfig
+from sim_vehicle.link.radio import Fate, Radio, RadioConfig
 
 MS = 1_000_000
 S = 1_000_000_000

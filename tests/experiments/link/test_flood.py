@@ -15,8 +15,8 @@ import pytest
 from experiments.flights.scenario import Choices, resolve
 from experiments.replays.recorded_flight import read_recorded
 from experiments.replays.replay_check import check_flight
-from onboard.flight_modes import FlightMode
-from shell.sockets import DatagramSocket
+from onboard.flight.modes import FlightMode
+from runtime.sockets import DatagramSocket
 from tests.experiments.processes import Processes, on_ports
 
 pytestmark = [pytest.mark.realtime, pytest.mark.full]

@@ -19,12 +19,12 @@ from configs.loader import ConfigError
 from experiments.flights.lockstep_flight import build, build_offboard
 from experiments.flights.scenario import Choices, FlightConfig, resolve
 from onboard.config import STATUS_BYTES, SYNC_REPLY_BYTES, SYNC_REQUEST_BYTES, OnboardConfig
+from onboard.control.features import random_channel
 from onboard.core import OnboardCore
-from onboard.features import random_channel
-from onboard.flight_modes import Command, FlightMode
+from onboard.flight.modes import Command, FlightMode
 from onboard.process import OnboardProcess
-from onboard.sampler import NETWORK_BYTES
-from onboard.tick_record import OFFSET
+from onboard.record.tick import OFFSET
+from onboard.sampling.sampler import NETWORK_BYTES
 from protocol.codec import HEADER, encode_feature_set
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX, Endpoint
 from protocol.feature_set import FeatureSet

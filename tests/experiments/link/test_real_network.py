@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from experiments.flights.scenario import Choices, FlightConfig, resolve
-from flight_record.reader import open_flight
+from flight_log.reader import open_flight
 from protocol.keys import write_key
 from tests.experiments.processes import Processes
 

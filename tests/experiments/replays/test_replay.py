@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from async_dmrac.command_line import main
 from configs.loader import ConfigError
-from experiments.command_line import main
-from experiments.commands.fly import lockstep_summary
 from experiments.flights.flight_card import write_summary
 from experiments.flights.lockstep_flight import build_offboard, fly_lockstep
 from experiments.flights.lockstep_log import LockstepLog
+from experiments.flights.logged_flight import lockstep_summary
 from experiments.flights.scenario import Choices, resolve
 from experiments.replays.recorded_flight import RecordedFlight, read_recorded
 from experiments.replays.replay import figures, figures_of_recorded, refly, verdict, with_choices
 from experiments.replays.replay_check import CheckResult, check_flight, check_log
-from offboard.network import InputPlan, feature_set, initial_state
-from onboard.tape import HEAD, TOPIC, Entry, TapeWriter, read_tick
-from onboard.tick_record import OFFSET, TICK
+from offboard.training.network import InputPlan, feature_set, initial_state
+from onboard.record.input_log import HEAD, TOPIC, Entry, TapeWriter, read_tick
+from onboard.record.tick import OFFSET, TICK
 
 SETTINGS = (
     "onboard.guidance.trajectory.settle_s=0.0",

@@ -18,10 +18,10 @@ from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results import trace_figures
 from experiments.results.campaign_data import CampaignData, Trace, load_data
+from experiments.results.campaign_page import write_page
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
 from experiments.results.losses import comparisons, first_paragraph, losses
-from experiments.results.page import write_page
 from experiments.results.reproduction import (
     BEGIN_TARGETS,
     END_TARGETS,
@@ -34,7 +34,7 @@ from experiments.results.reproduction import (
 from experiments.results.row_figures import sweep_metric
 from experiments.results.tables import tables, target_ratio
 from protocol.signals import SIGNAL_INDEX
-from shell.files import write_atomically
+from runtime.files import write_atomically
 
 TEXT = """
 title: Made up

@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sim_vehicle.layout as at
+import sim_vehicle.physics.layout as at
 from experiments.campaigns.campaign import load_campaign, unfold
 from experiments.campaigns.flight_row import empty_row
 from experiments.flights.scenario import Choices, resolve
 from experiments.results.campaign_data import CampaignData
 from experiments.results.thrust_limit import LONG_AFTER_NS, limit_table, reserve
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.motors import drain_battery, lag_motors
-from sim_vehicle.packing import GRAVITY
+from sim_vehicle.disturbances.world import World
+from sim_vehicle.physics.motors import drain_battery, lag_motors
+from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.vehicle import initial_state
-from sim_vehicle.world import World
 
 
 def vehicle(factor: float) -> SimVehicleConfig:

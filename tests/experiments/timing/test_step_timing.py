@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.commands import bench
+from async_dmrac.commands import bench
 from experiments.flights.scenario import Choices, resolve
 from experiments.timing.learning_speed import admission_ms, training_round_ms
 from experiments.timing.step_timing import (
@@ -19,9 +19,9 @@ from experiments.timing.step_timing import (
     run_paced,
 )
 from experiments.timing.vehicle_speed import vehicle_speeds
-from flight_record.reader import open_flight
-from flight_record.writer import FlightLogWriter
-from onboard.tape import TOPIC, Entry, read_tick
+from flight_log.reader import open_flight
+from flight_log.writer import FlightLogWriter
+from onboard.record.input_log import TOPIC, Entry, read_tick
 
 CONFIG = resolve("hover", Choices(duration_s=5.0))
 

@@ -1,0 +1,34 @@
+"""`dmrac compare FLIGHT FLIGHT...`: lays flights over each other."""
+
+import argparse
+from pathlib import Path
+
+from flight_log.compare import card_table, labels, write_comparison
+from flight_log.reader import open_flight
+
+DESCRIPTION = "Lays flights over each other: a table on the terminal, an HTML page with figure and table."
+EXAMPLES = """examples:
+  dmrac compare flights/*_figure8_wind
+  dmrac compare FLIGHT_A FLIGHT_B -o /tmp/comparison.html
+"""
+ON_TERMINAL = ("survived", "position_rmse_m", "attitude_rmse_rad", "settled_rmse_m", "features.version")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the subcommand's options."""
+    parser.add_argument("flights", type=Path, nargs="+", metavar="FLIGHT", help="two flight folders or more")
+    parser.add_argument("-o", "--out", type=Path, default=Path("comparison.html"), help="page to write (%(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Writes the page and prints the numbers of the card side by side; returns 0."""
+    flights = [open_flight(path) for path in args.flights]
+    write_comparison(flights, args.out)
+    names = labels(flights)
+    width = max(len(name) for name in names)
+    rows = {row[0]: row[1:] for row in card_table(flights) if row[0] in ON_TERMINAL}
+    print(f"{'':<{width}}  " + "  ".join(f"{key:>17}" for key in rows))
+    for i, name in enumerate(names):
+        print(f"{name:<{width}}  " + "  ".join(f"{values[i]:>17}" for values in rows.values()))
+    print(args.out)
+    return 0

@@ -1,0 +1,95 @@
+"""`dmrac log info|check|merge|export`: looks into flight logs and takes data out of them."""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from flight_log.export import export_csv, export_npz, merge
+from flight_log.inspect import as_json, check, columns, describe
+from flight_log.reader import Flight, open_flight
+from flight_log.ulog import write_ulog
+
+DESCRIPTION = "Looks into a flight's logs, checks them, merges them into one file or exports them."
+EXAMPLES = """examples:
+  dmrac log info flights/20260101_120000_figure8_wind
+  dmrac log info FLIGHT --columns          every column with its unit
+  dmrac log check FLIGHT                   exit status 1 when something is missing
+  dmrac log merge FLIGHT -o all.mcap       one file for Foxglove or PlotJuggler
+  dmrac log export FLIGHT --csv            FLIGHT/export/*.csv
+  dmrac log export FLIGHT --npz --ulog -o /tmp/data
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the subcommand's own subcommands."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    info = actions.add_parser("info", help="what is in the logs")
+    info.add_argument("--columns", action="store_true", help="list every column with its unit")
+    info.add_argument("--json", action="store_true", help="for programs")
+    checking = actions.add_parser("check", help="what is missing or damaged, and where")
+    merging = actions.add_parser("merge", help="all processes in one MCAP file, on one time base")
+    merging.add_argument("-o", "--out", type=Path, help="file to write (default: FLIGHT/merged.mcap)")
+    export = actions.add_parser("export", help="CSV, NumPy or ULog")
+    for name, what in (("csv", "one file a topic"), ("npz", "one NumPy file"), ("ulog", "one PX4 ULog file")):
+        export.add_argument(f"--{name}", action="store_true", help=what)
+    export.add_argument("-o", "--out", type=Path, help="folder to write into (default: FLIGHT/export)")
+    for action in (info, checking, merging, export):
+        action.add_argument("flight", type=Path, metavar="FLIGHT", help="a flight folder or one .mcap file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit status: 0 fine, 1 `check` found something, 2 nothing was said of what to export."""
+    actions = {"info": _info, "check": _check, "merge": _merge, "export": _export}
+    try:
+        return actions[args.action](open_flight(args.flight), args)
+    except BrokenPipeError:  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _info(flight: Flight, args: argparse.Namespace) -> int:
+    if args.json:
+        print(as_json(flight))
+    else:
+        print("\n".join(columns(flight) if args.columns else describe(flight)))
+    return 0
+
+
+def _check(flight: Flight, args: argparse.Namespace) -> int:
+    faults = check(flight)
+    records = sum(log.record_count for log in flight.logs)
+    for fault in faults or [f"{flight.path}: whole, {records} records in {len(flight.logs)} logs, no gaps"]:
+        print(fault)
+    return 1 if faults else 0
+
+
+def _merge(flight: Flight, args: argparse.Namespace) -> int:
+    path = args.out or _folder(flight) / "merged.mcap"
+    merge(flight, path)
+    print(path)
+    return 0
+
+
+def _export(flight: Flight, args: argparse.Namespace) -> int:
+    if not (args.csv or args.npz or args.ulog):
+        print("dmrac log export: say what to write: --csv, --npz or --ulog", file=sys.stderr)
+        return 2
+    folder = args.out or _folder(flight) / "export"
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    if args.csv:
+        written += export_csv(flight, folder)
+    if args.npz:
+        export_npz(flight, folder / "flight.npz")
+        written.append(folder / "flight.npz")
+    if args.ulog:
+        write_ulog(flight, folder / "flight.ulg")
+        written.append(folder / "flight.ulg")
+    for path in written:
+        print(path)
+    return 0
+
+
+def _folder(flight: Flight) -> Path:
+    return flight.path if flight.path.is_dir() else flight.path.parent

@@ -1,0 +1,237 @@
+"""`dmrac preflight`: listens to a vehicle, has it moved by hand, turns its motors one by one, and prints a table.
+
+What it found is written down: `dmrac onboard` arms a vehicle beyond this machine only on a complete, good record.
+"""
+
+import argparse
+import select
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from configs.addresses import ONBOARD_VEHICLE_PORT, check_address, check_vehicle_address, load_network, own_address
+from configs.loader import ConfigError, load_section
+from experiments.flights.preflight_session import PreflightSession
+from offboard.config import PoseRelayConfig
+from offboard.links.pose_relay import PoseRelay
+from onboard.config import OnboardConfig
+from onboard.links.vehicle import VehicleLinkConfig
+from onboard.preflight.certificate import objection, read_record, record_name, write_record
+from onboard.preflight.checks import Check, MotorAnswer, PreflightConfig, Result, Step, skipped
+from onboard.preflight.recorder import PoseSample, Recorder
+from onboard.process import open_vehicle
+from protocol.keys import load_key
+from protocol.mavlink_frames import SigningClock
+from runtime.errors import StartError
+from runtime.files import write_atomically
+from runtime.kernel import ask_for_realtime
+from runtime.sockets import DatagramSocket
+
+EXAMPLES = """examples:
+  dmrac preflight --vehicle udp://192.168.3.1:14560 --pose 0.0.0.0:14574
+  dmrac preflight --vehicle "serial:///dev/ttyUSB0?baud=921600" --no-motors
+  dmrac preflight --vehicle udp://127.0.0.1:14560 --listen-only     # the simulated vehicle of `dmrac sim`
+"""
+PLACES = {"fr": "front right", "fl": "front left", "rr": "rear right", "rl": "rear left", "none": "none"}
+COLOURS = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIPPED: "yellow", Result.ABSENT: "dim"}
+DATAGRAMS_PER_WAKE = 64
+PRIORITY = 40
+"""As onboard's."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `dmrac preflight`."""
+    parser.add_argument("--vehicle", required=True, metavar="URL", help="udp://HOST:PORT or serial:///dev/ttyX?baud=N")
+    parser.add_argument(
+        "--bind", metavar="HOST:PORT", help=f"own address towards the vehicle (default port {ONBOARD_VEHICLE_PORT})"
+    )
+    parser.add_argument("--pose", metavar="HOST:PORT", help="own address where motion capture sends its ODOMETRY")
+    parser.add_argument(
+        "--config", type=Path, help="resolved configuration: key file and battery limit are taken from it"
+    )
+    parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink, if it is signed")
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE", help="where the result is kept (default: here, named by the vehicle)"
+    )
+    parser.add_argument("--no-motors", action="store_true", help="leave the motors alone")
+    parser.add_argument(
+        "--listen-only", action="store_true", help="nothing is moved, nothing turns: stream checks only"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Runs the check; returns 0 when nothing failed, 1 when something did (2, bad usage, is raised)."""
+    link, config, key_file = VehicleLinkConfig(), PreflightConfig(), arguments.vehicle_key_file
+    if arguments.config is not None:
+        key_file = load_network(arguments.config, {"vehicle_key_file": key_file}).vehicle_key_file
+        onboard = load_section(OnboardConfig, arguments.config, "onboard")
+        link = onboard.vehicle_link
+        config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
+    key = load_key(key_file)
+    if arguments.record is not None and not arguments.record.parent.is_dir():  # not after the person's work
+        raise ConfigError(f"--record {arguments.record}: there is no folder {arguments.record.parent}")
+    wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
+    ask_for_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
+    console = Console()
+    recorder = Recorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
+    session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)
+    ended = False
+    try:
+        session.run(motion=not arguments.listen_only, motors=not (arguments.no_motors or arguments.listen_only))
+        ended = True
+    finally:
+        wire.close()
+        checks = session.checks if ended else [*session.checks, skipped("the rest", "ended early")]
+        console.print(table_of(checks))
+        path = arguments.record or Path(record_name(wire.vehicle))
+        partly = arguments.listen_only or arguments.no_motors
+        console.print(keep_record(path, wire.vehicle, arguments.pose is not None, checks, partly), soft_wrap=True)
+    console.print(verdict(checks))
+    return int(any(check.result is Result.FAIL for check in checks))
+
+
+def keep_record(path: Path, vehicle: str, with_pose: bool, checks: list[Check], partly: bool) -> str:
+    """Writes the record for onboard; what was left out as asked, without a failure, does not undo an earlier one.
+
+    Raises
+    ------
+    StartError
+        If the file cannot be written.
+    """
+    if partly and path.exists() and all(check.result is not Result.FAIL for check in checks):
+        return f"{path}: left as it is, because not all checks were asked for"
+    utc_s = int(time.time())
+    content = write_record(vehicle, utc_s, with_pose, checks)
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        raise StartError(f"--record {path}: cannot be written: {error.strerror}") from None
+    bar = objection(read_record(content, str(path)), vehicle, True, utc_s)
+    return f"{path}: written; {f'not enough to be armed on: {bar}' if bar else 'dmrac onboard will arm on it'}"
+
+
+class UdpOrSerialWire:
+    """The world's side of a session."""
+
+    def __init__(self, vehicle: str, bind: str | None, pose: str | None) -> None:
+        """Raises ConfigError for an address that is none, StartError for one that cannot be opened."""
+        self.vehicle = _checked("--vehicle", vehicle, check_vehicle_address)
+        local = _checked("--bind", bind or own_address(self.vehicle, ONBOARD_VEHICLE_PORT), check_address)
+        pose = None if pose is None else _checked("--pose", pose, check_address)
+        self._vehicle = open_vehicle(self.vehicle, local, "--bind")
+        try:
+            self._pose = None if pose is None else DatagramSocket("--pose", pose, None)
+        except StartError:
+            self._vehicle.close()
+            raise
+        self._relay = PoseRelay(PoseRelayConfig(latency_s=0.0, position_limit_m=1e5))  # so far that mm come through
+        self._heard = [one for one in (self._vehicle, self._pose) if one is not None]
+
+    def now_ns(self) -> int:
+        """Monotonic time."""
+        return time.monotonic_ns()
+
+    def exchange(self, wait_s: float) -> tuple[list[bytes], list[PoseSample]]:
+        """What has come from the vehicle, and the poses of the motion capture."""
+        select.select(self._heard, (), (), wait_s)
+        poses = []
+        if self._pose is not None:
+            for datagram in self._pose.receive(DATAGRAMS_PER_WAKE):
+                pose = self._relay.receive(datagram, self.now_ns())
+                if pose is not None:
+                    n, e, d = pose.position_ned_m.tolist()
+                    w, x, y, z = pose.quaternion.tolist()
+                    poses.append(PoseSample(pose.time_ns, (n, e, d), (w, x, y, z)))
+        return self._vehicle.receive(DATAGRAMS_PER_WAKE), poses
+
+    def send(self, datagram: bytes) -> None:
+        """One datagram to the vehicle."""
+        self._vehicle.send(datagram)
+
+    def close(self) -> None:
+        """Free the addresses."""
+        for one in self._heard:
+            one.close()
+
+
+class PersonAtTerminal:
+    """Asks on the terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def ready(self, step: Step, seconds: float) -> None:
+        """Explains a step and waits for Enter, except for the first: listening needs nobody."""
+        if step is Step.STILL:
+            self._console.print(f"Listening for {seconds:.0f} s: {step.value}.")
+            return
+        self._console.print(f"\nNext, within {seconds:.0f} s of pressing Enter: {step.value}.")
+        self._console.print("Hold it still for the first and the last second.")
+        self._ask("Enter to begin: ")
+
+    def consents(self) -> bool:
+        """Only the typed word counts; no terminal is a no."""
+        self._console.print(
+            "\n[bold red]Motors will turn, one at a time.[/] Take the PROPELLERS OFF, or tie the vehicle"
+        )
+        self._console.print("down, and keep hands, hair and eyes away.")
+        return self._ask('Type "yes" to let the motors turn: ') == "yes"
+
+    def saw(self, motor: int) -> MotorAnswer:
+        """Place and sense of rotation, asked until they are understood."""
+        place = spin = ""
+        while place not in PLACES:
+            place = self._ask(f"Motor {motor}: which rotor turned? fr, fl, rr, rl or none: ").lower()
+        while place != "none" and spin not in ("cw", "ccw"):
+            spin = self._ask("Which way, seen from above? cw or ccw: ").lower()
+        return MotorAnswer(PLACES[place], spin)
+
+    def saw_it_stop(self) -> bool:
+        """Asked about the last spin."""
+        return self._ask("Did the rotor stop by itself, at once? yes or no: ").lower() == "yes"
+
+    def tell(self, checks: list[Check]) -> None:
+        """A line for each check."""
+        for check in checks:
+            colour = COLOURS[check.result]
+            self._console.print(f"  [{colour}]{check.result.value}[/] {check.name}", highlight=False)
+
+    def _ask(self, question: str) -> str:
+        try:
+            return self._console.input(question, markup=False).strip()
+        except EOFError:
+            raise StartError("preflight asks questions and needs a terminal; --listen-only does not") from None
+
+
+def table_of(checks: list[Check]) -> Table:
+    """All rows, with what is most likely wrong beside what failed."""
+    table = Table(title="preflight")
+    for heading in ("check", "result", "measured", "wanted", "likely cause"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        colour = COLOURS[check.result]
+        table.add_row(
+            check.name, f"[{colour}]{check.result.value}[/]", *map(escape, (check.measured, check.wanted, check.hint))
+        )
+    return table
+
+
+def verdict(checks: list[Check]) -> str:
+    """One line under the table."""
+    failed = sum(check.result is Result.FAIL for check in checks)
+    left = sum(check.result is Result.SKIPPED for check in checks)
+    if failed:
+        return f"{failed} of {len(checks)} checks failed: do not fly."
+    return f"{left} checks were not done: not ready to fly." if left else "All checks passed."
+
+
+def _checked(option: str, value: str, check: Callable[[str], str]) -> str:
+    """An option's address in its plain form. Raises ConfigError naming the option."""
+    try:
+        return check(value)
+    except ValueError as error:
+        raise ConfigError(f"{option} {value}: {error}") from None

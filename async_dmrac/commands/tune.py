@@ -1,0 +1,104 @@
+"""`dmrac tune`: searches a controller's gains on training seeds and writes its file."""
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from async_dmrac.commands.worker_options import add_jobs_option, cores, positive
+from configs.loader import CONFIG_DIRECTORY, ConfigError
+
+if TYPE_CHECKING:
+    import optuna
+
+EXAMPLES = """examples:
+  dmrac tune tune --controller pid --trials 60
+  dmrac tune tune --controller dmrac --trials 60 --jobs 8
+  dmrac tune tune --controller pid --trials 3 --dry-run     show the best values, write nothing
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `dmrac tune`."""
+    parser.add_argument("campaign", help="tuning campaign: name in configs/campaigns, or a file")
+    parser.add_argument("--controller", required=True, help="name in configs/controllers, or a file")
+    parser.add_argument(
+        "--trials", type=positive, required=True, metavar="N", help="budget; trials of earlier runs count"
+    )
+    add_jobs_option(parser)
+    parser.add_argument("--seed", type=int, default=0, help="of the sampler (default 0)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the search's folder (default: campaigns/NAME)")
+    parser.add_argument("--dry-run", action="store_true", help="do not write the controller file")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Exit status: 0 searched and written, 130 interrupted (the search goes on when called again)."""
+    import optuna
+
+    from experiments.campaigns.controller_file import tuned_text, write_controller
+    from experiments.campaigns.runner import LocalPool
+    from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
+    from experiments.flights.scenario import named_file
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    path = campaign_path(arguments.campaign)
+    search = Search(load_tuning(path), path.stem, arguments.controller, arguments.trials, arguments.seed)
+    target = named_file("controllers", arguments.controller)
+    study = open_study(search, arguments.out or Path("campaigns") / path.stem)
+    console = Console()
+    pool = LocalPool(arguments.jobs or cores())
+    try:
+        run_search(search, study, pool.open(), _Report(console, search.trials))
+    except KeyboardInterrupt:
+        console.print("interrupted; the search is kept and goes on when called again")
+        return 130
+    finally:
+        pool.close()
+    record = search_record(search, study)
+    for line in record:
+        console.print(line, highlight=False, soft_wrap=True)
+    values = tuned_values(search, study)
+    for name, value in values.items():
+        console.print(f"  {name}: {value:.4g}", highlight=False)
+    if not arguments.dry_run:
+        write_controller(target, tuned_text(target.read_text(encoding="utf-8"), values, record, str(target)))
+        console.print(f"written: {target}", soft_wrap=True, highlight=False)
+    return 0
+
+
+def campaign_path(name: str) -> Path:
+    """The file of a tuning campaign. Raises ConfigError."""
+    path = Path(name) if name.endswith((".yaml", ".yml")) else CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
+    if not path.is_file():
+        raise ConfigError(f"unknown tuning campaign {name!r}: there is no {path}")
+    return path
+
+
+class _Report:
+    """One line a trial, with the time that is left at the present pace."""
+
+    def __init__(self, console: Console, trials: int) -> None:
+        self._console = console
+        self._trials = trials
+        self._started_s = time.monotonic()
+        self._flown = 0
+
+    def __call__(self, study: "optuna.Study") -> None:
+        import optuna
+
+        self._flown += 1
+        ended = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
+        trials = study.get_trials(deepcopy=False, states=ended)
+        left_s = (time.monotonic() - self._started_s) / self._flown * (self._trials - len(trials))
+        last = trials[-1]
+        value = "given up" if last.value is None else f"{last.value:.4f}"
+        try:
+            best = f"{study.best_value:.4f}"
+        except ValueError:
+            best = "-"
+        self._console.print(
+            f"trial {len(trials)} of {self._trials}: {value}, best {best}, {left_s / 60.0:.0f} min left",
+            highlight=False,
+        )

@@ -1,0 +1,114 @@
+"""`dmrac view FLIGHT`: the flight in the Rerun viewer, in a window or in a browser."""
+
+import argparse
+import signal
+import sys
+import tempfile
+import threading
+import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from flight_log.live import follow
+from flight_log.reader import FlightError, open_flight
+from flight_log.scene import build_scene
+from flight_log.viewer import OPENED, WEB_PORT, ViewerError, WebViewer, live_viewer, show_window, viewer_binary
+
+DESCRIPTION = "Shows a flight: path, vehicle, thrust, wind and disturbance in space, curves, events on the time line."
+EXAMPLES = """examples:
+  dmrac view flights/20260101_120000_figure8_wind
+  dmrac view FLIGHT --web                  in a browser on this machine
+  dmrac view FLIGHT --live                 while it is being flown
+  dmrac view FLIGHT --save flight.rrd      a file for the viewer, nothing shown
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the subcommand's options."""
+    parser.description = DESCRIPTION
+    parser.epilog = EXAMPLES
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("flight", type=Path, metavar="FLIGHT", help="a flight folder or one .mcap file")
+    parser.add_argument("--web", action="store_true", help="serve it to a browser, on loopback only")
+    parser.add_argument("--port", type=int, default=WEB_PORT, help="port for --web (%(default)s; 0 takes a free one)")
+    parser.add_argument("--no-open", action="store_true", help="with --web: only print the address")
+    parser.add_argument("--live", action="store_true", help="follow a flight that is being flown into this folder")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="write a recording (.rrd) instead of showing it")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Exit status: 0 shown or written, 2 the flight cannot be read or shown."""
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # both end it in order
+    try:
+        return _show(args)
+    except KeyboardInterrupt:
+        return 0
+    except (FlightError, ViewerError) as error:
+        print(f"dmrac view: {error}", file=sys.stderr)
+    except OSError as error:
+        print(f"dmrac view: {error.filename}: cannot be written: {error.strerror}", file=sys.stderr)
+    return 2
+
+
+def _show(args: argparse.Namespace) -> int:
+    viewer_binary()  # says in one line when the extra is missing, ahead of the import
+    from flight_log.rerun_scene import save_recording
+
+    if args.live:
+        return _follow(args)
+    flight = open_flight(args.flight)
+    name = flight.path.resolve().name
+    if args.save is not None:
+        save_recording(build_scene(flight), args.save, name)
+        print(args.save)
+        return 0
+    with tempfile.TemporaryDirectory(prefix="dmrac_view_") as folder:
+        file = Path(folder) / f"{name}.rrd"
+        save_recording(build_scene(flight), file, name)
+        return _serve(file, args) if args.web else show_window(file)
+
+
+def _serve(source: Path | str, args: argparse.Namespace) -> int:
+    with WebViewer(source, args.port) as viewer:
+        _announce(viewer, args)
+        with suppress(KeyboardInterrupt):
+            viewer.serve()
+    return 0
+
+
+def _announce(viewer: WebViewer, args: argparse.Namespace) -> None:
+    print(f"{viewer.url}\nCtrl-C ends it", flush=True)
+    if not args.no_open:
+        webbrowser.open(viewer.url)
+
+
+def _follow(args: argparse.Namespace) -> int:
+    """Follows the flight; when it is finished the viewer stays until it is closed, or Ctrl-C."""
+    with live_viewer(args.web) as (child, address), suppress(KeyboardInterrupt):
+        if not args.web:
+            print(OPENED, flush=True)
+            _stream(args.flight, address, lambda: child.poll() is None)
+            return child.wait()
+        with WebViewer(address, args.port) as viewer:
+            _announce(viewer, args)
+            server = threading.Thread(target=viewer.serve, daemon=True)
+            server.start()
+            _stream(args.flight, address, lambda: child.poll() is None)
+            server.join()
+    return 0
+
+
+def _stream(folder: Path, address: str, wanted: Callable[[], bool]) -> None:
+    from flight_log.rerun_scene import connect, log_scene, log_static
+
+    recording, known = connect(folder.resolve().name, address), 0
+    try:
+        for scene in follow(folder, wanted):
+            if len(scene.curves) > known:
+                log_static(recording, scene)
+                known = len(scene.curves)
+            log_scene(recording, scene)
+    finally:
+        recording.flush()
+        recording.disconnect()

@@ -1,0 +1,336 @@
+"""An MCAP file being written, chunk by chunk, in whole blocks of equal messages.
+
+Theory of operation. A record of a flight is a time and a flat vector, so all messages of a topic have the same
+length, and a block of them is one structured numpy array whose memory *is* the MCAP text (`message_dtype`). A chunk
+is then a few blocks laid end to end: no Python work per message, which matters because the writer thread shares the
+interpreter with the 200 Hz loop. Every chunk goes to the file in one unbuffered write, with the schemas it needs
+inside it, so what stands in the file is readable whatever happens to the process next. Records other than messages
+are the mcap library's own. Layout of the format: https://mcap.dev/spec
+"""
+
+import os
+import re
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from numpy.typing import NDArray
+
+from flight_log.schema import RecordType
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+LIBRARY: Final = "async-dmrac flight record"
+FORMAT_VERSION: Final = 1
+METADATA_NAME: Final = "async_dmrac"
+"""Name of the metadata record that says which process wrote the file, in which format version."""
+CDR_HEADER: Final = b"\x00\x01\x00\x00"
+"""Little-endian CDR, no options; alignment counts from behind it, so float64 fields need no padding."""
+RECORD_HEAD_BYTES: Final = 9
+"""Opcode (1) and length (8) in front of every MCAP record."""
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""Opcode, length, channel, sequence, log time, publish time."""
+MESSAGE_HEAD_BYTES: Final = MESSAGE_HEAD.size - RECORD_HEAD_BYTES
+
+Rows = NDArray[Any]
+"""Messages of one channel as a structured array of `message_dtype`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Messages of one channel as they stand in a chunk, at least one."""
+
+    channel: int
+    data: bytes
+    """Whole MESSAGE records, end to end."""
+    times: NDArray[np.uint64]
+    """[n], ns: log time of each."""
+    offsets: NDArray[np.int64]
+    """[n]: where each starts in `data`."""
+
+
+def message_dtype(field_count: int) -> np.dtype[np.void]:
+    """One MCAP message record that holds a flat vector of float64, byte for byte."""
+    layout = [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+        ("cdr", "V4"),
+        ("values", "<f8", (field_count,)),
+    ]
+    return np.dtype(layout)
+
+
+def vector_block(
+    channel: int, sequences: NDArray[np.int64], times_ns: NDArray[np.int64], values: NDArray[np.float64]
+) -> Block:
+    """A block of flat vectors, [n, k], with their n sequence numbers and times."""
+    dtype = message_dtype(values.shape[1])
+    rows: Rows = np.empty(len(values), dtype=dtype)
+    rows["opcode"] = Opcode.MESSAGE
+    rows["length"] = dtype.itemsize - RECORD_HEAD_BYTES
+    rows["channel"] = channel
+    rows["sequence"] = sequences
+    rows["log_time"] = rows["publish_time"] = times_ns
+    rows["cdr"] = np.void(CDR_HEADER)
+    rows["values"] = values
+    return Block(channel, rows.tobytes(), rows["log_time"].copy(), dtype.itemsize * np.arange(len(rows)))
+
+
+def bytes_block(channel: int, messages: Sequence[tuple[int, int, bytes]]) -> Block:
+    """A block of messages of any length, each (sequence, time in ns, CDR text without its header)."""
+    parts, offsets, offset = [], [], 0
+    for sequence, time_ns, cdr in messages:
+        length = MESSAGE_HEAD_BYTES + len(CDR_HEADER) + len(cdr)
+        parts += [MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence, time_ns, time_ns), CDR_HEADER, cdr]
+        offsets.append(offset)
+        offset += RECORD_HEAD_BYTES + length
+    times = np.array([time_ns for _, time_ns, _ in messages], dtype=np.uint64)
+    return Block(channel, b"".join(parts), times, np.array(offsets, dtype=np.int64))
+
+
+def cdr_string(text: str) -> bytes:
+    """A string in CDR, without the header."""
+    data = text.encode(errors="replace") + b"\x00"
+    return len(data).to_bytes(4, "little") + data
+
+
+def cdr_bytes(data: bytes) -> bytes:
+    """A sequence of uint8 in CDR, without the header."""
+    return len(data).to_bytes(4, "little") + data
+
+
+def ros_name(topic: str) -> str:
+    """The schema's name for a topic: "onboard/tick" -> "async_dmrac/msg/OnboardTick"."""
+    return "async_dmrac/msg/" + "".join(word.capitalize() for word in re.split(r"[^A-Za-z0-9]+", topic) if word)
+
+
+def ros_definition(record_type: RecordType) -> str:
+    """The ros2msg text of a record type; the unit stands behind each field as a comment."""
+    return "".join(f"float64 {name}{f' # {unit}' if unit else ''}\n" for name, unit in record_type.fields)
+
+
+def record_type_of(topic: str, definition: str) -> RecordType | None:
+    """Inverse of `ros_definition`; None when the text holds anything but float64 fields."""
+    fields = []
+    for line in definition.splitlines():
+        declaration, _, unit = line.partition("#")
+        kind, _, name = declaration.strip().partition(" ")
+        if kind != "float64" or not name:
+            return None
+        fields.append((name.strip(), unit.strip()))
+    return RecordType(topic, tuple(fields))
+
+
+class McapFile:
+    """An MCAP file open for writing. Not for use from two threads at once.
+
+    Raises
+    ------
+    OSError
+        From the constructor when the file cannot be created (it must not exist yet), and from every method that
+        writes; the file is then cut back to its last whole record, and stays readable.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
+        self._position = 0
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._unwritten: list[Schema | Channel] = []
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._message_counts: dict[int, int] = {}
+        self._times: tuple[int, int] | None = None
+
+    def start(self) -> None:
+        """Writes the head of the file."""
+        self._write(MAGIC + _records([Header(profile="ros2", library=LIBRARY)]))
+
+    def add_channel(self, topic: str, definition: str) -> int:
+        """Announces a topic with its ros2msg text; returns the channel's number. Nothing is written yet."""
+        number = len(self._channels) + 1
+        schema = Schema(id=number, name=ros_name(topic), encoding="ros2msg", data=definition.encode())
+        channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata={}, schema_id=number)
+        self._schemas[number], self._channels[number] = schema, channel
+        self._unwritten += [schema, channel]
+        return number
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Writes a metadata record."""
+        data = _records([Metadata(name=name, metadata=dict(values))])
+        self._metadata.append(MetadataIndex(offset=self._position, length=len(data), name=name))
+        self._write(data)
+
+    def add_attachment(self, name: str, data: bytes) -> None:
+        """Writes an attachment."""
+        media_type = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
+        record = _records([Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)])
+        index = AttachmentIndex(
+            offset=self._position,
+            length=len(record),
+            log_time=0,
+            create_time=0,
+            data_size=len(data),
+            name=name,
+            media_type=media_type,
+        )
+        self._attachments.append(index)
+        self._write(record)
+
+    def write_chunk(self, blocks: Sequence[Block]) -> None:
+        """Writes one chunk that holds the blocks."""
+        announced = tuple(self._unwritten)  # the other thread may append while this one writes
+        head = _records(announced)
+        body = b"".join([head, *(block.data for block in blocks)])
+        first = min(int(block.times.min()) for block in blocks)
+        last = max(int(block.times.max()) for block in blocks)
+        chunk = _chunk_head(body, first, last) + body
+        index = ChunkIndex(
+            message_start_time=first,
+            message_end_time=last,
+            chunk_start_offset=self._position,
+            chunk_length=len(chunk),
+            message_index_offsets={},
+            message_index_length=0,
+            compression="",
+            compressed_size=len(body),
+            uncompressed_size=len(body),
+        )
+        tail = b""
+        for channel, entries in _index_entries(blocks, len(head)).items():
+            index.message_index_offsets[channel] = self._position + len(chunk) + len(tail)
+            tail += _message_index(channel, entries)
+        index.message_index_length = len(tail)
+        self._write(chunk + tail)
+        del self._unwritten[: len(announced)]
+        self._chunks.append(index)
+        self._count(blocks, first, last)
+
+    def finish(self) -> None:
+        """Writes the summary, which makes the file whole. Call `close` afterwards."""
+        self._write(_records([DataEnd(data_section_crc=0)]))
+        self._write(self._summary(self._position))
+
+    def close(self) -> None:
+        """Lets go of the file, whole or not. Never raises."""
+        if self._descriptor >= 0:
+            with suppress(OSError):  # a deferred write error of the file system: nothing is left to be done about it
+                os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _count(self, blocks: Sequence[Block], first: int, last: int) -> None:
+        for block in blocks:
+            self._message_counts[block.channel] = self._message_counts.get(block.channel, 0) + len(block.times)
+        start, end = self._times or (first, last)
+        self._times = min(start, first), max(end, last)
+
+    def _summary(self, position: int) -> bytes:
+        """The summary section, which starts at `position`, with footer and closing magic."""
+        start, end = self._times or (0, 0)
+        statistics = Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self._message_counts,
+            chunk_count=len(self._chunks),
+            message_count=sum(self._message_counts.values()),
+            message_start_time=start,
+            message_end_time=end,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+        groups: list[tuple[Opcode, list[Any]]] = [
+            (Opcode.SCHEMA, list(self._schemas.values())),
+            (Opcode.CHANNEL, list(self._channels.values())),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        builder, offsets = RecordBuilder(), []
+        for opcode, records in groups:
+            before = builder.count
+            for record in records:
+                record.write(builder)
+            if records:
+                offsets.append(SummaryOffset(opcode, position + before, builder.count - before))
+        offset_start = position + builder.count
+        for offset in offsets:
+            offset.write(builder)
+        body = builder.end()
+        plain = _records([Footer(summary_start=position, summary_offset_start=offset_start, summary_crc=0)])
+        crc = zlib.crc32(plain[:-4], zlib.crc32(body))
+        return bytes(body) + plain[:-4] + crc.to_bytes(4, "little") + MAGIC
+
+    def _write(self, data: bytes) -> None:
+        view = memoryview(data)
+        try:
+            while view:
+                view = view[os.write(self._descriptor, view) :]
+        except OSError:
+            self._cut_back()
+            raise
+        self._position += len(data)
+
+    def _cut_back(self) -> None:
+        with suppress(OSError):  # then the torn record stays, and readers stop in front of it
+            os.ftruncate(self._descriptor, self._position)
+
+
+def _records(records: Sequence[McapRecord]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())
+
+
+def _index_entries(blocks: Sequence[Block], offset: int) -> dict[int, bytes]:
+    """For each channel (time, offset in the chunk) of each message, as MESSAGE_INDEX wants them.
+
+    `offset` is where the first block starts in the chunk.
+    """
+    found: dict[int, bytes] = {}
+    for block in blocks:
+        entries = np.empty((len(block.times), 2), dtype="<u8")
+        entries[:, 0] = block.times
+        entries[:, 1] = offset + block.offsets
+        found[block.channel] = found.get(block.channel, b"") + entries.tobytes()
+        offset += len(block.data)
+    return found
+
+
+def _message_index(channel: int, entries: bytes) -> bytes:
+    body = channel.to_bytes(2, "little") + len(entries).to_bytes(4, "little") + entries
+    return bytes([Opcode.MESSAGE_INDEX]) + len(body).to_bytes(8, "little") + body
+
+
+def _chunk_head(body: bytes, first: int, last: int) -> bytes:
+    """Everything of a CHUNK record in front of its uncompressed records."""
+    fields = first.to_bytes(8, "little") + last.to_bytes(8, "little") + len(body).to_bytes(8, "little")
+    fields += zlib.crc32(body).to_bytes(4, "little") + (0).to_bytes(4, "little") + len(body).to_bytes(8, "little")
+    return bytes([Opcode.CHUNK]) + (len(fields) + len(body)).to_bytes(8, "little") + fields

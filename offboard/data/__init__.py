@@ -1,0 +1,1 @@
+"""Samples, labels, the buffer, and experience files."""

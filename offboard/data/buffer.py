@@ -1,0 +1,252 @@
+"""The samples the trainer learns from: a buffer of what was new, and a ring of what is newest.
+
+The buffer remembers the whole flight evenly; the ring follows a change at once. After an abrupt fault the two hold
+different labels for the same state: each mini-batch draws from both, and a buffer entry that is resembled by a newer
+sample is replaced by it once it is older than `refresh_age_s`, so that old labels die out where the vehicle flies.
+
+Splits are by time block: all samples of a block go to training, validation or test as a whole, since neighbours in
+time are nearly equal and would leak from one to the other.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from offboard.config import BufferConfig, NetworkConfig
+from offboard.data.labels import LabelledSample
+from offboard.data.novelty import HistoryNovelty, KernelNovelty, best_swap
+from protocol.conventions import Array
+from protocol.signals import CHANNELS, SIGNAL_COUNT, input_indices
+
+TRAINING: Final = 0
+VALIDATION: Final = 1
+TEST: Final = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleTable:
+    """Samples as columns, one row each."""
+
+    time_ns: NDArray[np.int64]
+    """[n]"""
+    signals: NDArray[np.float32]
+    """[n, SIGNAL_COUNT]"""
+    labels: NDArray[np.float32]
+    """[n, 2, 3]"""
+    split: NDArray[np.int8]
+    """[n]: TRAINING, VALIDATION or TEST."""
+
+    @staticmethod
+    def empty(rows: int) -> "SampleTable":
+        """A table of `rows` zero rows."""
+        return SampleTable(
+            np.zeros(rows, dtype=np.int64),
+            np.zeros((rows, SIGNAL_COUNT), dtype=np.float32),
+            np.zeros((rows, len(CHANNELS), 3), dtype=np.float32),
+            np.zeros(rows, dtype=np.int8),
+        )
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.time_ns.shape[0])
+
+    def take(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> "SampleTable":
+        """A copy of some rows."""
+        return SampleTable(
+            self.time_ns[rows].copy(), self.signals[rows].copy(), self.labels[rows].copy(), self.split[rows].copy()
+        )
+
+    def released(self, before_ns: int) -> "SampleTable":
+        """The same with validation samples from before a time given to training."""
+        old = (self.split == VALIDATION) & (self.time_ns < before_ns)
+        return replace(self, split=np.where(old, TRAINING, self.split).astype(np.int8))
+
+    def put(self, row: int, sample: LabelledSample, split: int) -> None:
+        """Write one row."""
+        self.time_ns[row] = sample.time_ns
+        self.signals[row] = sample.signals
+        self.labels[row] = sample.labels
+        self.split[row] = split
+
+    def put_rows(self, rows: "SampleTable") -> None:
+        """Write all of `rows` over the first ones here."""
+        self.time_ns[: rows.rows] = rows.time_ns
+        self.signals[: rows.rows] = rows.signals
+        self.labels[: rows.rows] = rows.labels
+        self.split[: rows.rows] = rows.split
+
+    def joined(self, other: "SampleTable") -> "SampleTable":
+        """The rows of both."""
+        return SampleTable(
+            np.concatenate([self.time_ns, other.time_ns]),
+            np.concatenate([self.signals, other.signals]),
+            np.concatenate([self.labels, other.labels]),
+            np.concatenate([self.split, other.split]),
+        )
+
+
+def split_of_block(block: int, seed: int, blocks_per_group: int, groups_per_test: int) -> int:
+    """Which split a time block belongs to.
+
+    One block of every group is held out for validation, and one of every few groups for testing, at places drawn
+    anew for each group: were they fixed, a lap of just so many blocks would hold out the same stretch for ever.
+    """
+    group, place = divmod(block, blocks_per_group)
+    drawn = np.random.default_rng([seed, 11, group]).permutation(blocks_per_group)
+    if place == drawn[0]:
+        return VALIDATION
+    return TEST if place == drawn[1] and group % groups_per_test == 0 else TRAINING
+
+
+FeatureFunction = Callable[[NDArray[np.float32]], Array]
+"""Phi [n, k] of signals [n, SIGNAL_COUNT], of all channels side by side."""
+
+
+class NoveltyBuffer:
+    """At most `capacity` samples that are different enough from each other."""
+
+    def __init__(self, config: BufferConfig, network: NetworkConfig, features: FeatureFunction) -> None:
+        self._config = config
+        self._features = features
+        self._inputs = input_indices(config.novelty_inputs)
+        scales = [network.scales[name] for name in config.novelty_inputs]
+        self._offset = np.array([scale.offset for scale in scales])
+        self._width = np.array([scale.scale for scale in scales]) * config.kernel_width
+        self.table = SampleTable.empty(config.capacity)
+        self._entered = np.zeros(config.capacity, dtype=np.int64)
+        self._admitted = 0
+        self._kernel = KernelNovelty(config.capacity, len(self._inputs))
+        self._history = HistoryNovelty(config.history_tolerance)
+        self._stack: Array | None = None
+        """Phi of every slot, [capacity, k]; None until it is needed with the present features."""
+        self._gram = np.zeros((0, 0))
+        self._asked: tuple[LabelledSample, Array] | None = None
+        self.count = 0
+
+    def consider(self, sample: LabelledSample, split: int) -> bool:
+        """Admit a sample if it is new, giving up another one if the buffer is full; whether it was admitted."""
+        if self._config.admission == "history":
+            self._need_stack()
+            phi = self._phi(sample)
+            if not self._history.is_new(phi):
+                return False
+            self._admit(sample, split)
+            return True
+        gamma, nearest = self._kernel.gamma(self._point(sample.signals))
+        if gamma >= self._config.kernel_tolerance:
+            self._admit(sample, split)
+            return True
+        if sample.time_ns - self.table.time_ns[nearest] < self._config.refresh_age_s * 1e9:
+            return False
+        self._replace(nearest, sample, split)
+        return True
+
+    def rows(self) -> SampleTable:
+        """A copy of what is kept."""
+        return self.table.take(slice(0, self.count))
+
+    def set_features(self, features: FeatureFunction) -> None:
+        """The features changed. Their stack is built again when it is next needed."""
+        self._features = features
+        self._stack = None
+        self._asked = None
+
+    @property
+    def order(self) -> NDArray[np.int64]:
+        """When each of `rows` entered, as a running number."""
+        return self._entered[: self.count].copy()
+
+    def load(self, rows: SampleTable, order: NDArray[np.int64]) -> None:
+        """Start from the rows of a checkpoint, with their order of entry."""
+        rows = rows.take(slice(0, self._config.capacity))
+        self.count = rows.rows
+        self._kernel = KernelNovelty(self._config.capacity, len(self._inputs))
+        self.table.put_rows(rows)
+        for slot in range(self.count):
+            self._kernel.add(slot, self._point(rows.signals[slot].astype(np.float64)))
+        self._entered[: self.count] = order[: self.count]
+        self._admitted = int(order.max(initial=-1)) + 1
+        self._stack = None
+
+    def _point(self, signals: Array) -> Array:
+        point: Array = (signals[self._inputs] - self._offset) / self._width
+        return point
+
+    def _phi(self, sample: LabelledSample) -> Array:
+        """Features of a sample, [k]; remembered, since one admission asks several times."""
+        if self._asked is None or self._asked[0] is not sample:
+            self._asked = (sample, self._features(sample.signals[None].astype(np.float32))[0])
+        return self._asked[1]
+
+    def _need_stack(self) -> Array:
+        if self._stack is not None:
+            return self._stack
+        Phi = self._features(self.table.signals)
+        self._gram = Phi[: self.count].T @ Phi[: self.count]
+        self._stack = Phi
+        if self.count and self._config.admission == "history":
+            self._history.rebuild(self._gram, Phi[int(np.argmax(self._entered[: self.count]))])
+        return Phi
+
+    def _admit(self, sample: LabelledSample, split: int) -> None:
+        if self.count < self._config.capacity:
+            self.count += 1
+            if self._config.admission == "kernel":
+                self._kernel.add(self.count - 1, self._point(sample.signals))
+            self._fill(self.count - 1, sample, split)
+        elif self._config.deletion == "svd":
+            Phi = self._need_stack()
+            self._replace(best_swap(Phi, self._gram, self._phi(sample)), sample, split)
+        else:
+            self._replace(int(np.argmin(self._entered)), sample, split)
+
+    def _replace(self, slot: int, sample: LabelledSample, split: int) -> None:
+        if self._config.admission == "kernel":
+            self._kernel.replace(slot, self._point(sample.signals))
+        if self._stack is not None:
+            self._gram -= np.outer(self._stack[slot], self._stack[slot])
+        self._fill(slot, sample, split)
+        if self._stack is not None and self._config.admission == "history":
+            self._history.rebuild(self._gram, self._stack[slot])
+
+    def _fill(self, slot: int, sample: LabelledSample, split: int) -> None:
+        self.table.put(slot, sample, split)
+        self._entered[slot] = self._admitted
+        self._admitted += 1
+        if self._stack is not None:
+            phi = self._phi(sample)
+            self._stack[slot] = phi
+            self._gram += np.outer(phi, phi)
+            if self._config.admission == "history":
+                self._history.add(phi)
+
+
+class NewestRing:
+    """The newest samples, new or not."""
+
+    def __init__(self, capacity: int) -> None:
+        self.table = SampleTable.empty(capacity)
+        self._written = 0
+
+    def put(self, sample: LabelledSample, split: int) -> None:
+        """Add a sample in place of the oldest."""
+        self.table.put(self._written % self.table.rows, sample, split)
+        self._written += 1
+
+    def rows(self) -> SampleTable:
+        """A copy of what is there, oldest first."""
+        capacity = self.table.rows
+        if self._written <= capacity:
+            return self.table.take(slice(0, self._written))
+        start = self._written % capacity
+        return self.table.take(np.r_[start:capacity, 0:start])
+
+    def load(self, rows: SampleTable) -> None:
+        """Start from the rows of a checkpoint, oldest first."""
+        rows = rows.take(slice(max(0, rows.rows - self.table.rows), rows.rows))
+        self.table.put_rows(rows)
+        self._written = rows.rows

@@ -1,0 +1,147 @@
+"""What was learnt, as the bytes of a file: checkpoints of a trainer, and versions to start from.
+
+A file is a numpy archive (.npz) of plain arrays, with a header of JSON; nothing in it is executed when it is read.
+"""
+
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from offboard.data.buffer import SampleTable
+from offboard.training.job import TrainerState
+from offboard.training.network import NetworkState
+from protocol.codec import decode_feature_set, encode_feature_set
+from protocol.errors import ProtocolError
+from protocol.feature_set import FeatureSet
+
+FORMAT: Final = 1
+_COLUMNS: Final = ("time_ns", "signals", "labels", "split")
+
+
+class ExperienceError(Exception):
+    """A file that is no experience, or not one that can be used; the message says why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experience:
+    """Everything a restarted trainer needs."""
+
+    state: TrainerState
+    buffer: SampleTable
+    buffer_order: NDArray[np.int64]
+    newest: SampleTable
+    versions: tuple[FeatureSet, ...]
+    """Those still remembered, oldest first."""
+    version: int
+    labelled: int
+    training_samples: int
+
+
+def dump_experience(experience: Experience) -> bytes:
+    """The bytes of an experience file."""
+    state, network = experience.state, experience.state.network
+    header = {
+        "format": FORMAT,
+        "layers": len(network.weights),
+        "moments": len(state.moments),
+        "steps": state.steps,
+        "rounds": state.rounds,
+        "versions": len(experience.versions),
+        "version": experience.version,
+        "labelled": experience.labelled,
+        "training_samples": experience.training_samples,
+    }
+    arrays: dict[str, NDArray[Any]] = {
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        "offset": network.offset,
+        "scale": network.scale,
+        "last_layer": network.last_layer,
+        "last_bias": network.last_bias,
+        "buffer_order": experience.buffer_order,
+    }
+    for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
+        arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
+    arrays |= {f"moment_{number}": moment for number, moment in enumerate(state.moments)}
+    for name, table in (("buffer", experience.buffer), ("newest", experience.newest)):
+        arrays |= {f"{name}_{column}": getattr(table, column) for column in _COLUMNS}
+    for number, features in enumerate(experience.versions):
+        arrays[f"version_{number}"] = np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
+    out = io.BytesIO()
+    np.savez(out, allow_pickle=False, **arrays)
+    return out.getvalue()
+
+
+def load_experience(data: bytes) -> Experience:
+    """The experience a file holds.
+
+    Raises
+    ------
+    ExperienceError
+        If it is not one, or damaged.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return _from_arrays({name: archive[name] for name in archive.files})
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, ProtocolError) as error:
+        raise ExperienceError(f"not an experience file of format {FORMAT}: {error}") from None
+
+
+def _from_arrays(arrays: dict[str, NDArray[Any]]) -> Experience:
+    header = json.loads(arrays["header"].tobytes())
+    if header["format"] != FORMAT:
+        raise ValueError(f"format {header['format']}")
+    layers = range(header["layers"])
+    network = NetworkState(
+        arrays["offset"],
+        arrays["scale"],
+        tuple(arrays[f"weights_{layer}"] for layer in layers),
+        tuple(arrays[f"biases_{layer}"] for layer in layers),
+        arrays["last_layer"],
+        arrays["last_bias"],
+    )
+    moments = tuple(arrays[f"moment_{number}"] for number in range(header["moments"]))
+    versions = tuple(decode_feature_set(arrays[f"version_{number}"].tobytes()) for number in range(header["versions"]))
+    tables = [SampleTable(*(arrays[f"{name}_{column}"] for column in _COLUMNS)) for name in ("buffer", "newest")]
+    return Experience(
+        state=TrainerState(network, moments, header["steps"], header["rounds"]),
+        buffer=tables[0],
+        buffer_order=arrays["buffer_order"],
+        newest=tables[1],
+        versions=versions,
+        version=header["version"],
+        labelled=header["labelled"],
+        training_samples=header["training_samples"],
+    )
+
+
+def dump_version(features: FeatureSet) -> bytes:
+    """The bytes of a version's own file, from which another flight can start."""
+    out = io.BytesIO()
+    encoded = np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
+    np.savez(out, allow_pickle=False, features=encoded)
+    return out.getvalue()
+
+
+def load_version(data: bytes) -> FeatureSet:
+    """The version that a version's file holds, or the newest of an experience file.
+
+    Raises
+    ------
+    ExperienceError
+        If it is neither, or holds no version.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            if "features" in archive.files:
+                return decode_feature_set(archive["features"].tobytes())
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, ProtocolError) as error:
+        raise ExperienceError(f"not a file of features: {error}") from None
+    experience = load_experience(data)
+    if not experience.versions:
+        raise ExperienceError("the experience holds no version yet")
+    return experience.versions[-1]

@@ -1,0 +1,189 @@
+"""Is a sample new, and which one should go for it? The two tests and the swap of control.md, section 6.
+
+Everything here is incremental: no p x p factorisation happens when a sample comes or goes.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.linalg import blas
+
+from protocol.conventions import Array
+
+JITTER: Final = 1e-4
+"""Added to the kernel matrix's diagonal, so that its inverse stays harmless."""
+FIRST_ALLOCATION: Final = 128
+RANK_TOLERANCE: Final = 1e-3
+"""Share of its length by which a vector must leave a span to count as a direction of its own."""
+NEWTON_STEPS: Final = 50
+
+
+class KernelNovelty:
+    """gamma = k(x,x) - k_X' K^-1 k_X: the part of a new point that the kept ones do not explain (sparse GP).
+
+    k is the Gaussian kernel of unit width over inputs the caller has scaled, K = k(X, X) + JITTER I over the kept
+    points. K^-1 lives in the upper triangle of an array with a row and a column per slot; those of an empty slot
+    are zero, so that adding a point is a symmetric rank-one update and replacing one a rank-two update, in place.
+    """
+
+    def __init__(self, capacity: int, inputs: int) -> None:
+        self._capacity = capacity
+        self._X = np.zeros((capacity, inputs))
+        self._used = np.zeros(capacity)
+        self._K_inverse = np.zeros((0, 0), order="F")
+        self._asked: tuple[Array, Array, Array] | None = None
+
+    def _allocate(self, slot: int) -> None:
+        size = self._K_inverse.shape[0]
+        new_size = min(self._capacity, max(FIRST_ALLOCATION, 2 * size, slot + 1))
+        grown = np.zeros((new_size, new_size), order="F")
+        grown[:size, :size] = self._K_inverse
+        self._K_inverse = grown
+        self._asked = None
+
+    def _kernel(self, x: Array) -> Array:
+        """k_X, zero at empty slots."""
+        size = self._K_inverse.shape[0]
+        distance = self._X[:size] - x
+        k: Array = np.exp(-0.5 * np.einsum("ij,ij->i", distance, distance))
+        k *= self._used[:size]
+        return k
+
+    def gamma(self, x: Array) -> tuple[float, int]:
+        """Novelty of the point x [inputs], and the slot of the kept point most like it (-1 if none is kept)."""
+        if self._K_inverse.shape[0] == 0 or not self._used.any():
+            return 1.0, -1
+        k, a = self._explain(x)
+        return float(1.0 - k @ a), int(np.argmax(k))
+
+    def _explain(self, x: Array) -> tuple[Array, Array]:
+        """k_X and a = K^-1 k_X, remembered: who admits a point has just asked for its gamma."""
+        if self._asked is None or not np.array_equal(self._asked[0], x):
+            k = self._kernel(x)
+            self._asked = (x.copy(), k, blas.dsymv(1.0, self._K_inverse, k))
+        return self._asked[1], self._asked[2]
+
+    def add(self, slot: int, x: Array) -> None:
+        """Keep the point x in an empty slot: K^-1 += u u' / gamma with u = (K^-1 k_X, -1 at the slot)."""
+        if slot >= self._K_inverse.shape[0]:
+            self._allocate(slot)
+        k, a = self._explain(x)
+        u = a.copy()
+        u[slot] = -1.0
+        blas.dsyr(1.0 / (1.0 + JITTER - float(k @ a)), u, a=self._K_inverse, overwrite_a=True)
+        self._put(slot, x)
+
+    def replace(self, slot: int, x: Array) -> None:
+        """Forget the point in a slot and keep x there, both in one sweep over K^-1 (one read, one write).
+
+        Forgetting is K^-1 -= b b' with b the slot's column over the root of its diagonal; keeping is += u u' as in
+        `add`, with u = K^-1 k - b (b'k) and k the kernel without the forgotten point; and
+        u u' - b b' = ((u - b)(u + b)' + (u + b)(u - b)') / 2.
+        """
+        column = np.concatenate([self._K_inverse[:slot, slot], self._K_inverse[slot, slot:]])
+        k_X, a = self._explain(x)
+        k = k_X.copy()
+        k[slot] = 0.0
+        b = column / np.sqrt(column[slot])
+        u = a - column * k_X[slot]
+        u -= b * float(b @ k)
+        u[slot] = 0.0  # exactly, as the forgotten row is
+        gamma = 1.0 + JITTER - float(k @ u)
+        u[slot] = -1.0
+        u /= np.sqrt(gamma)
+        blas.dsyr2(0.5, u - b, u + b, a=self._K_inverse, overwrite_a=True)
+        self._K_inverse[slot, slot] = 1.0 / gamma
+        self._put(slot, x)
+
+    def _put(self, slot: int, x: Array) -> None:
+        self._X[slot] = x
+        self._used[slot] = 1.0
+        self._asked = None
+
+
+class HistoryNovelty:
+    """Chowdhary and Johnson's test: Phi moved far enough from the last one stored, or adds a new direction."""
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+        self._last: Array | None = None
+        self._basis = np.zeros((0, 0))
+
+    def is_new(self, phi: Array) -> bool:
+        """norm(Phi - Phi_last)^2 / norm(Phi) >= eps, or rank([stack, Phi]) > rank(stack). phi: [k]."""
+        if self._last is None:
+            return True
+        moved = float(np.sum((phi - self._last) ** 2) / np.linalg.norm(phi))
+        return moved >= self._tolerance or self._residual(phi) is not None
+
+    def _residual(self, phi: Array) -> Array | None:
+        """Unit vector of the part of phi outside the stack's span, None if there is none."""
+        if self._basis.shape[0] >= phi.shape[0]:
+            return None
+        outside = phi - self._basis.T @ (self._basis @ phi) if self._basis.size else phi.copy()
+        size = float(np.linalg.norm(outside))
+        return outside / size if size > RANK_TOLERANCE * float(np.linalg.norm(phi)) else None
+
+    def add(self, phi: Array) -> None:
+        """Phi [k] was stored."""
+        direction = self._residual(phi)
+        if direction is not None:
+            self._basis = np.vstack([self._basis.reshape(-1, phi.shape[0]), direction])
+        self._last = phi.copy()
+
+    def rebuild(self, gram: Array, last: Array) -> None:
+        """The stack is another one (deletion, or new features): its Phi'Phi [k, k], and what was stored last, [k]."""
+        sizes, directions = np.linalg.eigh(gram)  # squares of the stack's singular values
+        self._basis = directions[:, sizes > RANK_TOLERANCE**2 * max(float(sizes[-1]), 1e-12)].T
+        self._last = last.copy()
+
+
+def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
+    """Row i of the stack Phi [p, k] whose replacement by phi_new [k] gives the largest smallest singular value.
+
+    With A = Phi'Phi + phi_new phi_new' = Q diag(l) Q' and z_i = Q'phi_i, the smallest eigenvalue mu_i of
+    A - phi_i phi_i' is the root of g_i(mu) = sum_j z_ij^2 / (l_j - mu) - 1 in [0, l_1), and g_i(mu) <= 0 exactly
+    when mu <= mu_i. So a row's root found, one sweep drops all rows whose roots are less; the row that then looks
+    best is solved next, until none is left: one k x k decomposition and two or three O(p k) sweeps instead of p
+    decompositions. It begins with the row of the least share in the weakest direction.
+
+    Parameters
+    ----------
+    gram: Phi'Phi, [k, k].
+    """
+    eigenvalues, Q = np.linalg.eigh(gram + np.outer(phi_new, phi_new))
+    if float(eigenvalues[0]) <= 1e-12 * float(eigenvalues[-1]):
+        return 0
+    z_squared = Phi @ Q
+    np.multiply(z_squared, z_squared, out=z_squared)
+    rows = np.arange(Phi.shape[0])
+    best = int(np.argmin(z_squared[:, 0]))
+    low = 0.0
+    while True:
+        low = _root(z_squared[best], eigenvalues, low)
+        shares = z_squared @ (1.0 / (eigenvalues - low))
+        shares[best] = np.inf
+        left = np.flatnonzero(shares <= 1.0)
+        if left.size == 0:
+            return int(rows[best])
+        best = int(np.argmin(shares[left]))
+        rows, z_squared = rows[left], z_squared[left]
+
+
+def _root(z_squared: Array, eigenvalues: Array, low: float) -> float:
+    """The root of g, z_squared [k] being one row's, not below `low`.
+
+    Newton's method from where the pole at l_1 alone would have it: g is convex and rises, so the steps come down on
+    the root from the right. Where the row has no share in the weakest direction that is l_1 itself, but for rounding.
+    """
+    smallest = float(eigenvalues[0])
+    mu = max(low, min(smallest - float(z_squared[0]), math.nextafter(smallest, 0.0)))
+    for _ in range(NEWTON_STEPS):
+        inverse = 1.0 / (eigenvalues - mu)
+        shares = z_squared * inverse
+        step = (float(shares.sum()) - 1.0) / float(shares.dot(inverse))
+        if step <= 1e-15 * smallest or mu - step <= low:
+            return mu if step <= 0.0 else max(low, mu - step)
+        mu -= step
+    return mu

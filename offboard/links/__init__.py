@@ -1,0 +1,1 @@
+"""The sockets of one vehicle, and the relay of motion-capture poses."""

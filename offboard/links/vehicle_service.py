@@ -1,0 +1,198 @@
+"""What the offboard process does for one vehicle: a core between its sockets, the log, its files and the worker."""
+
+import queue
+import sys
+import threading
+import time
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from configs.addresses import NetworkConfig
+from flight_log.writer import FlightLogWriter
+from offboard.core import OffboardCore
+from offboard.data.records import OffboardOutput
+from offboard.training.job import TrainingResult
+from offboard.training.worker import Results, Worker
+from runtime.files import write_atomically
+from runtime.kernel import resident_mb
+from runtime.sockets import AddressInUseError, DatagramSocket
+from runtime.status import StatusLines
+
+STEP_PERIOD_NS: Final = 10_000_000
+"""The core steps about this often, and whenever something arrived."""
+LINK_DATAGRAMS_PER_STEP: Final = 64
+POSE_DATAGRAMS_PER_STEP: Final = 16
+ESCAPES_MAX: Final = 100
+"""Steps that may fail before a vehicle is given up; it flies on by itself."""
+
+
+class VehicleService:
+    """One vehicle's share of the process.
+
+    Parameters
+    ----------
+    out: folder for checkpoints and versions.
+    worker: trains and writes files, for other vehicles too.
+    named: how messages name the two addresses that are bound, of the link and of the motion capture.
+
+    Raises
+    ------
+    AddressInUseError
+        Naming what settles the address.
+    """
+
+    def __init__(
+        self,
+        core: OffboardCore,
+        network: NetworkConfig,
+        log: FlightLogWriter,
+        out: Path,
+        status: StatusLines,
+        worker: Worker,
+        named: tuple[str, str] = ("--bind-link", "--bind-motion-capture"),
+    ) -> None:
+        self._core = core
+        self._log = log
+        self._out = out
+        self._status = status
+        self._link = DatagramSocket(named[0], network.offboard_link, network.radio_offboard)
+        try:
+            self._poses = DatagramSocket(named[1], network.motion_capture, None)
+        except AddressInUseError:
+            self._link.close()
+            raise
+        self.sockets: Final = (self._link, self._poses)
+        self._worker = worker
+        self._trained: Results = queue.SimpleQueue()
+        self._unwritten: Results = queue.SimpleQueue()
+        """Reports of files: apart from the above, for they say nothing of the training job that is under way."""
+        self._checkpoint_lock = threading.Lock()
+        self._checkpoint_closed = False
+        self._latest_report = ""
+        self._due_ns = 0
+        self.steps = 0
+        self.escapes = 0
+        self.failed_jobs = 0
+        self.failed_writes = 0
+
+    @property
+    def given_up(self) -> bool:
+        """Whether too many steps failed."""
+        return self.escapes >= ESCAPES_MAX
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a step is due even if nothing arrived."""
+        return now_ns >= self._due_ns
+
+    def step(self) -> None:
+        """Takes in what arrived, steps the core and gives out what comes of it; what it raises is noted."""
+        now = time.monotonic_ns()
+        self._due_ns = now + STEP_PERIOD_NS
+        try:
+            self._take_in(now)
+            self._give_out(self._core.step(now), now)
+        except Exception:
+            self._note_escape(now)
+        self.steps += 1
+
+    def end(self) -> bool:
+        """Closes the sockets and writes the last checkpoint. False if the core could not give one."""
+        self.close()
+        try:
+            last = self._core.final_checkpoint()
+        except Exception:
+            self._report(time.monotonic_ns(), traceback.format_exc(), "there is no last checkpoint")
+            return False
+        if last is not None:
+            self._write_last_checkpoint(last)
+        return True
+
+    def close(self) -> None:
+        """Closes the sockets."""
+        for socket in self.sockets:
+            socket.close()
+
+    def _take_in(self, now: int) -> None:
+        for datagram in self._poses.receive(POSE_DATAGRAMS_PER_STEP):
+            self._core.take_in_motion_capture(datagram, now)
+        for datagram in self._link.receive(LINK_DATAGRAMS_PER_STEP):
+            self._core.take_in(datagram, now)
+        while isinstance(report := _taken(self._unwritten), str):
+            self.failed_writes += 1
+            self._report(now, report, f"a file could not be written ({self.failed_writes} times)")
+        result = _taken(self._trained)
+        if isinstance(result, str):
+            self.failed_jobs += 1
+            self._core.training_failed(now)
+            self._report(now, result, f"training failed ({self.failed_jobs} times)")
+        elif result is not None:
+            self._core.take_in_training(result, now)
+
+    def _give_out(self, output: OffboardOutput, now: int) -> None:
+        for datagram in output.to_onboard:
+            self._link.send(datagram)
+        if output.job is not None:
+            self._worker.give(output.job.run, self._trained)
+        for record_type, time_ns, vector in output.records:
+            self._log.write(record_type, time_ns, vector)
+        for time_ns, text in output.events:
+            self._log.event(time_ns, text)
+            self._status.say(text)
+        if output.checkpoint is not None:
+            self._worker.give(partial(self._write_checkpoint, output.checkpoint), self._unwritten)
+        if output.version_file is not None:
+            version, content = output.version_file
+            file = self._out / f"features_{version}.npz"
+            self._worker.give(partial(write_atomically, file, content), self._unwritten)
+        if self._status.due(now):
+            self._status.write({**self._core.status(now), "escapes": self.escapes})
+
+    def _write_checkpoint(self, content: bytes, last: bool = False) -> None:
+        """Two threads write it, the worker in flight and the loop at its end; nothing comes after the last one."""
+        with self._checkpoint_lock:
+            if not self._checkpoint_closed:
+                self._checkpoint_closed = last
+                write_atomically(self._out / "checkpoint.npz", content)
+
+    def _write_last_checkpoint(self, content: bytes) -> None:
+        """A full disk must not cost the summary."""
+        try:
+            self._write_checkpoint(content, last=True)
+        except OSError as error:
+            print(f"{self._out / 'checkpoint.npz'}: cannot be written: {error.strerror}", file=sys.stderr, flush=True)
+
+    def _note_escape(self, now: int) -> None:
+        self.escapes += 1
+        self._report(now, traceback.format_exc(), f"a step failed ({self.escapes} of {ESCAPES_MAX})")
+        if self.given_up:
+            text = "given up: neither features nor poses until this process is started again"
+            self._log.event(now, text)
+            self._status.say(text)
+
+    def _report(self, now: int, report: str, what: str) -> None:
+        """Tell of a failure: in full when it is not the same as the last one."""
+        if report != self._latest_report:
+            self._latest_report = report
+            self._log.event(now, report)
+            print(report, file=sys.stderr, flush=True)
+        self._status.say(f"{what}: {report.strip().splitlines()[-1]}")
+
+    def summary(self) -> dict[str, Any]:
+        """What the flight record keeps of this vehicle's service."""
+        return {
+            **self._core.summary(),
+            "steps": self.steps,
+            "escapes": self.escapes,
+            "failed_jobs": self.failed_jobs,
+            "failed_writes": self.failed_writes,
+            "rss_mb": round(resident_mb(), 1),
+        }
+
+
+def _taken(results: Results) -> TrainingResult | str | None:
+    try:
+        return results.get_nowait()
+    except queue.Empty:
+        return None

@@ -1,0 +1,1 @@
+"""Feature networks, their training, and the gate that decides what is sent."""

@@ -1,0 +1,181 @@
+"""The feature networks of all channels, side by side in one stack of arrays, and their one numpy reference.
+
+Phi(x) = [tanh(W_L ... tanh(W_1 z + b_1) ... + b_L); 1] with z = (x - offset) / scale. All channels have the same
+widths, so that one batched product serves them all; a channel with fewer inputs is padded with inputs that are zero.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from offboard.config import NetworkConfig
+from protocol.conventions import Array
+from protocol.feature_set import ChannelFeatures, FeatureSet
+from protocol.signals import CHANNELS, input_indices
+
+Array32 = NDArray[np.float32]
+
+SPECTRAL_SLACK: Final = 0.999
+"""The exact projection aims so far below the bound that rounding to float32 cannot lift a norm above it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NetworkState:
+    """Weights of C channels with m (padded) inputs and k features, the constant included."""
+
+    offset: Array32
+    """[C, m]"""
+    scale: Array32
+    """[C, m]"""
+    weights: tuple[Array32, ...]
+    """W_i' of each inner layer, [C, in, out]."""
+    biases: tuple[Array32, ...]
+    """b_i, [C, 1, out]."""
+    last_layer: Array32
+    """theta, [C, k - 1, 3], in units of u."""
+    last_bias: Array32
+    """The constant feature's row of theta, [C, 1, 3]."""
+
+
+@dataclass(frozen=True, slots=True)
+class InputPlan:
+    """Which signals feed which channel."""
+
+    channels: tuple[int, ...]
+    """Indices into protocol.signals.CHANNELS, [C]."""
+    names: tuple[tuple[str, ...], ...]
+
+    @staticmethod
+    def of(config: NetworkConfig) -> "InputPlan":
+        """The plan that the configuration asks for."""
+        channels = tuple(index for index, name in enumerate(CHANNELS) if name in config.channels)
+        return InputPlan(channels, tuple(config.inputs(CHANNELS[index]) for index in channels))
+
+    @property
+    def width(self) -> int:
+        """m, the padded number of inputs."""
+        return max(len(names) for names in self.names)
+
+    def gather(self, signals: Array32, offset: Array32, scale: Array32) -> Array32:
+        """Scaled inputs z [C, m, n] from signals [n, SIGNAL_COUNT]; the padding is zero."""
+        z = np.zeros((len(self.channels), self.width, signals.shape[0]), dtype=np.float32)
+        for row, names in enumerate(self.names):
+            used = len(names)
+            z[row, :used] = ((signals[:, input_indices(names)] - offset[row, :used]) / scale[row, :used]).T
+        return z
+
+
+def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkState:
+    """Random inner layers below the spectral bound, last layer zero."""
+    plan = InputPlan.of(config)
+    C, m = len(plan.channels), plan.width
+    widths = (m, *config.hidden, config.features - 1)
+    weights, biases = [], []
+    for layer, (fan_in, fan_out) in enumerate(pairwise(widths)):
+        W = np.zeros((C, fan_in, fan_out), dtype=np.float32)
+        for row, names in enumerate(plan.names):
+            used = len(names) if layer == 0 else fan_in
+            gain = config.first_layer_gain if layer == 0 else 1.0
+            W[row, :used] = rng.normal(0.0, gain / np.sqrt(used), (used, fan_out))
+        weights.append(below_bound(W, config.spectral_norm_max))
+        biases.append(rng.uniform(-0.5, 0.5, (C, 1, fan_out)).astype(np.float32))
+    offset, scale = np.zeros((C, m), dtype=np.float32), np.ones((C, m), dtype=np.float32)
+    for row, names in enumerate(plan.names):
+        offset[row, : len(names)] = [config.scales[name].offset for name in names]
+        scale[row, : len(names)] = [config.scales[name].scale for name in names]
+    return NetworkState(
+        offset,
+        scale,
+        tuple(weights),
+        tuple(biases),
+        np.zeros((C, config.features - 1, 3), dtype=np.float32),
+        np.zeros((C, 1, 3), dtype=np.float32),
+    )
+
+
+def scales_from_data(config: NetworkConfig, signals: Array32) -> tuple[Array32, Array32]:
+    """Offset and scale [C, m] from mean and spread of signals [n, SIGNAL_COUNT], at least half the fixed scale."""
+    plan = InputPlan.of(config)
+    offset = np.zeros((len(plan.channels), plan.width), dtype=np.float32)
+    scale = np.ones_like(offset)
+    for row, names in enumerate(plan.names):
+        columns = signals[:, input_indices(names)]
+        floor = 0.5 * np.array([config.scales[name].scale for name in names])
+        offset[row, : len(names)] = columns.mean(axis=0)
+        scale[row, : len(names)] = np.maximum(columns.std(axis=0), floor)
+    return offset, scale
+
+
+def below_bound(W: Array32, bound: float) -> Array32:
+    """Each matrix of the stack [C, in, out] scaled down to the bound, by its exact norm."""
+    norms = np.linalg.norm(W.astype(np.float64), 2, axis=(1, 2))
+    shrink = np.minimum(1.0, SPECTRAL_SLACK * bound / np.maximum(norms, 1e-12))
+    shrunk: Array32 = (W * shrink[:, None, None]).astype(np.float32)
+    return shrunk
+
+
+def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelFeatures:
+    """Channel `row` of the stack in the form that crosses the border."""
+    m = len(plan.names[row])
+    weights = [W[row].T.astype(np.float64) for W in state.weights]
+    weights[0] = weights[0][:, :m].copy()
+    return ChannelFeatures(
+        inputs=plan.names[row],
+        offset=state.offset[row, :m].astype(np.float64),
+        scale=state.scale[row, :m].astype(np.float64),
+        weights=tuple(weights),
+        biases=tuple(b[row, 0].astype(np.float64) for b in state.biases),
+        last_layer=np.vstack([state.last_layer[row], state.last_bias[row]]).astype(np.float64),
+    )
+
+
+def feature_set(state: NetworkState, plan: InputPlan, version: int, parent: int, samples: int) -> FeatureSet:
+    """The networks as a version to be sent."""
+    channels = {CHANNELS[at]: channel_features(state, plan, row) for row, at in enumerate(plan.channels)}
+    return FeatureSet(version, parent, samples, channels.get("position"), channels.get("attitude"))
+
+
+def state_of(features: FeatureSet, config: NetworkConfig) -> NetworkState:
+    """The networks of a version, to be trained further.
+
+    Raises
+    ------
+    ValueError
+        If its channels, inputs or widths are not those of the configuration.
+    """
+    plan = InputPlan.of(config)
+    rng = np.random.default_rng(0)
+    template = initial_state(config, rng)
+    found = [(features.position, features.attitude)[at] for at in plan.channels]
+    state = NetworkState(
+        template.offset.copy(),
+        template.scale.copy(),
+        tuple(np.zeros_like(W) for W in template.weights),
+        tuple(np.zeros_like(b) for b in template.biases),
+        template.last_layer.copy(),
+        template.last_bias.copy(),
+    )
+    for row, channel in enumerate(found):
+        m = len(plan.names[row])
+        if channel is None or channel.inputs != plan.names[row]:
+            raise ValueError(f"features of {CHANNELS[plan.channels[row]]}: not the configured inputs")
+        expected = [W.shape[2] for W in template.weights]
+        if [W.shape[0] for W in channel.weights] != expected:
+            raise ValueError(f"features of {CHANNELS[plan.channels[row]]}: not the configured widths {expected}")
+        state.offset[row, :m], state.scale[row, :m] = channel.offset, channel.scale
+        for layer, (W, b) in enumerate(zip(channel.weights, channel.biases, strict=True)):
+            state.weights[layer][row, : W.shape[1]] = W.T
+            state.biases[layer][row, 0] = b
+        state.last_layer[row], state.last_bias[row, 0] = channel.last_layer[:-1], channel.last_layer[-1]
+    return state
+
+
+def phi(features: ChannelFeatures, signals: NDArray[np.floating]) -> Array:
+    """Phi [n, k] of signals [n, SIGNAL_COUNT], in numpy and float64: what torch's features are checked against."""
+    z = (signals[:, input_indices(features.inputs)].astype(np.float64) - features.offset) / features.scale
+    for W, b in zip(features.weights, features.biases, strict=True):
+        z = np.tanh(z @ W.T + b)
+    return np.hstack([z, np.ones((z.shape[0], 1))])

@@ -1,0 +1,131 @@
+"""Changing the features in flight without a kick: the bumpless swap.
+
+New inner layers change Phi to Phi_bar. Keeping W would make nu_ad jump by eps_2(x) = W'Phi_bar(x) - W'Phi(x). Instead
+W_new is the minimiser of
+
+    sum over recent states norm(W_new' Phi_bar(x_i) - W' Phi(x_i))^2 + mu norm(W_new - W_bar)^2,
+
+continuous where the vehicle is and has just been, W_bar elsewhere. The states are those of the last second, the
+present one, and the one looked ahead to, whose nu_ad is what is commanded. eps_2 is then measured on the same states,
+and a swap that would still jump is refused.
+
+W_bar lies between the trained memory theta_n and W. What adaptation has put into W since the samples were taken is
+worth keeping, but belongs to the old features: W_bar = theta_n + s (W - theta_n), with s how much the new features
+resemble the old ones. Features learnt afresh come with theta_n; features that were only refined keep W. s is measured
+on the recent states, too: features that agree there and differ elsewhere keep W elsewhere, as a naive swap does.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from configs.loader import Record
+from onboard.control.features import Features
+from onboard.control.laws.last_layer import PROJECTION_MARGIN
+from protocol.conventions import Array
+
+
+class SwapConfig(Record):
+    """Limits of the swap."""
+
+    memory_weight: Annotated[float, Field(gt=0, description="mu per recent state: pull towards W_bar")] = 0.05
+    ring_size: Annotated[int, Field(ge=4, le=200, description="recent states kept")] = 40
+    ring_period_ticks: Annotated[int, Field(ge=1, le=100, description="ticks between two of them")] = 5
+    jump_max: Annotated[float, Field(gt=0, description="largest eps_2 accepted, units of u")]
+    lipschitz_max: Annotated[float, Field(gt=0, description="largest Lipschitz constant of Phi accepted")] = 200.0
+    naive: Annotated[bool, Field(description="ablation: keep W as it is instead of the bumpless swap")] = False
+
+
+class RecentStates:
+    """A ring of the newest signal vectors, all of one channel's recent past."""
+
+    def __init__(self, size: int, signal_count: int) -> None:
+        self._ring: Array = np.zeros((size, signal_count))
+        self._filled = 0
+        self._next = 0
+
+    def push(self, signals: Array) -> None:
+        """Adds one signal vector, [SIGNAL_COUNT]; the oldest leaves."""
+        self._ring[self._next] = signals
+        self._next = (self._next + 1) % self._ring.shape[0]
+        self._filled = min(self._filled + 1, self._ring.shape[0])
+
+    def columns(self, now: Array) -> Array:
+        """[SIGNAL_COUNT, n + m], in any order: the ring's and the m of `now`; none while the ring is empty."""
+        if self._filled == 0:
+            return np.zeros((self._ring.shape[1], 0))
+        return np.hstack([self._ring[: self._filled].T, now])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SwapPlan:
+    """What a swap would do, worked out before anything changes."""
+
+    W: Array
+    """[k, 3], the last layer that goes with the new features."""
+    jump: float
+    """eps_2: largest norm of the change of nu_ad over the recent states, units of u."""
+    refusal: str
+    """Empty when the swap may be committed, else a name from protocol.messages.REFUSALS."""
+
+
+def plan_swap(
+    config: SwapConfig, old: Features, W: Array, new: Features, memory: Array, weight_norm_max: float, recent: Array
+) -> SwapPlan:
+    """Works out the swap from `old` with W [k, 3] to `new` with theta_n `memory` [k_new, 3].
+
+    Parameters
+    ----------
+    recent: [SIGNAL_COUNT, n], recent states; with n = 0 there is nothing to be continuous with and W_new = theta_n.
+    weight_norm_max: W_max; a theta_n outside the ball is refused.
+    """
+    if new.lipschitz > config.lipschitz_max:
+        return SwapPlan(memory, 0.0, "lipschitz")
+    if float(np.linalg.norm(memory)) > weight_norm_max:
+        return SwapPlan(memory, 0.0, "weight_norm")
+    if recent.shape[1] == 0:
+        return SwapPlan(memory, 0.0, "")
+    Phi = old.evaluate(old.select(recent))
+    nu_before = W.T @ Phi
+    Phi_bar = new.evaluate(new.select(recent))
+    if config.naive:
+        W_new = W if W.shape == memory.shape else memory
+    else:
+        W_bar = memory + resemblance(Phi, Phi_bar) * (W - memory) if W.shape == memory.shape else memory
+        W_new = bumpless_last_layer(Phi_bar, nu_before, W_bar, config.memory_weight * recent.shape[1])
+    change = W_new.T @ Phi_bar - nu_before
+    jump = float(np.sqrt((change * change).sum(axis=0).max()))
+    if not np.isfinite(jump):
+        return SwapPlan(W_new, jump, "not_finite")
+    if float(np.linalg.norm(W_new)) > weight_norm_max * (1.0 + PROJECTION_MARGIN) ** 0.5:
+        return SwapPlan(W_new, jump, "weight_norm")
+    return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "")
+
+
+def resemblance(Phi: Array, Phi_bar: Array) -> float:
+    """How much of the old features is in the new: 1 - norm(Phi_bar - Phi) / norm(Phi), at least 0.
+
+    Parameters
+    ----------
+    Phi, Phi_bar: [k, n] features of the same states. The last row, the bias, is the same in all and does not count.
+    """
+    size = float(np.linalg.norm(Phi[:-1]))
+    change = float(np.linalg.norm(Phi_bar[:-1] - Phi[:-1]))
+    return 1.0 - change / size if change < size else 0.0
+
+
+def bumpless_last_layer(Phi_bar: Array, nu: Array, W_bar: Array, mu: float) -> Array:
+    """W_new = argmin sum norm(W_new' Phi_bar_i - nu_i)^2 + mu norm(W_new - W_bar)^2.
+
+    Parameters
+    ----------
+    Phi_bar: [k, n] new features of the recent states. nu: [3, n] what nu_ad was there. W_bar: [k, 3].
+    """
+    k = Phi_bar.shape[0]
+    gram: Array = Phi_bar @ Phi_bar.T
+    gram.flat[:: k + 1] += mu
+    mismatch: Array = Phi_bar @ (nu - W_bar.T @ Phi_bar).T
+    correction: Array = np.linalg.solve(gram, mismatch).astype(np.float64)
+    return W_bar + correction

@@ -1,0 +1,182 @@
+"""Features Phi(x, c): what the last layer weighs. Learnt network, radial basis functions, or the bias alone.
+
+All kinds share one interface: `select` picks and scales the inputs from the signal vector, `evaluate` maps columns
+of scaled inputs to columns of features. The last feature is always the constant 1. Evaluating the present state and
+the look-ahead state together costs little more than one of them, so columns are the rule.
+"""
+
+from typing import Protocol
+
+import numpy as np
+
+from protocol.conventions import Array
+from protocol.feature_set import ChannelFeatures
+from protocol.signals import input_indices
+
+RBF_COUNT = 20
+INPUT_LIMIT = 3.0
+"""Scaled inputs are clipped here: beyond it nothing was learnt, and the features are not to extrapolate."""
+
+
+class Features(Protocol):
+    """Phi of one channel."""
+
+    feature_count: int
+    lipschitz: float
+    """Lipschitz constant of Phi in the scaled inputs."""
+
+    def select(self, signals: Array) -> Array:
+        """Scaled inputs z of signal vectors: [SIGNAL_COUNT] or [SIGNAL_COUNT, n] to [m] or [m, n]."""
+
+    def evaluate(self, z: Array) -> Array:
+        """Phi of scaled inputs: [m, n] to [k, n]."""
+
+
+class _Selection:
+    """Which signals a network sees, and their scaling to about unit size."""
+
+    def __init__(self, inputs: tuple[str, ...], offset: Array, scale: Array) -> None:
+        self._indices = np.array(input_indices(inputs), dtype=np.intp)
+        self._offset = offset
+        self._inverse = 1.0 / scale
+        self._full = self._repeated(2)
+
+    def select(self, signals: Array) -> Array:
+        """Z = (x - offset) / scale, clipped to +-INPUT_LIMIT."""
+        z: Array = signals.take(self._indices, axis=0)
+        columns = z if z.ndim == 2 else z[:, None]
+        if columns.shape != self._full[0].shape:
+            self._full = self._repeated(columns.shape[1])
+        offset, inverse, limit, negative_limit = self._full
+        columns -= offset
+        columns *= inverse
+        np.minimum(columns, limit, out=columns)
+        np.maximum(columns, negative_limit, out=columns)
+        return z
+
+    def _repeated(self, columns: int) -> tuple[Array, Array, Array, Array]:
+        """Offset, 1 / scale and the limits as [m, columns]: operands of one shape are the quickest."""
+        shape = (len(self._indices), columns)
+        offset, inverse = (np.repeat(vector[:, None], columns, axis=1) for vector in (self._offset, self._inverse))
+        return offset, inverse, np.full(shape, INPUT_LIMIT), np.full(shape, -INPUT_LIMIT)
+
+
+class NetworkFeatures(_Selection):
+    """Inner layers of a trained network: tanh layers, then the constant 1."""
+
+    def __init__(self, channel: ChannelFeatures) -> None:
+        super().__init__(channel.inputs, channel.offset, channel.scale)
+        # [W, b] with a row of ones below the layer's input: one product less a layer, into arrays that are kept.
+        self._layers = [
+            np.ascontiguousarray(np.hstack([W, b[:, None]]))
+            for W, b in zip(channel.weights, channel.biases, strict=True)
+        ]
+        self._prepare(2)
+        self.feature_count = channel.feature_count
+        self.lipschitz = channel.lipschitz_bound()
+
+    def _prepare(self, columns: int) -> None:
+        """The arrays of a pass over so many columns: below each layer its inputs and a row of ones; on top Phi."""
+        heights = [layer.shape[1] for layer in self._layers] + [self._layers[-1].shape[0] + 1]
+        levels = [np.ones((height, columns)) for height in heights]
+        self._inputs, self._Phi = levels[0][:-1], levels[-1]
+        self._passes = [
+            (layer, below, above[:-1]) for layer, below, above in zip(self._layers, levels, levels[1:], strict=False)
+        ]
+
+    def evaluate(self, z: Array) -> Array:
+        """Phi = [tanh(W_L ... tanh(W_1 z + b_1) + b_L); 1]."""
+        if z.shape != self._inputs.shape:
+            self._prepare(z.shape[1])
+        self._inputs[:] = z
+        for layer, below, above in self._passes:
+            np.dot(layer, below, out=above)
+            np.tanh(above, out=above)
+        return self._Phi.copy()
+
+
+class RadialFeatures(_Selection):
+    """Gaussian radial basis functions on a fixed low-discrepancy grid over the unit box, then the constant 1."""
+
+    def __init__(
+        self, inputs: tuple[str, ...], offset: Array, scale: Array, width: float, count: int = RBF_COUNT
+    ) -> None:
+        """width: of the Gaussians, in scaled units, for one input; it grows with sqrt(m) to keep them overlapping."""
+        super().__init__(inputs, offset, scale)
+        m = len(inputs)
+        centres = 2.0 * halton(count, m) - 1.0
+        # The exponent is linear in [z; z^2; 1].
+        parts = (2.0 * centres, -np.ones((count, m)), -(centres**2).sum(axis=1)[:, None])
+        self._exponent = np.hstack(parts) / (2.0 * width * width * m)
+        self._rows = (2 * m + 1, count + 1)
+        self._prepare(2)
+        self.feature_count = count + 1
+        # |d phi/dz| <= exp(-1/2) / width for each Gaussian; the norm over all of them is at most sqrt(count) times it.
+        self.lipschitz = float(np.exp(-0.5) / (width * m**0.5) * count**0.5)
+
+    def evaluate(self, z: Array) -> Array:
+        """phi_i = exp(-|z - c_i|^2 / (2 width^2 m)); then 1."""
+        m, n = z.shape
+        if n != self._Phi.shape[1]:
+            self._prepare(n)
+        work, exponents = self._work, self._Phi[:-1]
+        work[:m] = z
+        np.multiply(z, z, out=work[m:-1])
+        np.dot(self._exponent, work, out=exponents)
+        np.exp(exponents, out=exponents)
+        return self._Phi.copy()
+
+    def _prepare(self, columns: int) -> None:
+        """The arrays of a pass over so many columns: [z; z^2; 1] and Phi."""
+        self._work, self._Phi = (np.ones((rows, columns)) for rows in self._rows)
+
+
+class BiasFeatures:
+    """The constant 1 alone: adaptive bias, that is, an integrator with the same law and bandwidth."""
+
+    feature_count = 1
+    lipschitz = 0.0
+
+    def select(self, signals: Array) -> Array:
+        """No inputs."""
+        return np.zeros((0, *signals.shape[1:]))
+
+    def evaluate(self, z: Array) -> Array:
+        """Phi = 1."""
+        return np.ones((1, z.shape[1]))
+
+
+def halton(count: int, dimensions: int) -> Array:
+    """[count, dimensions] points of the Halton sequence in the unit cube (Halton 1960), bases the first primes.
+
+    Raises ValueError for more than 24 dimensions.
+    """
+    primes = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89)
+    if dimensions > len(primes):
+        raise ValueError(f"{dimensions} dimensions, at most {len(primes)}")
+    points = np.empty((count, dimensions))
+    for column, base in enumerate(primes[:dimensions]):
+        for row in range(count):
+            value, fraction, index = 0.0, 1.0, row + 1
+            while index > 0:
+                fraction /= base
+                index, digit = divmod(index, base)
+                value += fraction * digit
+            points[row, column] = value
+    return points
+
+
+def random_channel(
+    inputs: tuple[str, ...], offset: Array, scale: Array, widths: tuple[int, ...], rng: np.random.Generator
+) -> ChannelFeatures:
+    """The features a flight starts with before anything was learnt: Xavier-normal inner layers, last layer zero.
+
+    widths: outputs of each inner layer, the constant feature not counted.
+    """
+    weights, biases = [], []
+    fan_in = len(inputs)
+    for width in widths:
+        weights.append(rng.normal(0.0, (2.0 / (fan_in + width)) ** 0.5, (width, fan_in)))
+        biases.append(rng.uniform(-0.5, 0.5, width))
+        fan_in = width
+    return ChannelFeatures(inputs, offset, scale, tuple(weights), tuple(biases), np.zeros((fan_in + 1, 3)))

@@ -1,0 +1,78 @@
+"""The interface every controller fulfils, and how a configuration entry finds its class.
+
+A controller of your own is a class with a nested pydantic `Settings` record and the methods of `Controller`. Name it in
+a controller file, `configs/controllers/<name>.yaml` or any path, and it flies like the built-in ones:
+
+    class: my_package.my_module:MyController
+    settings: {gain: 2.0}
+"""
+
+from importlib import import_module
+from typing import Any, Protocol, runtime_checkable
+
+from pydantic import Field
+
+from configs.loader import ConfigError, Record, fill
+from onboard.control.airframe import AirframeConfig
+from onboard.control.records import ControlInputs, ControlOutput
+from protocol.feature_set import FeatureSet
+
+
+class Controller(Protocol):
+    """From the vehicle's state and target to collective thrust and body torque, once a tick.
+
+    The class is called as `Class(settings, airframe, seed)`; it must not touch clocks, files or global random state.
+    """
+
+    Settings: type[Record]
+
+    def step(self, inputs: ControlInputs) -> ControlOutput:
+        """The command for this tick. The output may be the same object every time."""
+
+    def reset(self, inputs: ControlInputs) -> None:
+        """Starts over from the vehicle's present state: called while the vehicle stands on the ground."""
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """What a controller adds to take features that were trained off board."""
+
+    @property
+    def accepts_features(self) -> bool:
+        """Whether it can use them as it is set; if not, offboard only relays the pose."""
+
+    def offer_features(self, features: FeatureSet) -> str:
+        """Swaps to the new features, all channels or none; returns "" or why not (protocol.messages.REFUSALS)."""
+
+
+class ControllerConfig(Record):
+    """A controller by the place of its class, with that class's own settings."""
+
+    class_path: str = Field(alias="class", pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class")
+    settings: dict[str, Any]
+
+    def build(self, airframe: AirframeConfig, seed: int, source: str = "controller") -> Controller:
+        """The controller itself.
+
+        Raises
+        ------
+        ConfigError
+            If the class cannot be found or its settings do not fit; names `source` and the path.
+        """
+        controller_class = self.controller_class(source)
+        settings = fill(controller_class.Settings, self.settings, source, "controller.settings.")
+        controller: Controller = controller_class(settings, airframe, seed)
+        return controller
+
+    def controller_class(self, source: str = "controller") -> Any:
+        """The class named by `class_path`. Raises ConfigError."""
+        module_name, _, class_name = self.class_path.partition(":")
+        try:
+            controller_class = getattr(import_module(module_name), class_name)
+        except (ImportError, AttributeError) as error:
+            raise ConfigError(f"{source}: controller.class: {self.class_path!r} cannot be loaded: {error}") from None
+        wanted = ("Settings", "step", "reset")
+        missing = [name for name in wanted if not hasattr(controller_class, name)]
+        if missing:
+            raise ConfigError(f"{source}: controller.class: {self.class_path!r} has no {missing[0]}")
+        return controller_class

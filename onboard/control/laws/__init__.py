@@ -1,0 +1,1 @@
+"""How each controller estimates the disturbance Delta of a channel: one file per law."""

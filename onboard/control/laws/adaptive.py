@@ -1,0 +1,151 @@
+"""MRAC and DMRAC: nu_ad = W' Phi(x, c) with the last-layer law. DMRAC is MRAC whose features are learnt in flight."""
+
+from math import exp, sqrt
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from configs.loader import Record
+from onboard.control.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
+from onboard.control.features import BiasFeatures, Features, NetworkFeatures, RadialFeatures, random_channel
+from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
+from onboard.control.laws.law import ChannelState
+from onboard.control.records import ChannelTelemetry
+from onboard.control.reference_model import ChannelGains
+from protocol.conventions import Array
+from protocol.feature_set import ChannelFeatures
+from protocol.geometry import Vector3
+from protocol.signals import SIGNAL_COUNT, input_indices
+
+EPS_1_MEMORY_S = 2.0
+"""Time over which eps_1, the misfit of W'Phi against Delta_hat, is averaged."""
+
+
+class InputScaling(Record):
+    """One input of a feature network."""
+
+    signal: str
+    """Name, from protocol.signals."""
+    offset: float
+    scale: Annotated[float, Field(gt=0)]
+    """Offset and scale in the signal's unit, so that (x - offset) / scale is about -1 to 1."""
+
+    @field_validator("signal")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        input_indices((name,))
+        return name
+
+
+class AdaptiveConfig(Record):
+    """Adaptive augmentation of one channel."""
+
+    kind: Literal["adaptive"]
+    features: Literal["network", "rbf", "bias"]
+    inputs: tuple[InputScaling, ...]
+    """What the start features and the radial basis functions see. Ignored for bias."""
+    hidden: tuple[Annotated[int, Field(ge=1, le=128)], ...] = (32, 32, 19)
+    """Widths of the start features' inner layers; the last one plus the bias is the number of features."""
+    rbf_width: Annotated[float, Field(gt=0, description="width of the Gaussians, scaled units per sqrt(input)")] = 0.6
+    law: AdaptationConfig
+    error_weight: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 0.1)
+    """Diagonal of Q: for the first and the second half of e."""
+    swap: SwapConfig
+
+
+class AdaptiveAugmentation:
+    """One channel's features, last layer, and swap."""
+
+    def __init__(self, config: AdaptiveConfig, gains: ChannelGains, rng: np.random.Generator) -> None:
+        self._config = config
+        A_rm = gains.closed_loop_matrix()
+        Q = np.diag(np.repeat(config.error_weight, 3))
+        P = lyapunov_p(A_rm, Q)
+        # norm(B) = 1 for a double integrator.
+        self._bound_factor = 2.0 * float(np.linalg.eigvalsh(P)[-1]) / min(config.error_weight)
+        self.features: Features = self._start_features(rng)
+        self.last_layer = LastLayer(
+            config.law, self.features.feature_count, tracking_weights(P, gains.natural_frequency_rad_s)
+        )
+        self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
+        self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
+        self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
+        self._ticks = 0
+        self._residual: Vector3 = (0.0, 0.0, 0.0)
+        self._eps_1_squared = 0.0
+        self._eps_2 = 0.0
+
+    def _start_features(self, rng: np.random.Generator) -> Features:
+        config = self._config
+        if config.features == "bias":
+            return BiasFeatures()
+        inputs = tuple(item.signal for item in config.inputs)
+        offset = np.array([item.offset for item in config.inputs])
+        scale = np.array([item.scale for item in config.inputs])
+        if config.features == "rbf":
+            return RadialFeatures(inputs, offset, scale, config.rbf_width)
+        return NetworkFeatures(random_channel(inputs, offset, scale, config.hidden, rng))
+
+    def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
+        """Updates W at the present state, then answers nu_ad where the vehicle will be."""
+        dt = channel.dt
+        self._signals = channel.signals
+        Phi = self.features.evaluate(self.features.select(channel.signals))
+        if channel.adapt:
+            self._filter_residual(channel.residual_raw, dt)
+            self.last_layer.step(Phi[:, 0], channel.model_error, self._residual, dt)
+            if self._ticks % self._ring_period == 0:
+                self._recent.push(channel.signals[:, 0])
+            self._ticks += 1
+        nu: Array = np.dot(self.last_layer.W.T, Phi)
+        self._report(nu, dt, telemetry)
+        return nu[:, 1]
+
+    def _filter_residual(self, raw: Array, dt: float) -> None:
+        """Delta_hat, the measured uncertainty behind a first-order filter."""
+        share = 1.0 - exp(-dt / self._filter_s)
+        (x, y, z), (rx, ry, rz) = self._residual, raw.tolist()
+        self._residual = (x + share * (rx - x), y + share * (ry - y), z + share * (rz - z))
+
+    def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
+        (x, x_ahead), (y, y_ahead), (z, z_ahead) = nu.tolist()
+        rx, ry, rz = self._residual
+        misfit2 = (x - rx) ** 2 + (y - ry) ** 2 + (z - rz) ** 2
+        self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
+        adaptive, residual = telemetry.adaptive_now, telemetry.residual
+        adaptive[0], adaptive[1], adaptive[2] = x, y, z
+        residual[0], residual[1], residual[2] = rx, ry, rz
+        telemetry.weight_norm = self.last_layer.weight_norm
+        eps_1, eps_3 = sqrt(self._eps_1_squared), sqrt((x_ahead - x) ** 2 + (y_ahead - y) ** 2 + (z_ahead - z) ** 2)
+        telemetry.eps_1, telemetry.eps_2, telemetry.eps_3 = eps_1, self._eps_2, eps_3
+        telemetry.live_bound = self._bound_factor * (eps_1 + self._eps_2 + eps_3)
+
+    def reset(self) -> None:
+        """Filters start over; what was learnt stays."""
+        self._residual = (0.0, 0.0, 0.0)
+
+    @property
+    def learns(self) -> bool:
+        """Whether the features may be replaced by trained ones."""
+        return self._config.features == "network"
+
+    def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
+        """What taking over these features would do; nothing changes yet."""
+        new = NetworkFeatures(channel)
+        plan = plan_swap(
+            self._config.swap,
+            self.features,
+            self.last_layer.W,
+            new,
+            channel.last_layer,
+            self._config.law.weight_norm_max,
+            self._recent.columns(self._signals),
+        )
+        return new, plan
+
+    def commit(self, features: Features, plan: SwapPlan, memory: Array) -> None:
+        """Carries out a plan that was not refused. memory: theta_n [k, 3]."""
+        self.features = features
+        self.last_layer.replace(plan.W, memory)
+        self._eps_2 = plan.jump

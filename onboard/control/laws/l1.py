@@ -1,0 +1,66 @@
+"""L1 adaptive augmentation with the piecewise-constant law (Xargay, Hovakimyan, Cao 2010)."""
+
+from math import exp
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from configs.loader import Record
+from onboard.control.laws.law import ChannelState
+from onboard.control.records import ChannelTelemetry
+from protocol.conventions import Array
+
+
+class L1Config(Record):
+    """L1 adaptive augmentation with the piecewise-constant law (Xargay, Hovakimyan, Cao 2010)."""
+
+    kind: Literal["l1"]
+    predictor_pole_rad_s: Annotated[float, Field(gt=0, le=200, description="-A_s of the state predictor")]
+    bandwidth_rad_s: Annotated[float, Field(gt=0, le=200, description="of the low-pass filter C(s)")]
+    limit: Annotated[float, Field(gt=0, description="bound on each axis of nu_ad, units of u")]
+
+
+class L1:
+    """State predictor on the channel's rate with sigma_hat recomputed each step so that the prediction error dies out.
+
+    v_hat_dot = u_hat + sigma_hat - a (v_hat - v); sigma_hat = -[a / (e^{a T} - 1)] (v_hat - v); nu_ad = C(s) sigma_hat.
+    (With A_s = -a: Phi = A_s^-1 (e^{A_s T} - I), sigma_hat = -Phi^-1 e^{A_s T} v_tilde.)
+    """
+
+    def __init__(self, config: L1Config) -> None:
+        self._config = config
+        self._started = False
+        self._prediction: Array = np.zeros(3)
+        self._sigma: Array = np.zeros(3)
+        self._nu: Array = np.zeros(3)
+
+    def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
+        """One step of predictor, adaptation and filter."""
+        if channel.adapt:
+            self._predict(channel)
+        else:
+            self._started = False
+        telemetry.adaptive_now[:] = self._nu
+        return self._nu
+
+    def _predict(self, channel: ChannelState) -> None:
+        a, T = self._config.predictor_pole_rad_s, channel.dt
+        decay = exp(-a * T)
+        if not self._started:
+            error, self._sigma, self._started = np.zeros(3), self._nu.copy(), True
+        else:
+            # u_hat over the step that has just ended is known only now.
+            error = self._prediction + T * channel.delivered - channel.rate
+            self._sigma = -(a * decay / (1.0 - decay)) * error
+        # Exact over the coming step for constant u_hat and sigma_hat: v_tilde decays, the rest integrates.
+        self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma
+        share = 1.0 - exp(-self._config.bandwidth_rad_s * T)
+        limit = self._config.limit
+        self._nu = (self._nu + share * (self._sigma - self._nu)).clip(-limit, limit)
+
+    def reset(self) -> None:
+        """Predictor and filter start over."""
+        self._started = False
+        self._sigma = np.zeros(3)
+        self._nu = np.zeros(3)

@@ -1,0 +1,216 @@
+"""The last-layer adaptive law: how W changes at 200 Hz so that nu_ad = W' Phi follows the disturbance Delta.
+
+Theory of operation
+-------------------
+The channel's error e = x_rm - x against the hedged reference model obeys e_dot = A_rm e + B (nu_ad - Delta)
+exactly, whatever the actuators can deliver. With Delta = W*' Phi, W~ = W - W* and m^2 = eps + Phi' Gamma Phi the law
+
+    W_dot = -Gamma Phi (gamma e' P B + lambda (W'Phi - Delta_hat)') / m^2        (tracking, composite)
+
+gives, along V = e'P e + (c / gamma) tr(W~' Gamma^-1 W~) with any constant c > 0 and Delta_hat = Delta,
+
+    V_dot = -e'Q e + 2 (1 - c / m^2) e'P B W~'Phi - 2 c lambda / (gamma m^2) |W~'Phi|^2.
+
+The sign of the tracking term follows from e = x_rm - x and u = ... - nu_ad; with the opposite sign (as printed in
+Joshi, Virdi, Chowdhary 2020) V grows. Gains are normalised by m^2 so that the bandwidth of nu_ad is the stated gain
+whatever the number of active features. Normalising leaves the cross term, which vanishes where m^2 is constant (bias
+alone, c = m^2). Elsewhere the composite term dominates it: with c = m_min m_max and rho = m_max / m_min it takes
+
+    lambda >= gamma norm(B'P Q^-1 P B) (rho - 1)^2 / (2 rho),
+
+and the weight of the bias keeps rho near 1. docs/control.md derives this, and a test checks every shipped controller.
+
+In discrete time the composite and the leak terms are implicit, so they are stable for any step and gain. The tracking
+term is implicit in its own effect on e_2 one step later, which limits its gain to 1 / (p dt^2), p the part of PB that
+weighs e_2. W is kept in the ball norm(W) <= W_max by the smooth projection operator, and by a discrete safeguard at
+W_max sqrt(1 + eps). Inputs that are not finite change nothing.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from configs.loader import Record
+from protocol.conventions import Array
+from protocol.geometry import Vector3
+
+PROJECTION_MARGIN = 0.1
+"""eps of the projection operator: the square of the norm may exceed W_max^2 by this share."""
+SQUARE_MAX = 1e30
+"""No square of a sensible number is this large; a step with larger ones, or with NaN, is left out."""
+
+
+class AdaptationConfig(Record):
+    """Gains of one channel's last-layer law."""
+
+    tracking_gain: Annotated[
+        float,
+        Field(ge=0, le=1e4, description="gamma, 1/s^3: nu_ad gains so much per second and unit of e_1, first axis"),
+    ]
+    composite_gain: Annotated[
+        float, Field(ge=0, le=1e3, description="lambda, 1/s: nu_ad approaches Delta_hat; 0 = off")
+    ]
+    bias_weight: Annotated[float, Field(gt=0, le=1e4, description="kappa: Gamma of the bias against the others")]
+    leak: Annotated[
+        float, Field(ge=0, le=10, description="sigma, 1/s: W, the bias apart, drifts back to the trained last layer")
+    ]
+    weight_norm_max: Annotated[float, Field(gt=0, description="W_max: radius of the ball W is kept in, units of u")]
+    normalisation_floor: Annotated[float, Field(gt=0, description="eps in eps + Phi'Gamma Phi")] = 1e-3
+    residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant of Delta_hat")] = 0.03
+
+
+def lyapunov_p(A_rm: Array, Q: Array) -> Array:
+    """P of A_rm' P + P A_rm + Q = 0, symmetric.
+
+    Parameters
+    ----------
+    A_rm: [n, n], Hurwitz.
+    Q: [n, n], symmetric positive definite.
+
+    Raises
+    ------
+    ValueError
+        If the solution is not positive definite, that is, if A_rm is not Hurwitz.
+    """
+    n = A_rm.shape[0]
+    eye = np.eye(n)
+    operator = np.kron(eye, A_rm.T) + np.kron(A_rm.T, eye)
+    P = np.linalg.solve(operator, -Q.reshape(-1)).reshape(n, n)
+    P = 0.5 * (P + P.T)
+    if float(np.linalg.eigvalsh(P)[0]) <= 0.0:
+        raise ValueError("no positive definite P: the reference model is not Hurwitz")
+    return P
+
+
+def tracking_weights(P: Array, natural_frequency_rad_s: Sequence[float]) -> Array:
+    """PB [6, 3] as the law uses it, each axis scaled so that gamma means the same whatever Q: an integral gain.
+
+    The axes of a channel are decoupled, so scaling an axis' column scales its part of P and of Q alike and leaves the
+    Lyapunov equation true. The weight of e_1 becomes 1 in the first axis and (omega_n / omega_n1)^3 in the others: that
+    gives each its gain in proportion to its bandwidth.
+    """
+    PB = P[:, 3:].copy()
+    for axis, omega_n in enumerate(natural_frequency_rad_s):
+        PB[:, axis] *= (omega_n / natural_frequency_rad_s[0]) ** 3 / P[axis, 3 + axis]
+    return PB
+
+
+def projected_rate(W: Array, rate: Array, gamma: Array, weight_norm_max: float) -> Array:
+    """The smooth projection operator, Gamma-weighted (Lavretsky and Wise, "Robust and Adaptive Control", 11.4).
+
+    Returns `rate` unless norm(W) > W_max and the rate points outward; then its outward part is scaled away, wholly at
+    norm(W)^2 = W_max^2 (1 + PROJECTION_MARGIN).
+
+    Parameters
+    ----------
+    W, rate: [k, 3]; `rate` already carries Gamma.
+    gamma: [k], the diagonal of Gamma.
+    """
+    limit = weight_norm_max * weight_norm_max
+    f = (float(np.vdot(W, W)) - limit) / (PROJECTION_MARGIN * limit)
+    if f <= 0.0:
+        return rate
+    outward = float(np.vdot(W, rate))
+    if outward <= 0.0:
+        return rate
+    gamma_W = gamma[:, None] * W
+    return rate - gamma_W * (min(f, 1.0) * outward / float(np.vdot(W, gamma_W)))
+
+
+class LastLayer:
+    """W of one channel and its law. nu_ad = W' Phi, in the units of the channel's u."""
+
+    def __init__(self, config: AdaptationConfig, feature_count: int, PB: Array) -> None:
+        """PB: [n, 3], from the Lyapunov equation of the channel's reference model (tracking_weights)."""
+        self.config = config
+        self._bound2 = config.weight_norm_max**2
+        self._safe_bound2 = self._bound2 * (1.0 + PROJECTION_MARGIN)
+        self._PB = PB
+        self._rate_weight = float(np.abs(PB[PB.shape[0] // 2 :]).max())
+        self.W: Array = np.zeros((feature_count, 3))
+        self.memory: Array = np.zeros((feature_count, 3))
+        """theta_n, the trained last layer, towards which W leaks."""
+        self._gamma = self._gamma_for(feature_count)
+        self._change: Array = np.zeros((feature_count, 3))
+        self._direction: Array = np.zeros(3)
+        self._norm2 = 0.0
+
+    @property
+    def gamma(self) -> Array:
+        """[k], the diagonal of Gamma before normalisation."""
+        return self._gamma
+
+    def _gamma_for(self, feature_count: int) -> Array:
+        gamma = np.ones(feature_count)
+        gamma[-1] = self.config.bias_weight
+        return gamma
+
+    def replace(self, W: Array, memory: Array) -> None:
+        """Takes over W [k, 3] and theta_n [k, 3] that belong to new features; W is clipped into the ball."""
+        self.W = np.array(W)
+        self.memory = np.array(memory)
+        self._gamma = self._gamma_for(W.shape[0])
+        self._change = np.zeros(W.shape)
+        self._keep_in_ball()
+
+    def step(self, Phi: Array, e: Array, residual: Vector3, dt: float) -> None:
+        """One step of the law at the present state.
+
+        Parameters
+        ----------
+        Phi: [k], features at the present state.
+        e: [n], x_rm - x; the second half is the rate of the first.
+        residual: Delta_hat, filtered x_dot - A x - B u_hat.
+        dt: s.
+        """
+        # Three numbers at a time are quicker without numpy.
+        config, W = self.config, self.W
+        s = self._gain_along(Phi)
+        m2 = config.normalisation_floor + s
+        # Tracking term, implicit in what it does to e_2 one step later.
+        gamma, lambda_ = config.tracking_gain, config.composite_gain
+        tracking = gamma / (1.0 + gamma * self._rate_weight * dt * dt) / m2
+        px, py, pz = e.dot(self._PB).tolist()
+        dx, dy, dz = -tracking * px, -tracking * py, -tracking * pz
+        if lambda_ > 0.0:
+            # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
+            # The tracking step comes first; its effect on W'Phi is s * direction * dt.
+            a = lambda_ * dt / m2
+            composite, done = lambda_ / m2 / (1.0 + a * s), s * dt
+            nx, ny, nz = Phi.dot(W).tolist()
+            rx, ry, rz = residual
+            dx -= composite * (nx + done * dx - rx)
+            dy -= composite * (ny + done * dy - ry)
+            dz -= composite * (nz + done * dz - rz)
+        if not (s < SQUARE_MAX and dx * dx + dy * dy + dz * dz < SQUARE_MAX):  # NaN fails too
+            return
+        direction = self._direction
+        direction[0], direction[1], direction[2] = dt * dx, dt * dy, dt * dz
+        change = np.multiply(Phi[:, None], direction, out=self._change)
+        change[-1] *= config.bias_weight
+        if self._norm2 > self._bound2:
+            change = projected_rate(W, change, self._gamma, config.weight_norm_max)
+        W += change
+        if config.leak > 0.0:
+            share = config.leak * dt
+            W[:-1] += (share / (1.0 + share)) * (self.memory[:-1] - W[:-1])
+        self._keep_in_ball()
+
+    def _gain_along(self, Phi: Array) -> float:
+        """Phi' Gamma Phi, where Gamma is 1 but for the last feature."""
+        last = float(Phi[-1])
+        return float(Phi.dot(Phi)) + (self.config.bias_weight - 1.0) * last * last
+
+    def _keep_in_ball(self) -> None:
+        self._norm2 = float(np.vdot(self.W, self.W))
+        if self._norm2 > self._safe_bound2:
+            self.W *= (self._safe_bound2 / self._norm2) ** 0.5
+            self._norm2 = self._safe_bound2
+
+    @property
+    def weight_norm(self) -> float:
+        """Frobenius norm of W, units of u."""
+        return math.sqrt(self._norm2)

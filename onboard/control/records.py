@@ -1,0 +1,89 @@
+"""What goes into a controller and what comes out of it."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.estimation.state import VehicleState
+from onboard.flight.trajectory import PathPoint
+from protocol.conventions import Array
+from protocol.geometry import Vector3
+
+
+class Target(NamedTuple):
+    """What the vehicle is to follow, world NED. Every controller sees the same."""
+
+    now: PathPoint
+    """Target at the present."""
+    feed_forward: Vector3
+    """m/s^2: acceleration of the path t_ff ahead, which makes up for the lag of the loops below."""
+    ahead: PathPoint
+    """Target t_ahead from now, for features of the position channel evaluated where the vehicle will be."""
+    attitude_ahead: PathPoint
+    """The same for the attitude channel, whose commands act sooner."""
+    yaw_rad: float
+
+
+@dataclass(slots=True)
+class ControlInputs:
+    """Everything a controller may use in one step. Arrays belong to the caller and change with the next step."""
+
+    dt: float
+    """s since the last step."""
+    state: VehicleState
+    target: Target
+    signals: Array
+    """[SIGNAL_COUNT], protocol.signals, at the present."""
+    delivered_thrust_n: float
+    """Collective thrust the motors deliver now, by the actuator model."""
+    delivered_torque_nm: Vector3
+    """Body torque they deliver now, by the actuator model."""
+    saturated: bool
+    """Whether the last command could not be met by the motors."""
+    adapt: bool
+    """False on the ground and whenever an input is too old to learn from: hold every adaptive state still."""
+    level_only: bool = False
+    """True when there is no velocity to fly by: hold level, sink slowly, leave position alone."""
+
+
+class ChannelTelemetry:
+    """What one channel did; all zeros for a controller without that notion. The arrays are views of `vectors`."""
+
+    __slots__ = (
+        *("adaptive", "adaptive_now", "delivered", "demand", "eps_1", "eps_2", "eps_3", "error", "live_bound"),
+        *("residual", "vectors", "weight_norm"),
+    )
+
+    def __init__(self) -> None:
+        self.vectors: Array = np.zeros(21)
+        """All that follow, one after the other, as onboard.record.tick has them."""
+        self.error: Array = self.vectors[0:6]
+        """e = x_rm - x; m, m/s or rad, rad/s."""
+        self.demand: Array = self.vectors[6:9]
+        """u: m/s^2 or rad/s^2."""
+        self.delivered: Array = self.vectors[9:12]
+        """u_hat."""
+        self.adaptive: Array = self.vectors[12:15]
+        """nu_ad as commanded (evaluated ahead)."""
+        self.adaptive_now: Array = self.vectors[15:18]
+        """nu_ad of the present state, W'Phi(x); the same as `adaptive` for a controller that does not look ahead."""
+        self.residual: Array = self.vectors[18:21]
+        """Delta_hat."""
+        self.weight_norm = 0.0
+        self.eps_1 = 0.0
+        self.eps_2 = 0.0
+        self.eps_3 = 0.0
+        self.live_bound = 0.0
+        """Bound on norm(e), docs/control.md."""
+
+
+@dataclass(slots=True)
+class ControlOutput:
+    """The command: collective thrust and body torque."""
+
+    thrust_n: float = 0.0
+    torque_nm: Vector3 = (0.0, 0.0, 0.0)
+    position: ChannelTelemetry = field(default_factory=ChannelTelemetry)
+    attitude: ChannelTelemetry = field(default_factory=ChannelTelemetry)
+    commanded_quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)

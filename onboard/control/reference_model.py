@@ -1,0 +1,147 @@
+"""Hedged reference models: how the vehicle would move if its disturbances were cancelled exactly.
+
+    x_rm_dot = A_rm x_rm + B K_r r - B (u - u_hat)
+
+The last term is pseudo-control hedging: what the actuators could not deliver is taken out of the reference too, so that
+e = x_rm - x obeys e_dot = A_rm e + B (nu_ad - Delta) exactly, in saturation as well, and adaptation never learns
+from a limit.
+"""
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from configs.loader import Record
+from protocol.conventions import Array
+from protocol.geometry import Quaternion, Vector3, quaternion_multiply, quaternion_to_rotation_vector, rotate
+
+
+class ChannelGains(Record):
+    """Poles of one channel's closed loop."""
+
+    natural_frequency_rad_s: tuple[
+        Annotated[float, Field(gt=0, le=60)], Annotated[float, Field(gt=0, le=60)], Annotated[float, Field(gt=0, le=60)]
+    ]
+    damping: Annotated[float, Field(ge=0.3, le=3)]
+
+    def stiffness(self) -> Array:
+        """[3], omega_n^2."""
+        return np.array([w * w for w in self.natural_frequency_rad_s])
+
+    def rate_gain(self) -> Array:
+        """[3], 2 zeta omega_n."""
+        return np.array([2.0 * self.damping * w for w in self.natural_frequency_rad_s])
+
+    def closed_loop_matrix(self) -> Array:
+        """A_rm = A - B K, [6, 6]."""
+        A_rm = np.zeros((6, 6))
+        A_rm[:3, 3:] = np.eye(3)
+        A_rm[3:, :3] = -np.diag(self.stiffness())
+        A_rm[3:, 3:] = -np.diag(self.rate_gain())
+        return A_rm
+
+
+class PositionReferenceModel:
+    """Position and velocity, world NED."""
+
+    def __init__(self, gains: ChannelGains) -> None:
+        self._k1 = tuple(gains.stiffness().tolist())
+        self._k2 = tuple(gains.rate_gain().tolist())
+        self.position: Array = np.zeros(3)
+        self.velocity: Array = np.zeros(3)
+
+    def reset(self, position: Array, velocity: Array) -> None:
+        """Starts over at the vehicle's state [3], [3]."""
+        self.position[:] = position
+        self.velocity[:] = velocity
+
+    def shift(self, jump: Array) -> None:
+        """Follows a jump [3] of the position estimate, which is no motion."""
+        self.position += jump
+
+    def error(self, position: Array, velocity: Array, out: Array) -> None:
+        """E = x_rm - x [6] against the vehicle's position and velocity [3], m and m/s."""
+        np.subtract(self.position, position, out=out[:3])
+        np.subtract(self.velocity, velocity, out=out[3:])
+
+    def step(self, command: Vector3, hedge: Vector3, dt: float) -> None:
+        """Advances one period.
+
+        Parameters
+        ----------
+        command: K_r r, m/s^2.
+        hedge: u - u_hat, m/s^2.
+        """
+        x, v = self.position, self.velocity
+        positions, velocities = x.tolist(), v.tolist()
+        for axis in (0, 1, 2):
+            at, speed = positions[axis], velocities[axis]
+            acceleration = command[axis] - self._k1[axis] * at - self._k2[axis] * speed - hedge[axis]
+            x[axis] = at + (dt * speed + (0.5 * dt * dt) * acceleration)
+            v[axis] = speed + dt * acceleration
+
+
+class AttitudeReferenceModel:
+    """Attitude quaternion and body rates of the reference, and the error e against the vehicle's.
+
+    e_1 is the rotation vector from the vehicle to the reference and e_2 = R(e_1) omega_rm - omega, the difference of
+    the rates in the vehicle's axes. Then e_1_dot = e_2 + O(|e_1| |e_2|), at any tilt and any rate: without the
+    singularity of Euler angles, and without a term in omega that would turn e about. The reference is driven through
+    e as well, omega_rm_dot = R(e_1)' (K_r r - K x - K e - (u - u_hat) + omega x e_2), which makes e_2_dot =
+    -K e + nu_ad - Delta hold however far away the commanded attitude is.
+    """
+
+    def __init__(self, gains: ChannelGains) -> None:
+        self._k1 = tuple(gains.stiffness().tolist())
+        self._k2 = tuple(gains.rate_gain().tolist())
+        self.quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self.rates: Vector3 = (0.0, 0.0, 0.0)
+        """Body rates of the reference, in its own axes, rad/s."""
+        self._turn: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self._e: tuple[float, ...] = (0.0,) * 6
+        self._vehicle_rates: Vector3 = (0.0, 0.0, 0.0)
+
+    def reset(self, quaternion: Array, rates: Array) -> None:
+        """Starts over at the vehicle's attitude [4] and rates [3]."""
+        w, x, y, z = quaternion.tolist()
+        self.quaternion = (w, x, y, z)
+        p, q, r = rates.tolist()
+        self.rates = self._vehicle_rates = (p, q, r)
+        self._turn = (1.0, 0.0, 0.0, 0.0)
+        self._e = (0.0,) * 6
+
+    def error(self, quaternion: Array, rates: Array, out: Array) -> None:
+        """E = [e_1; e_2] [6] against the vehicle's attitude [4] and rates [3], rad and rad/s."""
+        w, x, y, z = quaternion.tolist()
+        p, q, r = rates.tolist()
+        self._turn = quaternion_multiply((w, -x, -y, -z), self.quaternion)
+        e1, e2, e3 = quaternion_to_rotation_vector(self._turn)
+        wx, wy, wz = rotate(self._turn, self.rates)
+        self._e = (e1, e2, e3, wx - p, wy - q, wz - r)
+        self._vehicle_rates = (p, q, r)
+        out[:] = self._e
+
+    def step(self, command: Vector3, hedge: Vector3, dt: float) -> None:
+        """Advances one period from where `error` last saw the vehicle.
+
+        Parameters
+        ----------
+        command: K_r r - K x in the vehicle's axes, that is u + nu_ad; rad/s^2.
+        hedge: u - u_hat, rad/s^2.
+        """
+        e1, e2, e3, e4, e5, e6 = self._e
+        k1, k2 = self._k1, self._k2
+        p, q, r = self._vehicle_rates
+        ax = command[0] - hedge[0] - k1[0] * e1 - k2[0] * e4 + (q * e6 - r * e5)
+        ay = command[1] - hedge[1] - k1[1] * e2 - k2[1] * e5 + (r * e4 - p * e6)
+        az = command[2] - hedge[2] - k1[2] * e3 - k2[2] * e6 + (p * e5 - q * e4)
+        w, x, y, z = self._turn
+        ap, aq, ar = rotate((w, -x, -y, -z), (ax, ay, az))
+        p, q, r = self.rates
+        h = 0.5 * dt
+        step = (1.0, h * (p + h * ap), h * (q + h * aq), h * (r + h * ar))
+        nw, nx, ny, nz = quaternion_multiply(self.quaternion, step)
+        norm = (nw * nw + nx * nx + ny * ny + nz * nz) ** 0.5
+        self.quaternion = (nw / norm, nx / norm, ny / norm, nz / norm)
+        self.rates = (p + dt * ap, q + dt * aq, r + dt * ar)

@@ -1,0 +1,81 @@
+"""Whether the relayed pose is good enough to be armed on: its rate, its idea of upright against the IMU's, the floor.
+
+Theory of operation. The newest poses are kept; every few of them a verdict is drawn, from a vehicle that stands still
+on the floor. Heading cannot be judged there: `dmrac preflight` does that, with a person's help.
+"""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+
+from configs.loader import Record
+from protocol.conventions import Array
+
+POSES: Final = 32
+EVERY: Final = 8
+"""A verdict after so many poses."""
+NOT_COMPARED: Final = "the pose has not been compared with the IMU yet"
+
+
+class PoseHealthConfig(Record):
+    """What the pose must be like before the vehicle may be armed, where arming needs one."""
+
+    rate_min_hz: float = Field(default=20.0, gt=0, description="Hz, poses that arrive")
+    upright_tolerance_rad: float = Field(default=0.2, gt=0, description="rad; pose's upright against the IMU's")
+    floor_tolerance_m: float = Field(default=0.3, gt=0, description="m; pose's height of a vehicle on the floor")
+
+
+class PoseHealth:
+    """Judges the poses it is shown, when it is asked: in flight nobody asks."""
+
+    def __init__(self, config: PoseHealthConfig) -> None:
+        self._config = config
+        self._arrivals_ns: deque[int] = deque(maxlen=POSES)
+        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=POSES)
+        self._force: Array = np.zeros(3)
+        self._count = 0
+        self._next_verdict = EVERY
+        self._fault = ""
+
+    @property
+    def fault(self) -> str:
+        """Why the poses are not good enough; "" when they are."""
+        if self._count >= self._next_verdict:
+            self._next_verdict = (self._count // EVERY + 1) * EVERY
+            self._fault = self._judge()
+        return self._fault
+
+    def take(self, down_m: float, quaternion: tuple[float, ...], now_ns: int, force: Array) -> None:
+        """One pose.
+
+        Parameters
+        ----------
+        down_m: of the position, world NED.
+        quaternion: wxyz, body to world.
+        now_ns: when it came.
+        force: [3] m/s^2, the IMU's mean specific force.
+        """
+        w, x, y, z = quaternion
+        self._arrivals_ns.append(now_ns)
+        self._rows.append((down_m, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
+        self._force = force
+        self._count += 1
+
+    def _judge(self) -> str:
+        config, arrivals_ns, force = self._config, self._arrivals_ns, self._force
+        seconds = (arrivals_ns[-1] - arrivals_ns[0]) * 1e-9
+        rate_hz = (len(arrivals_ns) - 1) / seconds if seconds > 0.0 else 0.0
+        if rate_hz < config.rate_min_hz:
+            return f"pose at {rate_hz:.0f} Hz"
+        down_m, *down_axis = np.mean(self._rows, axis=0)  # the world's down, in the body
+        length = float(np.linalg.norm(force) * np.linalg.norm(down_axis))
+        if length <= 0.0:
+            return NOT_COMPARED
+        angle = float(np.arccos(np.clip(-(force @ np.array(down_axis)) / length, -1.0, 1.0)))
+        if angle > config.upright_tolerance_rad:
+            return f"pose and IMU are {np.degrees(angle):.0f} deg apart about upright: frame or order of the pose"
+        if abs(down_m) > config.floor_tolerance_m:
+            return f"pose is {-down_m:+.2f} m above the floor at rest: its zero is the floor, d is down, in metres"
+        return ""

@@ -1,0 +1,1 @@
+"""Flight modes, what changes them, and the target that the vehicle follows."""

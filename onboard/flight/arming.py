@@ -1,0 +1,52 @@
+"""What stands against arming, beyond the supervisor's own ages and limits. Gates arming only, never flight.
+
+The vehicle's stream, its sensors at rest, optical flow, the pose against the IMU, and what the process knew before it
+began: whether a person has done the preflight check of this vehicle (onboard/preflight/certificate.py).
+"""
+
+from onboard.config import OnboardConfig
+from onboard.estimation.pose_health import PoseHealth
+from onboard.links.vehicle import VehicleLink
+from onboard.preflight.certificate import Clearance
+from protocol.conventions import NEVER_NS
+from protocol.messages import Pose
+
+
+class ArmingChecks:
+    """Gathers the verdicts of a vehicle that stands on the floor."""
+
+    def __init__(self, config: OnboardConfig, vehicle_link: VehicleLink, clearance: Clearance) -> None:
+        self._link = vehicle_link
+        self._clearance = clearance
+        self._needs_pose = config.supervisor.arm_needs_pose
+        self._pose_stale_ns = round(config.supervisor.pose_stale_s * 1e9)
+        self._pose_wait_ns = round(config.pose_wait_s * 1e9)
+        self._flow_silent_ns = round(config.vehicle_link.health.flow_silent_s * 1e9)
+        self._pose_health = PoseHealth(config.pose_health)
+        self._last_pose_ns = NEVER_NS
+        self._started_ns: int | None = None
+
+    def take_in_pose(self, pose: Pose, now_ns: int) -> None:
+        """A pose that came; whether it is fresh is the supervisor's to know."""
+        self._last_pose_ns = now_ns
+        down_m, quaternion = float(pose.position_ned_m[2]), tuple(pose.quaternion.tolist())
+        self._pose_health.take(down_m, quaternion, now_ns, self._link.health.force)
+
+    def objection(self, now_ns: int, posed: bool) -> str:
+        """The first thing that stands against arming; "" for nothing.
+
+        posed: whether a pose has ever been used. A first one is waited for, lest a flight begin with a jump.
+        """
+        if self._started_ns is None:
+            self._started_ns = now_ns
+        if self._link.conflict:
+            return "two vehicles speak with one system id"
+        if self._link.health.fault or self._clearance.bar:
+            return self._link.health.fault or self._clearance.bar
+        if self._flow_silent_ns and now_ns - self._link.last_flow_ns > self._flow_silent_ns:
+            return "no optical flow"
+        if not posed and now_ns - self._started_ns < self._pose_wait_ns:
+            return "waiting for the first pose"
+        if not self._needs_pose or now_ns - self._last_pose_ns > self._pose_stale_ns:
+            return ""  # what old poses were like does not matter
+        return self._pose_health.fault

@@ -1,0 +1,1 @@
+"""Checks of a real vehicle before it may fly."""

@@ -1,0 +1,1 @@
+"""The signal vector, and the samples that go to the trainer."""

@@ -1,0 +1,11 @@
+"""Constants that every package shares. docs/conventions.md explains frames, rotations and motor order."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NEVER_NS: Final = -(10**18)
+"""Time of something that has not happened yet: its age is large for every clock."""

@@ -1,0 +1,112 @@
+"""Options and start-up of the simulated vehicle: `dmrac sim` and `python -m sim_vehicle`."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from configs.addresses import load_network, serial_line
+from configs.loader import ConfigError, load_section, read_tree
+from flight_log.writer import FlightLogWriter
+from protocol.keys import load_key
+from runtime.errors import StartError
+from runtime.files import make_folder, write_json
+from runtime.kernel import ask_for_realtime, quiet_interpreter
+from runtime.signals import StopRequest
+from runtime.sockets import AddressInUseError
+from runtime.status import StatusLines
+from sim_vehicle.config import SimVehicleConfig
+from sim_vehicle.link.radio import RADIO_STREAM, Radio, RadioConfig
+from sim_vehicle.process import PERIOD_NS, SimProcess
+from sim_vehicle.vehicle import SimVehicle
+
+WARM_UP_STEPS: Final = 20
+PRIORITY: Final = 10
+"""SCHED_FIFO, below onboard's: the simulated world must keep time too, but not at the loop's cost."""
+
+EXAMPLES: Final = """examples:
+  dmrac sim --config flight.yaml --out flight
+  dmrac sim --config flight.yaml --bind-vehicle 192.168.3.1:14560 --onboard 192.168.3.2:14561
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `python -m sim_vehicle` and `dmrac sim`."""
+    parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
+    parser.add_argument("--onboard", metavar="HOST:PORT", help="onboard's address for the vehicle's MAVLink")
+    parser.add_argument("--onboard-link", metavar="HOST:PORT", help="onboard's address for the radio")
+    parser.add_argument("--offboard-link", metavar="HOST:PORT", help="offboard's address for the radio")
+    parser.add_argument("--motion-capture", metavar="HOST:PORT", help="offboard's address for motion capture")
+    parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own MAVLink address")
+    parser.add_argument("--bind-radio-onboard", metavar="HOST:PORT", help="own radio address towards onboard")
+    parser.add_argument("--bind-radio-offboard", metavar="HOST:PORT", help="own radio address towards offboard")
+    parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the MAVLink to onboard: sign it")
+    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the process; returns the exit status (0 flown, 1 onboard never came, 2 bad configuration or address)."""
+    stop = StopRequest()
+    status = StatusLines("sim", arguments.json)
+    try:
+        seed, duration_s = _seed_and_duration(arguments.config)
+        config = load_section(SimVehicleConfig, arguments.config, "vehicle")
+        radio_config = load_section(RadioConfig, arguments.config, "radio")
+        network = load_network(arguments.config, _addresses(arguments))
+        key = load_key(network.vehicle_key_file)
+        if serial_line(network.vehicle) is not None:
+            raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle speaks UDP only")
+        make_folder(arguments.out)
+    except (ConfigError, StartError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    _compile(config, seed)
+    vehicle = SimVehicle(config, seed, key)
+    radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
+    attachments = {"config.yaml": arguments.config.read_bytes()}
+    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", {"seed": str(seed)}, attachments)
+    try:
+        process = SimProcess(vehicle, radio, network, duration_s, log, status, stop)
+        ask_for_realtime(PRIORITY)
+        quiet_interpreter()
+        status.say("ready")
+        result = process.fly()
+        process.close()
+    except AddressInUseError as error:
+        print(error, file=sys.stderr)
+        return 2
+    finally:
+        log.close()
+    write_json(arguments.out / "sim_summary.json", process.summary())
+    return result
+
+
+def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
+    return {
+        "onboard_vehicle": arguments.onboard,
+        "onboard_link": arguments.onboard_link,
+        "offboard_link": arguments.offboard_link,
+        "motion_capture": arguments.motion_capture,
+        "vehicle": arguments.bind_vehicle,
+        "radio_onboard": arguments.bind_radio_onboard,
+        "radio_offboard": arguments.bind_radio_offboard,
+        "vehicle_key_file": arguments.vehicle_key_file,
+    }
+
+
+def _compile(config: SimVehicleConfig, seed: int) -> None:
+    """Step a vehicle that is thrown away, so that no step of the flight waits for the compiler."""
+    vehicle = SimVehicle(config, seed)
+    for step in range(WARM_UP_STEPS):
+        vehicle.step(step * PERIOD_NS)
+
+
+def _seed_and_duration(path: Path) -> tuple[int, float]:
+    tree = read_tree(path)
+    seed, duration_s = tree.get("seed"), tree.get("duration_s")
+    if not isinstance(seed, int) or not isinstance(duration_s, int | float) or duration_s <= 0:
+        raise ConfigError(f"{path}: seed {seed!r}, duration_s {duration_s!r}: expected a whole number and seconds")
+    return seed, float(duration_s)

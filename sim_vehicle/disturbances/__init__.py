@@ -1,0 +1,1 @@
+"""Disturbances that a scenario can list."""

@@ -1,0 +1,1 @@
+"""The simulated wires: MAVLink to onboard, and the radio between onboard and offboard."""

@@ -1,0 +1,1 @@
+"""Rigid body, motors, battery and floor: the compiled step."""

@@ -1,0 +1,188 @@
+"""One call, several sub-steps: world, motors, battery, rigid body, and the sums for sensors and truth. Compiled."""
+
+from math import acos
+
+import sim_vehicle.physics.layout as at
+from sim_vehicle.physics.airflow import air_velocity, outside_load
+from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.physics.dynamics import (
+    FLOOR_REACH,
+    Matrix,
+    cross,
+    lowest_point,
+    rotation,
+    runge_kutta,
+    to_body,
+    to_world,
+)
+from sim_vehicle.physics.motors import drain_battery, lag_motors
+from sim_vehicle.records import Array
+
+CLEARANCE = 0.01
+"""m above the floor from which the vehicle counts as airborne (touching is at 0, so that it does not chatter)."""
+WORK_ROWS = 9
+"""Rows of 13 of the work array: 5 for Runge-Kutta, 3 thrusts, 1 load."""
+
+
+@compiled
+def nominal_torque(state: Array, P: Array) -> tuple[float, float, float, float]:
+    """Collective thrust, N, and torque, N m body, that the nominal model expects of the present commands."""
+    T1, T2, T3, T4 = (
+        state[at.NOMINAL_THRUST],
+        state[at.NOMINAL_THRUST + 1],
+        state[at.NOMINAL_THRUST + 2],
+        state[at.NOMINAL_THRUST + 3],
+    )
+    x, y, k = P[at.NOMINAL_ARM_X], P[at.NOMINAL_ARM_Y], P[at.NOMINAL_TORQUE_RATIO]
+    return (T1 + T2 + T3 + T4, y * (T2 + T3 - T1 - T4), x * (T1 + T3 - T2 - T4), k * (T1 + T2 - T3 - T4))
+
+
+@compiled
+def account(state: Array, before: Array, middle: Matrix, nominal: Array, P: Array, sums: Array) -> None:
+    """Add one sub-step to the sums of the IMU and of the truth.
+
+    before: [13] state at the start. middle: rotation half way. nominal: [4] collective thrust and torque.
+    """
+    h = P[at.STEP]
+    gained = (state[3] - before[3], state[4] - before[4], state[5] - before[5])
+    for i in range(3):
+        state[at.ACCELERATION + i] = gained[i] / h
+        sums[at.TRUTH_VELOCITY + i] += gained[i]
+        sums[at.TRUTH_RATES + i] += state[at.RATES + i] - before[at.RATES + i]
+    felt = to_body(middle, gained[0], gained[1], gained[2] - P[at.GRAVITY] * h)
+    sums[at.IMU_TIME] += h
+    for i in range(3):
+        sums[at.IMU_FORCE + i] += felt[i]
+    sums[at.TRUTH_TIME] += h
+    lift = to_world(middle, 0.0, 0.0, -nominal[0] * h)
+    m = P[at.NOMINAL_MASS]
+    sums[at.TRUTH_FORCE] += m * gained[0] - lift[0]
+    sums[at.TRUTH_FORCE + 1] += m * gained[1] - lift[1]
+    sums[at.TRUTH_FORCE + 2] += m * (gained[2] - P[at.GRAVITY] * h) - lift[2]
+    w = (
+        0.5 * (state[10] + before[10]),
+        0.5 * (state[11] + before[11]),
+        0.5 * (state[12] + before[12]),
+    )
+    J = (P[at.NOMINAL_INERTIA], P[at.NOMINAL_INERTIA + 1], P[at.NOMINAL_INERTIA + 2])
+    gyro = cross(w, (J[0] * w[0], J[1] * w[1], J[2] * w[2]))
+    for i in range(3):
+        turned = J[i] * (state[at.RATES + i] - before[at.RATES + i])
+        sums[at.TRUTH_TORQUE + i] += turned + h * (gyro[i] - nominal[1 + i])
+
+
+@compiled
+def account_flow(state: Array, R: Matrix, P: Array, sums: Array) -> None:
+    """Add one sub-step to the optical flow's integrals, PX4's signs: see sensors.py."""
+    h = P[at.STEP]
+    v = to_body(R, state[3], state[4], state[5])
+    distance = max(0.02, -state[at.POSITION + 2]) / max(0.1, R[8])
+    sums[at.FLOW_TIME] += h
+    sums[at.FLOW_ANGLE] += h * (state[at.RATES] - v[1] / distance)
+    sums[at.FLOW_ANGLE + 1] += h * (state[at.RATES + 1] + v[0] / distance)
+    for i in range(3):
+        sums[at.FLOW_GYRO + i] += h * state[at.RATES + i]
+
+
+@compiled
+def watch_floor(state: Array, sinking: float, R: Matrix, P: Array, sums: Array) -> None:
+    """Keep the airborne flag, and note speed and tilt of touch-downs. sinking: m/s at the start of the sub-step."""
+    lowest = lowest_point(state, R, P) if state[at.POSITION + 2] > -FLOOR_REACH else -1.0
+    if lowest < -CLEARANCE:
+        state[at.AIRBORNE] = 1.0
+    elif lowest >= 0.0 and state[at.AIRBORNE] > 0.0:
+        state[at.AIRBORNE] = 0.0
+        sums[at.TOUCH_SPEED] = max(sums[at.TOUCH_SPEED], sinking)
+        sums[at.TOUCH_TILT] = max(sums[at.TOUCH_TILT], acos(min(1.0, max(-1.0, R[8]))))
+
+
+@compiled
+def advance(
+    state: Array,
+    commands: Array,
+    P: Array,
+    rows: Array,
+    row_state: Array,
+    noise: Array,
+    sums: Array,
+    work: Array,
+    time_s: float,
+    count: int,
+) -> None:
+    """Advance one vehicle by `count` sub-steps of P[STEP] seconds from flight time `time_s`, in place.
+
+    Parameters
+    ----------
+    state: [STATE_SIZE]. commands: [4] fractions, zero is off. P: [PARAMETERS_SIZE].
+    rows, row_state: [k, ROW_SIZE], [k, ROW_STATE_SIZE], see world.py. noise: [>= count, k, 3] unit normal draws.
+    sums: [SUMS_SIZE]. work: [WORK_ROWS, 13], contents of no meaning.
+    """
+    thrust, load = work[5:8, :4], work[8, :6]
+    wind, before, nominal = state[at.WIND : at.WIND + 3], work[4], work[8, 6:10]
+    for step in range(count):
+        now = time_s + step * P[at.STEP]
+        air = air_velocity(state, rows, row_state, now, P[at.STEP], noise[step])
+        for i in range(3):
+            wind[i] = air[i]
+        drop_v = outside_load(state, rows, row_state, now, P, noise[step], load)
+        lag_motors(state, commands, P, thrust)
+        sums[at.CURRENT] = drain_battery(state, drop_v, P)
+        wanted = nominal_torque(state, P)
+        for i in range(4):
+            nominal[i] = wanted[i]
+        p0, p1, p2 = state[3], state[4], state[5]
+        r0, r1, r2 = state[10], state[11], state[12]
+        q0, q1, q2, q3 = state[6], state[7], state[8], state[9]
+        runge_kutta(state, thrust, wind, load, P, work)
+        before[3], before[4], before[5] = p0, p1, p2
+        before[10], before[11], before[12] = r0, r1, r2
+        middle = rotation(q0 + state[6], q1 + state[7], q2 + state[8], q3 + state[9])
+        account(state, before, middle, nominal, P, sums)
+        account_flow(state, middle, P, sums)
+        watch_floor(state, p2, middle, P, sums)
+
+
+@compiled
+def tilt_of(state: Array) -> float:
+    """Angle, rad, between the body's down axis and the world's."""
+    x, y = state[at.QUATERNION + 1], state[at.QUATERNION + 2]
+    return acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+SOUND, HARD_TOUCH, TILTED_TOUCH, TILTED, OUTSIDE = 0, 1, 2, 3, 4
+"""What `verdict` says of a flight."""
+
+
+@compiled
+def verdict(state: Array, sums: Array, limits: Array) -> int:
+    """Whether the flight is lost. limits: [4] touch-down m/s, tilt at touch-down rad, tilt rad, distance m."""
+    if sums[at.TOUCH_SPEED] > limits[0]:
+        return HARD_TOUCH
+    if sums[at.TOUCH_TILT] > limits[1]:
+        return TILTED_TOUCH
+    if tilt_of(state) > limits[2]:
+        return TILTED
+    if not state[0] ** 2 + state[1] ** 2 + state[2] ** 2 < limits[3] ** 2:
+        return OUTSIDE
+    sums[at.TOUCH_SPEED] = 0.0
+    sums[at.TOUCH_TILT] = 0.0
+    return SOUND
+
+
+@compiled
+def write_truth(state: Array, sums: Array, P: Array, truth: Array) -> None:
+    """Write the truth record (see records.TRUTH) into truth[34]; zeroes its sums."""
+    scale = 1.0 / max(sums[at.TRUTH_TIME], 1.0e-9)
+    for i in range(at.RIGID):
+        truth[i] = state[i]
+    for i in range(3):
+        truth[13 + i] = sums[at.TRUTH_VELOCITY + i] * scale
+        truth[16 + i] = sums[at.TRUTH_RATES + i] * scale
+        truth[23 + i] = state[at.WIND + i]
+        truth[26 + i] = sums[at.TRUTH_FORCE + i] * scale
+        truth[29 + i] = sums[at.TRUTH_TORQUE + i] * scale
+    for i in range(4):
+        truth[19 + i] = state[at.THRUST + i] * P[at.THRUST_FACTOR + i]
+    truth[32] = state[at.VOLTAGE]
+    truth[33] = state[at.AIRBORNE]
+    sums[at.TRUTH_TIME : at.TRUTH_RATES + 3] = 0.0

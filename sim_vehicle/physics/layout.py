@@ -1,0 +1,103 @@
+"""Where each quantity stands in the flat arrays that the compiled step works on (sim_vehicle.physics.layout, "at").
+
+Flat arrays, because one call with few array arguments costs little, and because many vehicles then lie one after
+the other in memory (see batch.py). A three-vector occupies its index and the two after it.
+"""
+
+from typing import Final
+
+# --- state of one vehicle ---------------------------------------------------------------------------------------
+POSITION: Final = 0  # m, NED, of the reference point (centre of mass of the bare vehicle)
+VELOCITY: Final = 3  # m/s, NED
+QUATERNION: Final = 6  # wxyz, body FRD to world NED
+RATES: Final = 10  # rad/s, body FRD
+RIGID: Final = 13  # size of the part that RK4 integrates
+THRUST: Final = 13  # N, [4] what a sound rotor would give at the present rotor speed, out of ground effect
+NOMINAL_THRUST: Final = 17  # N, [4] thrust of the nominal motor model under the same commands
+ROTOR_PHASE: Final = 21  # rad, [4]
+CHARGE_USED: Final = 25  # A s
+POLARISATION: Final = 26  # V, slow part of the battery's voltage drop
+VOLTAGE: Final = 27  # V, at the terminals
+ACCELERATION: Final = 28  # m/s^2, NED, mean over the last sub-step
+WIND: Final = 31  # m/s, NED, air velocity at the vehicle
+AIRBORNE: Final = 34  # 1 when no part touches the floor
+STATE_SIZE: Final = 35
+
+# --- sums over sub-steps, zeroed by their reader ---------------------------------------------------------------
+IMU_TIME: Final = 0  # s, that the next sum covers
+IMU_FORCE: Final = 1  # m/s, [3] integral of the specific force, body FRD
+FLOW_TIME: Final = 4  # s
+FLOW_ANGLE: Final = 5  # rad, [2] integral of the optical flow
+FLOW_GYRO: Final = 7  # rad, [3] integral of the rates
+TRUTH_TIME: Final = 10  # s
+TRUTH_FORCE: Final = 11  # N s, [3] integral of the disturbance force, NED
+TRUTH_TORQUE: Final = 14  # N m s, [3] integral of the disturbance torque, body FRD
+TRUTH_VELOCITY: Final = 17  # m/s, [3] velocity gained
+TRUTH_RATES: Final = 20  # rad/s, [3] rates gained
+TOUCH_SPEED: Final = 23  # m/s, greatest speed of sinking at a touch-down
+TOUCH_TILT: Final = 24  # rad, greatest tilt while touching the floor after having been airborne
+CURRENT: Final = 25  # A, last battery current
+SUMS_SIZE: Final = 26
+
+# --- parameters: constant, except those that the world changes at an event (see world.py) -----------------------
+MASS: Final = 0  # kg, with payload
+CENTRE: Final = 1  # m, [3] centre of mass relative to the reference point, body
+INERTIA: Final = 4  # kg m^2, [6] xx yy zz xy xz yz about the centre of mass
+INVERSE: Final = 10  # 1/(kg m^2), [6] its inverse, same order
+THRUST_FACTOR: Final = 16  # [4] left of a damaged rotor's thrust
+TORQUE_FACTOR: Final = 20  # [4] left of a damaged rotor's drag torque
+GAIN: Final = 24  # [4] motor gain
+STEP: Final = 28  # s, length of a sub-step
+KEEP_UP: Final = 29  # [2] what is left of a thrust error after a half and a whole sub-step, rising
+KEEP_DOWN: Final = 31  # [2] the same, falling
+NOMINAL_KEEP: Final = 33  # [2] the nominal motors': rising, falling, whole sub-step
+MAX_THRUST: Final = 35  # N per motor, at the rated voltage
+TORQUE_RATIO: Final = 36  # m, drag torque per thrust
+ARM_X: Final = 37  # m
+ARM_Y: Final = 38  # m
+ROTOR_HEIGHT: Final = 39  # m above the reference point
+THRUST_SLOPE: Final = 40  # N/(rad/s)^2
+ROTOR_RADIUS: Final = 41  # m
+GROUND_EFFECT: Final = 42  # factor of (R/4z)^2; 0 switches it off
+DRAG_LINEAR: Final = 43  # N/(m/s)
+DRAG_QUADRATIC: Final = 44  # N/(m/s)^2
+GRAVITY: Final = 45  # m/s^2
+RATED_VOLTAGE: Final = 46  # V
+FULL_VOLTAGE: Final = 47  # V
+EMPTY_VOLTAGE: Final = 48  # V, open circuit
+CAPACITY: Final = 49  # A s
+RESISTANCE: Final = 50  # ohm
+POLARISATION_RESISTANCE: Final = 51  # ohm
+POLARISATION_KEEP: Final = 52  # left of the polarisation error after a sub-step
+POWER_FACTOR: Final = 53  # W/N^1.5
+IDLE_CURRENT: Final = 54  # A
+CONTACT_STIFFNESS: Final = 55  # N/m per point
+CONTACT_DAMPING: Final = 56  # N/(m/s) per point
+CONTACT_GRIP: Final = 57  # N/(m/s) per point, tangential, below sliding
+FRICTION: Final = 58  # Coulomb's coefficient
+FOOT_X: Final = 59  # m
+FOOT_Y: Final = 60  # m
+FOOT_DROP: Final = 61  # m below the reference point
+NOMINAL_MASS: Final = 62  # kg
+NOMINAL_INERTIA: Final = 63  # kg m^2, [3]
+NOMINAL_MAX_THRUST: Final = 66  # N
+NOMINAL_TORQUE_RATIO: Final = 67  # m
+NOMINAL_ARM_X: Final = 68  # m
+NOMINAL_ARM_Y: Final = 69  # m
+PARAMETERS_SIZE: Final = 70
+
+# --- one row per disturbance that acts at every sub-step --------------------------------------------------------
+KIND_WIND: Final = 0
+KIND_JET: Final = 1
+KIND_GUSTS: Final = 2
+KIND_CLOTH: Final = 3
+KIND_SAG: Final = 4
+ROW_KIND: Final = 0
+ROW_ONSET: Final = 1  # s
+ROW_END: Final = 2  # s
+ROW_VALUES: Final = 3  # meaning by kind, see world.py
+ROW_SIZE: Final = 12
+ROW_STATE_SIZE: Final = 5
+"""Gusts: air velocity NED. Cloth: bob's offset north and east, its velocity, and the phase of the flapping."""
+NOISE_PER_ROW: Final = 3
+"""Normal draws that one row gets at each sub-step, used or not, so that blocks do not disturb each other's draws."""

@@ -1,0 +1,71 @@
+"""Motors and battery: from commands to thrust, rotor phase and terminal voltage, over one sub-step.
+
+A motor's thrust follows its command with a first-order lag, faster up than down. The lag's exact solution over a
+sub-step is used, so the motors add no integration error. Thrust per command grows with the square of the voltage.
+"""
+
+from math import pi, sqrt
+
+import sim_vehicle.physics.layout as at
+from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.records import Array
+
+TWO_PI = 2.0 * pi
+LEAST_THRUST = 1.0e-12
+"""N; less is nought, so that no denormal numbers slow the processor down."""
+
+
+@compiled
+def lag_motors(state: Array, commands: Array, P: Array, thrust: Array) -> None:
+    """Advance the motors by one sub-step.
+
+    Parameters
+    ----------
+    state: [STATE_SIZE], changed in place: thrusts, nominal thrusts, rotor phases.
+    commands: [4] fractions of full thrust, 0..1, PX4 order; zero is off.
+    P: [PARAMETERS_SIZE].
+    thrust: [3, 4] out: N, sound-rotor thrust at the start, the middle and the end of the sub-step.
+    """
+    ratio = state[at.VOLTAGE] / P[at.RATED_VOLTAGE]
+    full = P[at.MAX_THRUST] * ratio * ratio
+    for i in range(4):
+        start = state[at.THRUST + i]
+        target = commands[i] * full * P[at.GAIN + i]
+        keep = at.KEEP_UP if target > start else at.KEEP_DOWN
+        middle = target + (start - target) * P[keep]
+        end = target + (start - target) * P[keep + 1]
+        if end < LEAST_THRUST:
+            middle, end = 0.0, 0.0
+        thrust[0, i] = start
+        thrust[1, i] = middle
+        thrust[2, i] = end
+        state[at.THRUST + i] = end
+        phase = state[at.ROTOR_PHASE + i] + sqrt(middle / P[at.THRUST_SLOPE]) * P[at.STEP]
+        state[at.ROTOR_PHASE + i] = phase - TWO_PI * int(phase / TWO_PI)
+        nominal = state[at.NOMINAL_THRUST + i]
+        target = commands[i] * P[at.NOMINAL_MAX_THRUST]
+        keep = at.NOMINAL_KEEP if target > nominal else at.NOMINAL_KEEP + 1
+        end = target + (nominal - target) * P[keep]
+        state[at.NOMINAL_THRUST + i] = end if end >= LEAST_THRUST else 0.0
+
+
+@compiled
+def drain_battery(state: Array, drop_v: float, P: Array) -> float:
+    """Advance the battery by one sub-step; gives the current in A.
+
+    Open-circuit voltage falls linearly with charge; the drop has an immediate and a slow resistive part. Electrical
+    power is taken as proportional to thrust^1.5 (momentum theory). `drop_v`: further drop, from a disturbance.
+    """
+    power = 0.0
+    for i in range(4):
+        thrust = state[at.THRUST + i]
+        power += thrust * sqrt(thrust)
+    current = P[at.IDLE_CURRENT] + P[at.POWER_FACTOR] * power / state[at.VOLTAGE]
+    state[at.CHARGE_USED] += current * P[at.STEP]
+    used = min(1.0, state[at.CHARGE_USED] / P[at.CAPACITY])
+    target = current * P[at.POLARISATION_RESISTANCE]
+    state[at.POLARISATION] = target + (state[at.POLARISATION] - target) * P[at.POLARISATION_KEEP]
+    open_circuit = P[at.FULL_VOLTAGE] + (P[at.EMPTY_VOLTAGE] - P[at.FULL_VOLTAGE]) * used
+    voltage = open_circuit - current * P[at.RESISTANCE] - state[at.POLARISATION] - drop_v
+    state[at.VOLTAGE] = max(1.0, voltage)
+    return float(current)

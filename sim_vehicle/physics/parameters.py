@@ -1,0 +1,181 @@
+"""The vehicle's constants as typed records. Values with their sources stand in configs/vehicles/*.yaml; units here."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from configs.loader import Record
+from protocol.geometry import Vector3
+
+PositiveVector3 = tuple[
+    Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]
+]
+UnitVector3 = tuple[Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)]]
+
+
+class BodyConfig(Record):
+    """Mass and geometry. The inertia is about the centre of mass, along the body's axes."""
+
+    mass_kg: float = Field(gt=0.0, description="kg")
+    inertia_kg_m2: PositiveVector3 = Field(description="Jxx, Jyy, Jzz, kg m^2")
+    centre_of_mass_m: Vector3 = Field(description="m, body FRD, from the point half way between the rotors' axes")
+    arm_x_m: float = Field(gt=0.0, description="m, forward distance of a rotor from the centre")
+    arm_y_m: float = Field(gt=0.0, description="m, sideways distance of a rotor from the centre")
+    rotor_height_m: float = Field(ge=0.0, lt=0.1, description="m, rotor plane above the centre")
+    rotor_radius_m: float = Field(gt=0.0, description="m")
+
+
+class MotorConfig(Record):
+    """Motors and rotors; thrust is linear in the command fraction."""
+
+    max_thrust_n: float = Field(gt=0.0, description="N per motor at full command and rated voltage")
+    thrust_slope_n_s2: float = Field(gt=0.0, description="N/(rad/s)^2, thrust per squared rotor speed")
+    torque_ratio_m: float = Field(ge=0.0, description="m, drag torque per thrust, as it really is")
+    gain: tuple[float, float, float, float] = Field(description="thrust per command against max_thrust_n, PX4 order")
+    lag_up_s: float = Field(gt=0.0, description="s, time constant of rising thrust")
+    lag_down_s: float = Field(gt=0.0, description="s, time constant of falling thrust")
+    command_min: float = Field(ge=0.0, lt=1.0, description="least fraction of an armed motor")
+    command_delay_s: float = Field(ge=0.0, le=0.1, description="s from a command's arrival to its effect")
+    command_timeout_s: float = Field(gt=0.0, description="s without a command after which the motors stop")
+
+
+class BatteryConfig(Record):
+    """A single lithium-polymer cell with an immediate and a slow resistance."""
+
+    rated_v: float = Field(gt=0.0, description="V, at which a motor gives max_thrust_n; thrust grows with V^2")
+    full_v: float = Field(gt=0.0, description="V, open circuit, full")
+    empty_v: float = Field(gt=0.0, description="V, open circuit, empty")
+    capacity_mah: float = Field(gt=0.0, description="mA h")
+    charge_used: float = Field(ge=0.0, lt=1.0, description="fraction used at the start")
+    resistance_ohm: float = Field(ge=0.0, description="ohm")
+    polarisation_ohm: float = Field(ge=0.0, description="ohm, of the slow drop")
+    polarisation_s: float = Field(gt=0.0, description="s, time constant of the slow drop")
+    power_w_n15: float = Field(ge=0.0, description="W/N^1.5, electrical power per thrust^1.5 of a motor")
+    idle_a: float = Field(ge=0.0, description="A, electronics")
+
+
+class DragConfig(Record):
+    """Airframe drag, at the rotor plane, against the air: (linear + quadratic |u|) u."""
+
+    linear_n_s_m: float = Field(ge=0.0, description="N/(m/s)")
+    quadratic_n_s2_m2: float = Field(ge=0.0, description="N/(m/s)^2")
+
+
+class FloorConfig(Record):
+    """The floor at d = 0: contact at four feet and four rotor rims, and ground effect."""
+
+    stiffness_n_m: float = Field(gt=0.0, description="N/m per contact point")
+    damping_n_s_m: float = Field(ge=0.0, description="N/(m/s) per contact point")
+    grip_n_s_m: float = Field(ge=0.0, description="N/(m/s) per contact point, sideways, until it slides")
+    friction: float = Field(ge=0.0, description="Coulomb's coefficient")
+    foot_x_m: float = Field(gt=0.0, lt=0.1, description="m")
+    foot_y_m: float = Field(gt=0.0, lt=0.1, description="m")
+    foot_drop_m: float = Field(gt=0.0, lt=0.1, description="m, feet below the centre")
+    ground_effect: float = Field(ge=0.0, description="k of thrust factor 1 + k (R/4z)^2; 0 switches it off")
+
+
+class NominalConfig(Record):
+    """What a designer without measurements would believe: the reference of the truth's disturbance force and torque.
+
+    The onboard side has its own configuration; this one should agree with it.
+    """
+
+    mass_kg: float = Field(gt=0.0, description="kg")
+    inertia_kg_m2: PositiveVector3 = Field(description="Jxx, Jyy, Jzz, kg m^2")
+    arm_x_m: float = Field(gt=0.0, description="m")
+    arm_y_m: float = Field(gt=0.0, description="m")
+    max_thrust_n: float = Field(gt=0.0, description="N per motor at full command")
+    torque_ratio_m: float = Field(ge=0.0, description="m, drag torque per thrust")
+    lag_up_s: float = Field(gt=0.0, description="s")
+    lag_down_s: float = Field(gt=0.0, description="s")
+
+
+class ImuConfig(Record):
+    """Accelerometer, gyro and barometer, which share HIL_SENSOR.
+
+    Noise sigmas are per sample at the IMU's rate. Biases are drawn once per flight from the seed: accelerometer normal
+    with the given sigmas, gyro uniform within plus or minus the given bounds.
+    """
+
+    accelerometer_bias_sigma_m_s2: UnitVector3 = Field(description="m/s^2")
+    accelerometer_noise_m_s2: float = Field(ge=0.0, description="m/s^2, motors off")
+    accelerometer_vibration_m_s2: float = Field(ge=0.0, description="m/s^2, added in square by motors at hover thrust")
+    accelerometer_step_m_s2: float = Field(gt=0.0, description="m/s^2, quantisation")
+    accelerometer_range_m_s2: float = Field(gt=0.0, description="m/s^2, full scale")
+    gyroscope_bias_bound_rad_s: UnitVector3 = Field(description="rad/s")
+    gyroscope_noise_rad_s: float = Field(ge=0.0, description="rad/s")
+    gyroscope_step_rad_s: float = Field(gt=0.0, description="rad/s, quantisation")
+    gyroscope_range_rad_s: float = Field(gt=0.0, description="rad/s, full scale")
+    gyroscope_delay_samples: int = Field(ge=0, le=10, description="samples by which the gyro lags")
+    pressure_noise_pa: float = Field(ge=0.0, description="Pa")
+    pressure_bias_sigma_pa: float = Field(ge=0.0, description="Pa, drawn once")
+    pressure_step_pa: float = Field(gt=0.0, description="Pa, quantisation")
+    pressure_at_floor_pa: float = Field(gt=0.0, description="Pa at d = 0")
+
+
+class UltrasonicConfig(Record):
+    """Height by ultrasound."""
+
+    rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
+    noise_m: float = Field(ge=0.0, description="m")
+    least_m: float = Field(gt=0.0, description="m, shorter distances read as this")
+    greatest_m: float = Field(gt=0.0, description="m, beyond it there is no reading")
+    outlier_probability: float = Field(ge=0.0, le=1.0, description="share of readings that are uniform in range")
+    half_cone_rad: float = Field(ge=0.0, description="rad, tilt up to which the nearest floor is straight below")
+
+
+class FlowConfig(Record):
+    """Optical flow camera."""
+
+    rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
+    noise_rad_s: float = Field(ge=0.0, description="rad/s per frame, at full quality")
+    gyroscope_noise_rad_s: float = Field(ge=0.0, description="rad/s per frame")
+    quality: int = Field(ge=0, le=255, description="quality over a good floor")
+    least_m: float = Field(gt=0.0, description="m, out of focus below: quality 0")
+    greatest_m: float = Field(gt=0.0, description="m, quality 0 above")
+    rate_limit_rad_s: float = Field(gt=0.0, description="rad/s of flow beyond which quality is 0")
+
+
+class OutageConfig(Record):
+    """A time without motion capture."""
+
+    start_s: float = Field(ge=0.0, description="s, flight time")
+    end_s: float = Field(gt=0.0, description="s, flight time")
+
+
+class MotionCaptureConfig(Record):
+    """Motion capture of the room, which reports to the offboard host."""
+
+    rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
+    latency_s: float = Field(ge=0.0, le=1.0, description="s from capture to the datagram's leaving")
+    position_noise_m: float = Field(ge=0.0, description="m, per axis")
+    attitude_noise_rad: float = Field(ge=0.0, description="rad, per axis")
+    loss_probability: float = Field(ge=0.0, le=1.0, description="share of frames that are not solved")
+    outages: tuple[OutageConfig, ...] = Field(default=(), description="no frames at all in these times")
+
+
+class SensorsConfig(Record):
+    """Everything that measures."""
+
+    imu: ImuConfig
+    ultrasonic: UltrasonicConfig
+    flow: FlowConfig
+    motion_capture: MotionCaptureConfig
+    battery_noise_v: float = Field(ge=0.0, description="V")
+
+
+class LinkConfig(Record):
+    """MAVLink identity of the vehicle's sensors and motors."""
+
+    system_id: int = Field(ge=1, le=255)
+    component_id: int = Field(ge=1, le=255)
+    clock_offset_s: float = Field(ge=0.0, description="s on the vehicle's clock when the simulation starts")
+
+
+class InitialConfig(Record):
+    """State at flight time 0."""
+
+    position_ned_m: Vector3 | None = Field(default=None, description="m; left out: at rest on the floor at n = e = 0")
+    velocity_ned_m_s: Vector3 = Field(default=(0.0, 0.0, 0.0), description="m/s")
+    yaw_rad: float = Field(default=0.0, description="rad")
+    hovering: bool = Field(default=False, description="whether the motors start at hover thrust")

@@ -1,0 +1,1 @@
+"""Sensor models: rate, delay, noise, bias, quantisation and faults."""

@@ -1,0 +1,78 @@
+"""What the IMU reads of a state: one compiled function, since it runs at every 200 Hz tick."""
+
+from math import cos, sin, sqrt
+
+import numpy as np
+
+import sim_vehicle.physics.layout as at
+from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.physics.packing import GRAVITY
+from sim_vehicle.physics.parameters import ImuConfig
+from sim_vehicle.records import Array
+
+AIR_DENSITY = 1.184
+"""kg/m^3, as in the thrust map."""
+ACCELEROMETER_NOISE, VIBRATION, HOVER_THRUST, GYROSCOPE_NOISE, PRESSURE_NOISE, FLOOR_PRESSURE = 0, 1, 2, 3, 4, 5
+ACCELEROMETER_STEP, ACCELEROMETER_RANGE, GYROSCOPE_STEP, GYROSCOPE_RANGE, PRESSURE_STEP = 6, 7, 8, 9, 10
+
+
+def imu_settings(config: ImuConfig, hover_thrust_n: float) -> Array:
+    """[11] the flat settings of `read_imu`. hover_thrust_n: of one motor."""
+    return np.array(
+        [
+            config.accelerometer_noise_m_s2,
+            config.accelerometer_vibration_m_s2,
+            hover_thrust_n,
+            config.gyroscope_noise_rad_s,
+            config.pressure_noise_pa,
+            config.pressure_at_floor_pa,
+            config.accelerometer_step_m_s2,
+            config.accelerometer_range_m_s2,
+            config.gyroscope_step_rad_s,
+            config.gyroscope_range_rad_s,
+            config.pressure_step_pa,
+        ]
+    )
+
+
+@compiled
+def quantised(value: float, step: float, full: float) -> float:
+    """The nearest multiple of `step`, within plus or minus `full`."""
+    return float(step * np.rint(max(-full, min(full, value)) / step))
+
+
+@compiled
+def read_imu(
+    state: Array, sums: Array, shaking: Array, bias: Array, noise: Array, settings: Array, reading: Array
+) -> None:
+    """Write accelerometer (m/s^2), gyro (rad/s), both body FRD, and pressure (Pa) into reading[7]; zeroes the sums.
+
+    shaking: [4, 2] amplitude of each rotor's imbalance at hover speed, m/s^2 and rad/s. It turns with the rotor's
+    phase, so that 200 Hz sampling aliases it as in a real IMU without filter, and grows with the squared rotor speed.
+    bias, noise: [7], noise of unit normal draws. settings: see imu_settings.
+    """
+    time = max(sums[at.IMU_TIME], 1.0e-9)
+    for i in range(3):
+        reading[i] = sums[at.IMU_FORCE + i] / time
+        reading[3 + i] = state[at.RATES + i]
+    sums[at.IMU_TIME : at.IMU_FORCE + 3] = 0.0
+    level = 0.0
+    for i in range(4):
+        share = state[at.THRUST + i] / settings[HOVER_THRUST]
+        level += 0.25 * share
+        if shaking[i, 0] + shaking[i, 1] > 0.0:
+            c, s = share * cos(state[at.ROTOR_PHASE + i]), share * sin(state[at.ROTOR_PHASE + i])
+            reading[0] += shaking[i, 0] * c
+            reading[1] += shaking[i, 0] * s
+            reading[3] += shaking[i, 1] * s
+            reading[4] += shaking[i, 1] * c
+    vibration = settings[VIBRATION] * level
+    sigma = sqrt(settings[ACCELEROMETER_NOISE] ** 2 + vibration * vibration)
+    for i in range(3):
+        value = reading[i] + bias[i] + sigma * noise[i]
+        reading[i] = quantised(value, settings[ACCELEROMETER_STEP], settings[ACCELEROMETER_RANGE])
+        value = reading[3 + i] + bias[3 + i] + settings[GYROSCOPE_NOISE] * noise[3 + i]
+        reading[3 + i] = quantised(value, settings[GYROSCOPE_STEP], settings[GYROSCOPE_RANGE])
+    pressure = settings[FLOOR_PRESSURE] + AIR_DENSITY * GRAVITY * state[at.POSITION + 2]
+    value = pressure + bias[6] + settings[PRESSURE_NOISE] * noise[6]
+    reading[6] = quantised(value, settings[PRESSURE_STEP], 2.0e5)

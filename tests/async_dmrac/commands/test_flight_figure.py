@@ -1,0 +1,19 @@
+"""The picture of a flight marks each lost datagram, and a flight without a log of them is drawn all the same."""
+
+from pathlib import Path
+
+import pytest
+
+from async_dmrac.command_line import main
+from experiments.flights.logged_flight import lost_datagrams
+
+
+def test_a_flight_is_drawn_with_what_its_link_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = "fly hover --lockstep --no-offboard --duration 5 --out flown --set radio.up.loss=0.2"
+    assert main(words.split()) == 0
+    lost = lost_datagrams(tmp_path / "flown")
+    assert (tmp_path / "flown" / "flight.png").stat().st_size > 10_000
+    assert set(lost) == {"up", "down"}
+    assert all(((times_s >= 0.0) & (times_s <= 5.0)).all() for times_s in lost.values())
+    assert lost_datagrams(tmp_path) == {}

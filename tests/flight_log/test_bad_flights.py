@@ -1,0 +1,98 @@
+"""What is no flight: every command that takes one says so in one line that names it, with exit status 2."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from async_dmrac.command_line import main
+from flight_log.mcap_file import METADATA_NAME, McapFile
+from flight_log.reader import open_flight
+from flight_log.writer import FlightLogWriter
+
+
+def missing(folder: Path) -> None:
+    folder.rmdir()
+
+
+def empty(folder: Path) -> None:
+    pass
+
+
+def without_records(folder: Path) -> None:
+    FlightLogWriter(folder / "onboard.mcap", "onboard").close()
+
+
+def cut_to_nothing(folder: Path) -> None:
+    (folder / "onboard.mcap").write_bytes(b"\x89MCAP0\r\n\x01")
+
+
+def no_log(folder: Path) -> None:
+    (folder / "onboard.mcap").write_bytes(b"PK\x03\x04 something else")
+
+
+def foreign(folder: Path) -> None:
+    with (folder / "onboard.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="somebody else")
+        writer.finish()
+
+
+def newer(folder: Path) -> None:
+    file = McapFile(folder / "onboard.mcap")
+    file.start()
+    file.add_metadata(METADATA_NAME, {"format_version": "99"})
+    file.close()
+
+
+FOLDERS = {
+    missing: "no such flight",
+    empty: "holds no flight log (*.mcap)",
+    without_records: "the flight log holds no records",
+    cut_to_nothing: "the flight log holds no records",
+    no_log: "not an MCAP file",
+    foreign: "an MCAP file, but no flight log of this project",
+    newer: "written in format 99, this version reads up to 1",
+}
+COMMANDS = (
+    *("log info", "log check", "log merge", "log export --csv --npz --ulog", "report"),
+    *("compare --out c.html FLIGHT", "view --web --no-open", "view --save f.rrd", "replay", "replay --check"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(("make", "said"), FOLDERS.items(), ids=lambda value: getattr(value, "__name__", ""))
+def test_what_is_no_flight_is_named_in_one_line(
+    command: str,
+    make: Callable[[Path], None],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    make(folder)
+    before = sorted(tmp_path.rglob("*"))
+    assert main([*command.replace("FLIGHT", str(folder)).split(), str(folder)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"dmrac {command.split()[0]}: {folder}")
+    assert said in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert sorted(tmp_path.rglob("*")) == before, "nothing is written"
+
+
+def test_a_cut_flight_opens_and_check_says_up_to_where(full_flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = full_flight / "onboard.mcap"
+    log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    for command in ("log info", "log export --npz", "report"):
+        assert main([*command.split(), str(full_flight)]) == 0
+    capsys.readouterr()
+    assert main(["log", "check", str(full_flight)]) == 1
+    [line] = capsys.readouterr().out.splitlines()
+    end_s = open_flight(full_flight)["onboard/tick"].time_ns[-1] * 1e-9
+    assert 5.0 < end_s < 15.0
+    assert line == f"onboard.mcap: not closed (killed, still flying, or disk full); read up to {end_s:.3f} s"

@@ -1,0 +1,82 @@
+"""The incremental novelty tests and the swap against brute force."""
+
+import numpy as np
+import pytest
+
+from offboard.data.novelty import JITTER, HistoryNovelty, KernelNovelty, best_swap
+
+
+def brute_gamma(points: np.ndarray, x: np.ndarray) -> float:
+    """k(x,x) - k' (K + JITTER I)^-1 k, solved anew."""
+    if not len(points):
+        return 1.0
+    K = np.exp(-0.5 * ((points[:, None] - points[None]) ** 2).sum(axis=2)) + JITTER * np.eye(len(points))
+    k = np.exp(-0.5 * ((points - x) ** 2).sum(axis=1))
+    return float(1.0 - k @ np.linalg.solve(K, k))
+
+
+def test_gamma_equals_brute_force_through_additions_and_replacements() -> None:
+    rng = np.random.default_rng(1)
+    novelty, kept = KernelNovelty(160, 4), np.zeros((0, 4))
+    for step in range(600):
+        x = rng.normal(0.0, 1.2, 4)
+        gamma, nearest = novelty.gamma(x)
+        assert gamma == pytest.approx(brute_gamma(kept, x), abs=1e-6)
+        if len(kept):
+            assert nearest == int(((kept - x) ** 2).sum(axis=1).argmin())
+        other = x if step % 3 else rng.normal(0.0, 1.2, 4)  # what was asked about last, or not
+        if len(kept) and (len(kept) == 160 or rng.random() < 0.3):
+            slot = int(rng.integers(len(kept)))
+            novelty.replace(slot, other)
+            kept[slot] = other
+        elif gamma > 0.01:
+            novelty.add(len(kept), x)
+            kept = np.vstack([kept, x])
+    assert len(kept) == 160
+
+
+def test_gamma_does_not_drift_over_thousands_of_swaps() -> None:
+    rng = np.random.default_rng(2)
+    novelty, kept = KernelNovelty(64, 3), np.zeros((64, 3))
+    for slot in range(64):
+        kept[slot] = rng.normal(0.0, 1.0, 3)
+        novelty.add(slot, kept[slot])
+    for _ in range(4000):
+        slot = int(rng.integers(64))
+        kept[slot] = rng.normal(0.0, 1.0, 3)
+        novelty.replace(slot, kept[slot])
+    x = rng.normal(0.0, 1.0, 3)
+    assert novelty.gamma(x)[0] == pytest.approx(brute_gamma(kept, x), abs=1e-5)
+
+
+def smallest_singular_value(Phi: np.ndarray) -> float:
+    return float(np.linalg.svd(Phi, compute_uv=False)[-1])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_best_swap_equals_brute_force_over_all_swaps(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p, k = int(rng.integers(12, 80)), int(rng.integers(2, 10))
+    Phi = np.tanh(rng.normal(0.0, 1.0, (p, k)) * rng.uniform(0.05, 1.0, k))
+    phi_new = np.tanh(rng.normal(0.0, 1.0, k))
+    after = [smallest_singular_value(np.vstack([np.delete(Phi, row, axis=0), phi_new])) for row in range(p)]
+    chosen = best_swap(Phi, Phi.T @ Phi, phi_new)
+    assert after[chosen] == pytest.approx(max(after), rel=1e-6)
+
+
+def test_best_swap_copes_with_a_stack_that_lacks_rank() -> None:
+    Phi = np.ones((5, 3))
+    assert 0 <= best_swap(Phi, Phi.T @ Phi, np.ones(3)) < 5
+
+
+def test_history_test_admits_what_moves_or_adds_a_direction() -> None:
+    novelty = HistoryNovelty(0.1)
+    first = np.array([1.0, 0.0, 0.0])
+    assert novelty.is_new(first)
+    novelty.add(first)
+    assert not novelty.is_new(first)
+    assert not novelty.is_new(np.array([1.1, 0.0, 0.0]))
+    assert novelty.is_new(np.array([1.1, 0.01, 0.0]))  # a small step, but in a direction of its own
+    novelty.add(np.array([1.1, 0.01, 0.0]))
+    assert not novelty.is_new(np.array([1.1, 0.02, 0.0]))
+    assert novelty.is_new(np.array([0.5, 0.5, 0.0]))  # a large step

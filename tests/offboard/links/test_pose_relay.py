@@ -1,0 +1,132 @@
+"""Motion capture in, poses out; rubbish counted."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from offboard.config import PoseRelayConfig
+from offboard.links.pose_relay import FROZEN_POSES, TROUBLES, PoseRelay, quaternion_of_euler
+
+MS = 1_000_000
+HALF = math.sqrt(0.5)
+
+
+def relay(latency_s: float = 0.0) -> PoseRelay:
+    return PoseRelay(PoseRelayConfig(latency_s=latency_s, position_limit_m=50.0))
+
+
+def packed(message: mavlink.MAVLink_message) -> bytes:
+    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=7)))
+
+
+def odometry(time_us: int = 1000, x: float = 0.5, q: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0), **over: int) -> bytes:
+    frame = over.get("frame", mavlink.MAV_FRAME_LOCAL_FRD)
+    child = over.get("child", mavlink.MAV_FRAME_BODY_FRD)
+    return packed(
+        mavlink.MAVLink_odometry_message(
+            time_us, frame, child, x, -0.25, -1.0, list(q), 0, 0, 0, 0, 0, 0, [0.0] * 21, [0.0] * 21, 0, 6, 100
+        )
+    )
+
+
+def texts(taker: PoseRelay) -> list[str]:
+    return [text for _, text in taker.take_events()]
+
+
+def test_three_kinds_of_messages_give_the_same_pose() -> None:
+    mocap = mavlink.MAVLink_att_pos_mocap_message(1000, [HALF, 0.0, 0.0, HALF], 0.5, -0.25, -1.0)
+    vicon = mavlink.MAVLink_vicon_position_estimate_message(1000, 0.5, -0.25, -1.0, 0.0, 0.0, math.pi / 2)
+    for datagram in (odometry(q=(HALF, 0.0, 0.0, HALF)), packed(mocap), packed(vicon)):
+        pose = relay().receive(datagram, 5 * MS)
+        assert pose is not None
+        assert pose.position_ned_m == pytest.approx([0.5, -0.25, -1.0])
+        assert pose.quaternion == pytest.approx([HALF, 0.0, 0.0, HALF], abs=1e-6)
+        assert pose.time_ns == 5 * MS
+
+
+def test_euler_angles_turn_in_the_right_order() -> None:
+    roll, pitch, yaw = 0.3, -0.4, 1.1
+    q = quaternion_of_euler(roll, pitch, yaw)
+    w, x, y, z = q
+    forward = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    assert forward == pytest.approx(
+        [math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), -math.sin(pitch)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("datagram", "reason"),
+    [
+        (b"", "length"),
+        (b"x" * 400, "length"),
+        (b"\xfd\x00", "frame_bytes"),
+        (odometry()[:-3], "frame_bytes"),
+        (odometry(x=float("nan")), "not_finite"),
+        (odometry(q=(float("inf"), 0.0, 0.0, 0.0)), "not_finite"),
+        (odometry(x=60.0), "too_far"),
+        (odometry(q=(0.5, 0.0, 0.0, 0.0)), "quaternion"),
+        (odometry(frame=mavlink.MAV_FRAME_BODY_FRD), "frame"),
+        (odometry(child=mavlink.MAV_FRAME_LOCAL_NED), "frame"),
+        (packed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3)), "message"),
+    ],
+)
+def test_what_cannot_be_believed_is_counted_by_reason(datagram: bytes, reason: str) -> None:
+    taker = relay()
+    assert taker.receive(datagram, 5 * MS) is None
+    assert taker.rejected == {reason: 1}
+    assert texts(taker) == [f"motion capture: {TROUBLES[reason]}, pose ignored"]
+    assert taker.receive(odometry(), 6 * MS) is not None
+
+
+def test_a_capture_that_repeats_one_pose_is_not_relayed_until_it_sees_again() -> None:
+    taker = relay()
+    relayed = [taker.receive(odometry(10_000 * k, x=0.7), 10 * k * MS) is not None for k in range(1, 41)]
+    assert relayed == [True] * FROZEN_POSES + [False] * (40 - FROZEN_POSES)
+    assert taker.rejected == {"frozen": 40 - FROZEN_POSES}
+    assert texts(taker) == ["motion capture: frozen: repeats one pose, pose ignored"]
+    assert taker.receive(odometry(410_000, x=0.70001), 410 * MS) is not None
+
+
+def test_what_is_wrong_is_said_once_a_second() -> None:
+    taker = relay()
+    for k in range(250):
+        assert taker.receive(odometry(10_000 * k, x=math.nan), 10 * k * MS) is None
+    assert [when // MS for when, _ in taker.take_events()] == [0, 1000, 2000]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=300))
+def test_no_bytes_raise(datagram: bytes) -> None:
+    taker = relay()
+    taker.receive(datagram, MS)
+    damaged = bytearray(odometry())
+    for place, byte in enumerate(datagram[: len(damaged)]):
+        damaged[place] ^= byte & 1
+    taker.receive(bytes(damaged), MS)
+
+
+def test_a_late_datagram_keeps_the_time_at_which_its_pose_was_true() -> None:
+    taker = relay(latency_s=0.004)
+    delays_ms = (3, 1, 9, 1, 14, 2)
+    times = []
+    for number, delay_ms in enumerate(delays_ms):
+        capture_ms = 1000 + 20 * number
+        pose = taker.receive(odometry(capture_ms * 1000), (capture_ms + 500 + delay_ms) * MS)
+        assert pose is not None
+        times.append(pose.time_ns / MS - capture_ms - 500 + 4)
+    assert times == pytest.approx([3, 1, 1, 1, 1, 1], abs=0.02)
+
+
+def test_old_poses_are_dropped_and_a_restarted_capture_is_followed() -> None:
+    taker = relay()
+    assert taker.receive(odometry(100_000), 1000 * MS) is not None
+    assert taker.receive(odometry(80_000), 1001 * MS) is None
+    assert taker.receive(odometry(100_000), 1002 * MS) is None
+    assert taker.rejected == {"old": 2}
+    pose = taker.receive(odometry(5_000), 2000 * MS)
+    assert pose is not None
+    assert pose.time_ns == 2000 * MS

@@ -1,0 +1,100 @@
+"""The gate: sends what is better, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from offboard.training.gate import Evidence, Gate, Verdict, mean_and_error
+from offboard.training.network import InputPlan, feature_set, initial_state
+from protocol.feature_set import FeatureSet
+from tests.offboard.flights import offboard_config
+
+CONFIG = offboard_config()
+S = 1_000_000_000
+
+
+def candidate() -> FeatureSet:
+    return feature_set(initial_state(CONFIG.network, np.random.default_rng(1)), InputPlan.of(CONFIG.network), 1, 0, 100)
+
+
+def evidence(new: tuple[float, float], flying: tuple[float, float], n: int = 80, seed: int = 0) -> Evidence:
+    """Errors around the given means; labels of power 1 in both channels."""
+    rng = np.random.default_rng(seed)
+    spread = rng.uniform(0.8, 1.2, (n, 1))
+    return Evidence(
+        time_ns=np.arange(n) * 20_000_000,
+        candidate_errors=spread * np.array(new),
+        flying_errors=spread * np.array(flying),
+        label_power=np.ones(2),
+        numpy_difference=1e-6,
+        spectral_norms=(1.0, 2.0),
+    )
+
+
+def gate() -> Gate:
+    return Gate(CONFIG.gate, CONFIG.network.spectral_norm_max)
+
+
+def judge(found: Evidence, features: FeatureSet | None = None) -> Verdict:
+    return gate().judge(features or candidate(), found, 10 * S)
+
+
+def test_sends_what_is_clearly_better() -> None:
+    assert judge(evidence((0.1, 0.2), (0.5, 0.6))) is Verdict.SEND
+
+
+def test_one_better_channel_is_enough_unless_the_other_gets_worse() -> None:
+    assert judge(evidence((0.1, 0.2), (0.5, 0.2))) is Verdict.SEND
+    assert judge(evidence((0.1, 0.9), (0.5, 0.2))) is Verdict.WORSE_ELSEWHERE
+
+
+def test_nothing_is_sent_while_the_flying_version_is_good() -> None:
+    tiny = 0.5 * CONFIG.gate.trigger_unexplained
+    assert judge(evidence((0.0, 0.0), (tiny, tiny))) is Verdict.NOT_TRIGGERED
+
+
+def test_a_small_or_doubtful_gain_is_not_sent() -> None:
+    assert judge(evidence((0.495, 0.495), (0.5, 0.5))) is Verdict.NOT_BETTER
+    rng = np.random.default_rng(2)
+    noisy = evidence((0.5, 0.5), (0.55, 0.55), n=40)
+    doubtful = replace(
+        noisy, candidate_errors=rng.exponential(0.5, (40, 2)), flying_errors=rng.exponential(0.55, (40, 2))
+    )
+    assert judge(doubtful) is not Verdict.SEND
+
+
+def test_too_few_samples_and_too_soon() -> None:
+    good = evidence((0.1, 0.1), (0.5, 0.5))
+    assert judge(evidence((0.1, 0.1), (0.5, 0.5), n=CONFIG.gate.minimum_validation - 1)) is Verdict.TOO_FEW_SAMPLES
+    keeper = gate()
+    keeper.sent(10 * S)
+    assert keeper.judge(candidate(), good, 10 * S + S // 10) is Verdict.TOO_SOON
+    assert keeper.judge(candidate(), good, 10 * S + round((CONFIG.gate.interval_s + 0.1) * S)) is Verdict.SEND
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({"numpy_difference": 1e-2}, Verdict.NUMPY_DIFFERS),
+        ({"numpy_difference": float("nan")}, Verdict.NUMPY_DIFFERS),
+        ({"spectral_norms": (1.0, 2.0 * CONFIG.network.spectral_norm_max)}, Verdict.SPECTRAL_NORM),
+        ({"candidate_errors": np.full((80, 2), np.nan)}, Verdict.NOT_FINITE),
+    ],
+)
+def test_what_must_not_fly_is_stopped_however_good(change: dict[str, object], verdict: Verdict) -> None:
+    assert judge(replace(evidence((0.1, 0.1), (0.5, 0.5)), **change)) is verdict
+
+
+def test_a_channel_that_is_not_learnt_has_no_say() -> None:
+    found = replace(evidence((0.1, 5.0), (0.5, 0.1)), label_power=np.array([1.0, np.nan]))
+    assert judge(found) is Verdict.SEND
+
+
+def test_neighbours_in_time_do_not_count_as_independent() -> None:
+    rng = np.random.default_rng(3)
+    blocks = rng.normal(0.0, 1.0, 50)
+    values, time_ns = np.repeat(blocks, 10), np.arange(500) * 20_000_000
+    _, error = mean_and_error(values, time_ns)
+    assert error == pytest.approx(blocks.std() / np.sqrt(50), rel=0.1)
+    assert error > 2.5 * values.std() / np.sqrt(500)

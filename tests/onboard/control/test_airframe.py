@@ -1,0 +1,144 @@
+"""Mixer and actuator model: exact inside the limits, yaw given up first, then thrust, then roll and pitch."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from configs.loader import CONFIG_DIRECTORY, fill, read_tree
+from onboard.control.actuators import ActuatorModel
+from onboard.control.airframe import GRAVITY, AirframeConfig
+from onboard.control.mixer import Mixer
+
+AIRFRAME = fill(AirframeConfig, read_tree(CONFIG_DIRECTORY / "onboard.yaml")["airframe"], "onboard.yaml")
+DRIVEN = AIRFRAME.model_copy(update={"motor_response_s": 0.02})
+LOW, HIGH = AIRFRAME.motor_thrust_min_share * AIRFRAME.motor_thrust_max_n, AIRFRAME.motor_thrust_max_n
+SETTINGS = settings(max_examples=200, deadline=None, derandomize=True)
+motors = st.tuples(*[st.floats(LOW, HIGH)] * 4)
+demands = st.tuples(st.floats(-1.0, 3.0), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.01, 0.01))
+
+
+def wrench(thrusts):
+    """Thrust and torque of four motors from first principles: cross products, and reaction against the rotation."""
+    x, y, k = AIRFRAME.arm_x_m, AIRFRAME.arm_y_m, AIRFRAME.yaw_torque_per_thrust_m
+    places = np.array([[x, y, 0], [-x, -y, 0], [x, -y, 0], [-x, y, 0]])
+    torque = sum(np.cross(place, (0.0, 0.0, -T)) for place, T in zip(places, thrusts, strict=True))
+    clockwise = np.array([-1.0, -1.0, 1.0, 1.0])  # seen from above, positive about body down
+    torque[2] = -k * float(clockwise @ np.array(thrusts))
+    return sum(thrusts), *torque
+
+
+@SETTINGS
+@given(motors)
+def test_what_the_motors_can_do_is_met_exactly(thrusts):
+    thrust, *torque = wrench(thrusts)
+    np.testing.assert_allclose(Mixer(AIRFRAME).thrusts(thrust, tuple(torque)), thrusts, atol=1e-9)
+
+
+@SETTINGS
+@given(demands)
+def test_every_motor_stays_within_its_limits(demand):
+    thrusts = Mixer(AIRFRAME).thrusts(demand[0], demand[1:])
+    assert all(LOW - 1e-12 <= thrust <= HIGH + 1e-12 for thrust in thrusts)
+
+
+@SETTINGS
+@given(demands)
+def test_the_order_of_giving_up(demand):
+    """Roll and pitch are met if any thrust allows them, thrust if any yaw allows it; yaw gets what is left."""
+    thrust, roll, pitch, yaw = demand
+    got = wrench(Mixer(AIRFRAME).thrusts(thrust, (roll, pitch, yaw)))
+    share = 2.0 * (abs(roll) / (4 * AIRFRAME.arm_y_m) + abs(pitch) / (4 * AIRFRAME.arm_x_m)) / (HIGH - LOW)
+    if share <= 1.0:
+        assert got[1] == pytest.approx(roll, abs=1e-9)
+        assert got[2] == pytest.approx(pitch, abs=1e-9)
+    else:  # shrunk together, their direction kept
+        assert got[1] == pytest.approx(roll / share, abs=1e-9)
+        assert got[2] == pytest.approx(pitch / share, abs=1e-9)
+    room = 2.0 * min(share, 1.0) * (HIGH - LOW)
+    low, high = 4 * LOW + room, 4 * HIGH - room
+    if low <= thrust <= high:  # possible without yaw, so yaw may not spoil it
+        assert got[0] == pytest.approx(thrust, abs=1e-9)
+    else:  # as near as without yaw, or nearer
+        assert abs(got[0] - thrust) <= abs(min(max(thrust, low), high) - thrust) + 1e-9
+    assert abs(got[3]) <= abs(yaw) + 1e-9
+    assert got[3] * yaw >= -1e-12
+
+
+@SETTINGS
+@given(demands, st.tuples(*[st.floats(-1e-6, 1e-6)] * 4))
+def test_the_mixer_has_no_jumps(demand, change):
+    mixer = Mixer(AIRFRAME)
+    before = mixer.thrusts(demand[0], demand[1:])
+    scale = (1.0, AIRFRAME.arm_x_m, AIRFRAME.arm_y_m, AIRFRAME.yaw_torque_per_thrust_m)
+    moved = [x + dx * unit for x, dx, unit in zip(demand, change, scale, strict=True)]
+    np.testing.assert_allclose(mixer.thrusts(moved[0], tuple(moved[1:])), before, atol=2e-5)
+
+
+@SETTINGS
+@given(demands)
+def test_yaw_takes_all_that_is_left(demand):
+    thrust, roll, pitch, yaw = demand
+    mixer = Mixer(AIRFRAME)
+    thrusts = mixer.thrusts(thrust, (roll, pitch, yaw))
+    missing = abs(yaw) - abs(wrench(thrusts)[3])
+    assume(missing > 1e-9)
+    assert min(min(T - LOW for T in thrusts), min(HIGH - T for T in thrusts)) < 1e-9
+
+
+def test_yaw_is_given_up_before_thrust():
+    thrust = 4 * HIGH - 0.02
+    got = wrench(Mixer(AIRFRAME).thrusts(thrust, (0.0, 0.0, 1.0)))
+    assert got[0] == pytest.approx(thrust)
+    assert 0.0 < got[3] < 1.0
+
+
+@pytest.mark.parametrize(("command", "lag_s"), [(0.3, AIRFRAME.motor_lag_up_s), (0.0, AIRFRAME.motor_lag_down_s)])
+def test_the_actuator_model_is_the_exact_first_order_lag(command, lag_s):
+    model = ActuatorModel(AIRFRAME, 0.005)
+    model.thrusts[:] = 0.15
+    for _ in range(10):
+        model.step((command,) * 4)
+    expected = command + (0.15 - command) * math.exp(-0.05 / lag_s)
+    np.testing.assert_allclose(model.thrusts, expected, rtol=1e-12)
+
+
+@SETTINGS
+@given(motors)
+def test_the_actuator_models_wrench(thrusts):
+    model = ActuatorModel(AIRFRAME, 0.005)
+    model.thrusts[:] = thrusts
+    np.testing.assert_allclose(model.wrench(), wrench(thrusts), atol=1e-12)
+
+
+def test_the_airframe_can_hover_and_turn():
+    hover = AIRFRAME.mass_kg * GRAVITY
+    got = wrench(Mixer(AIRFRAME).thrusts(hover, (1e-3, -1e-3, 1e-4)))
+    np.testing.assert_allclose(got, (hover, 1e-3, -1e-3, 1e-4), atol=1e-12)
+
+
+@pytest.mark.parametrize(("start", "wanted"), [(0.15, 0.16), (0.16, 0.15)])
+def test_driven_motors_follow_with_the_response_and_not_with_their_lag(start, wanted):
+    model = ActuatorModel(DRIVEN, 0.0005)
+    model.thrusts[:] = start
+    for _ in range(round(DRIVEN.motor_response_s / 0.0005)):
+        model.step(model.overdriven((wanted,) * 4))
+    share = (model.thrusts - start) / (wanted - start)
+    np.testing.assert_allclose(share, 1.0 - np.exp(-1.0), atol=0.01)
+
+
+def test_motors_are_left_as_they_are_where_the_response_is_no_shorter_than_the_lag():
+    model, wanted = ActuatorModel(AIRFRAME, 0.005), (0.1, 0.15, 0.2, 0.25)
+    model.thrusts[:] = 0.17
+    assert model.overdriven(wanted) == wanted
+
+
+def test_driven_motors_keep_their_limits_and_stand_where_they_are_wanted():
+    model = ActuatorModel(DRIVEN, 0.005)
+    model.thrusts[:] = 0.15
+    assert model.overdriven((0.15,) * 4) == pytest.approx((0.15,) * 4)
+    most = AIRFRAME.motor_thrust_max_n
+    least = AIRFRAME.motor_thrust_min_share * most
+    assert model.overdriven((most, least, most, least)) == pytest.approx((most, least, most, least))

@@ -1,0 +1,106 @@
+"""From flight mode to target: leads, holds, landing and shifts leave one continuous target."""
+
+import numpy as np
+import pytest
+
+from configs.loader import CONFIG_DIRECTORY, fill, merge, read_tree
+from onboard.estimation.state import VehicleState
+from onboard.flight.guidance import Guidance, GuidanceConfig
+
+DT = 0.005
+FIGURE8 = {"kind": "figure8", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0}
+
+
+def guidance(over=None):
+    leads = {"feed_forward_lead_s": 0.1, "look_ahead_s": 0.17, "attitude_look_ahead_s": 0.06}
+    flight = {"land_after_s": 20.0, "trajectory": {"path": FIGURE8}} | leads
+    tree = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), flight)
+    return Guidance(fill(GuidanceConfig, merge(tree, over or {}), "test"))
+
+
+def started(over=None, place=(0.3, -0.2, -0.02)):
+    flight, state = guidance(over), VehicleState()
+    state.position[:] = place
+    flight.start(state)
+    return flight
+
+
+def fly(flight, *phases):
+    """Targets of all ticks of (run, landing, seconds) phases."""
+    return [flight.step(run, landing, DT) for run, landing, seconds in phases for _ in range(round(seconds / DT))]
+
+
+def columns(targets, what):
+    return np.array([getattr(target.now, what) for target in targets])
+
+
+def test_the_flight_begins_where_the_vehicle_stands():
+    flight = started()
+    first = flight.step(True, False, DT)
+    np.testing.assert_allclose(first.now.position, (0.3, -0.2, -0.02), atol=1e-4)
+    assert first.yaw_rad == 0.0
+
+
+def test_the_target_is_continuous_through_hold_and_landing():
+    targets = fly(started(), (True, False, 12), (False, False, 3), (True, False, 3), (False, True, 6))
+    position, velocity = columns(targets, "position"), columns(targets, "velocity")
+    np.testing.assert_allclose(np.diff(position, axis=0) / DT, 0.5 * (velocity[1:] + velocity[:-1]), atol=0.02)
+    assert np.abs(np.diff(velocity, axis=0)).max() < 5.0 * DT
+
+
+def test_landing_sinks_at_its_speed_from_wherever_the_target_is():
+    flight = started()
+    top = fly(flight, (True, False, 9))[-1].now.position
+    down = fly(flight, (False, True, 5))
+    assert down[-1].now.velocity == pytest.approx((0.0, 0.0, 0.4))
+    assert down[-1].now.position[2] - top[2] == pytest.approx(0.4 * 4.5, abs=0.02)
+    assert np.hypot(*(np.array(down[-1].now.position) - top)[:2]) < 0.7
+
+
+def test_a_landing_that_is_broken_off_comes_to_rest():
+    flight = started()
+    fly(flight, (True, False, 9), (False, True, 2))
+    rest = fly(flight, (False, False, 2))
+    assert rest[-1].now.velocity == (0.0, 0.0, 0.0)
+    assert rest[-1].now.position == rest[-50].now.position
+
+
+def test_the_leads_are_the_targets_own_future():
+    flight = started()
+    targets = fly(flight, (True, False, 12))
+    lead, ahead, attitude_ahead = round(0.10 / DT), round(0.17 / DT), round(0.06 / DT)
+    for tick in (500, 1000, 2000):
+        np.testing.assert_allclose(targets[tick].ahead.position, targets[tick + ahead].now.position, atol=1e-9)
+        np.testing.assert_allclose(targets[tick].ahead.velocity, targets[tick + ahead].now.velocity, atol=1e-9)
+        sooner = targets[tick + attitude_ahead].now
+        np.testing.assert_allclose(targets[tick].attitude_ahead.position, sooner.position, atol=1e-9)
+        np.testing.assert_allclose(targets[tick].feed_forward, targets[tick + lead].now.acceleration, atol=1e-9)
+
+
+def test_a_held_target_has_no_lead():
+    held = fly(started(), (True, False, 12), (False, False, 3))[-1]
+    np.testing.assert_allclose(held.ahead.position, held.now.position)
+    assert held.feed_forward == (0.0, 0.0, 0.0)
+
+
+def test_a_shift_moves_target_and_look_ahead_alike():
+    one, other = started(), started()
+    other.shift((1.0, 2.0, -0.5))
+    a, b = fly(one, (True, False, 8))[-1], fly(other, (True, False, 8))[-1]
+    for which in ("now", "ahead", "attitude_ahead"):
+        moved = np.array(getattr(b, which).position) - getattr(a, which).position
+        np.testing.assert_allclose(moved, (1.0, 2.0, -0.5))
+    assert a.now.velocity == b.now.velocity
+
+
+def test_the_flight_is_finished_when_its_path_time_is_over():
+    flight = started({"land_after_s": 5.0})
+    fly(flight, (True, False, 4.9))
+    assert not flight.finished
+    fly(flight, (False, False, 3.0))
+    assert flight.finished is (flight.path_time_s >= 5.0)
+    fly(flight, (True, False, 2.0))
+    assert flight.finished
+    state = VehicleState()
+    flight.start(state)
+    assert flight.path_time_s == 0.0

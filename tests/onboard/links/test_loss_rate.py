@@ -1,0 +1,108 @@
+import numpy as np
+
+from onboard.links.loss_rate import SILENT_NS, WINDOW_NS, LossWatch
+from protocol.endpoint import Endpoint
+from protocol.messages import Pose, TimeSyncReply, TimeSyncRequest
+from protocol.statistics import LinkStatistics
+
+PERIOD_NS = 10_000_000
+SILENT_WINDOWS = SILENT_NS // WINDOW_NS
+
+
+def watch(losses: list[float | None], seed: int = 0) -> list[float]:
+    """The share said at the end of each window, in which the stated share of 100 datagrams is lost; None: silence.
+
+    As an endpoint does, what was lost is counted when something comes again.
+    """
+    rng, watch, statistics, pending = np.random.default_rng(seed), LossWatch(), LinkStatistics(), 0
+    watch.step(statistics, 0)
+    said, now_ns = [], 0
+    for loss in losses:
+        for _ in range(WINDOW_NS // PERIOD_NS):
+            now_ns += PERIOD_NS
+            if loss is None or rng.random() < loss:
+                pending += 1
+            else:
+                statistics.count_received(100, 0, now_ns)
+                statistics.lost += pending
+                pending = 0
+            share = watch.step(statistics, now_ns)
+        said.append(share)
+    return said
+
+
+def test_steady_loss_is_seen_after_two_windows() -> None:
+    said = watch([0.5] * 10)
+    assert said[0] == 0.0
+    assert all(0.3 < share < 0.6 for share in said[1:])
+
+
+def test_a_silence_is_no_loss() -> None:
+    assert max(watch([0.0] * 5 + [None] * 3 + [0.0] * 5)) == 0.0
+
+
+def test_loss_that_ends_is_forgotten() -> None:
+    said = watch([0.6] * 5 + [0.0] * 3)
+    assert said[4] > 0.4
+    assert said[5:] == [0.0, 0.0, 0.0]
+
+
+def test_little_loss_stays_below_a_fifth() -> None:
+    assert max(share for seed in range(20) for share in watch([0.1] * 60, seed)) < 0.2
+
+
+def test_what_comes_late_after_all_is_no_negative_loss() -> None:
+    watch_, statistics = LossWatch(), LinkStatistics(received=50, lost=50)
+    watch_.step(statistics, 0)
+    statistics.received, statistics.lost = 200, 0
+    assert watch_.step(statistics, WINDOW_NS) == 0.0
+
+
+def test_what_a_full_queue_drops_does_not_count() -> None:
+    watch_, statistics = LossWatch(), LinkStatistics(delay_mean_ns=80e6)
+    for window in range(4):
+        statistics.received, statistics.lost = 70 * window, 30 * window
+        assert watch_.step(statistics, window * WINDOW_NS) == 0.0
+    statistics.delay_mean_ns = 20e6
+    for window in range(4, 6):
+        statistics.received, statistics.lost = 70 * window, 30 * window
+        share = watch_.step(statistics, window * WINDOW_NS)
+    assert share == 0.3
+
+
+def test_of_a_peer_that_has_been_silent_for_long_nothing_is_known() -> None:
+    said = watch([0.5] * 4 + [None] * (SILENT_WINDOWS + 2) + [0.5] * 2)
+    assert min(said[2 : 3 + SILENT_WINDOWS]) > 0.3
+    assert said[4 + SILENT_WINDOWS] == 0.0
+    assert said[-2] == 0.0, "two windows again, and in the first the silence counts as well"
+    assert said[-1] > 0.3
+
+
+def shares_over_a_real_link(delay_ns: int, sessions: list[int], loss: float = 0.4, seconds: int = 5) -> list[float]:
+    """Poses at 100 Hz from one session of the peer after the other; the share at the end of each second."""
+    rng, onboard, watch_ = np.random.default_rng(4), Endpoint("onboard", 1, None), LossWatch()
+    pose = Pose(0, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
+    said, now_ns = [], 0
+    for session in sessions:
+        peer = Endpoint("offboard", session, None)
+        peer.decode(onboard.encode(TimeSyncRequest(now_ns), now_ns), now_ns + delay_ns)
+        reply = TimeSyncReply(now_ns, now_ns + delay_ns, now_ns + delay_ns)
+        onboard.decode(peer.encode(reply, now_ns + delay_ns), now_ns + 2 * delay_ns)
+        for _ in range(seconds):
+            for _ in range(WINDOW_NS // PERIOD_NS):
+                datagram = peer.encode(pose, now_ns)
+                if rng.random() >= loss:
+                    onboard.decode(datagram, now_ns + delay_ns)
+                now_ns += PERIOD_NS
+                share = watch_.step(onboard.statistics, now_ns)
+            said.append(share)
+    return said
+
+
+def test_it_reads_a_real_endpoint_and_goes_on_over_a_restart_of_the_peer() -> None:
+    said = shares_over_a_real_link(10_000_000, [5, 6])
+    assert min(said[2:]) > 0.25
+
+
+def test_a_path_as_long_as_a_queue_is_taken_for_one() -> None:
+    assert max(shares_over_a_real_link(60_000_000, [5])) == 0.0

@@ -1,0 +1,382 @@
+"""The vehicle's wire: genuine bytes, every trap of MAVLink over UDP, and what each kind of bad input leads to."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from onboard.links.readings import BatteryReading, FlowReading, ImuReading, RangeReading
+from onboard.links.vehicle import ARMED
+from tests.onboard.links.pymavlink_vehicle import KEY, LATENCY_NS, STEP_NS, Link, Vehicle
+
+
+@pytest.fixture
+def link():
+    return Link()
+
+
+# -- genuine bytes ----------------------------------------------------------------------------------------------------
+
+
+def test_imu_is_decoded_with_units(link):
+    (reading,) = Vehicle().tick(link)
+    assert isinstance(reading, ImuReading)
+    np.testing.assert_allclose(reading.accelerometer, (0.1001, -0.2, -9.8), rtol=1e-6)
+    np.testing.assert_allclose(reading.gyroscope, (0.01, 0.02, 0.03), rtol=1e-6)
+    assert reading.pressure_pa == pytest.approx(101325.0, abs=0.01)
+
+
+def test_slow_sensors_are_decoded_with_units(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    us = vehicle.clock_ns // 1000
+    flow = mavlink.MAVLink_hil_optical_flow_message(us, 0, 16_000, 0.01, -0.02, 0.003, 0.004, 0.5, 2000, 180, 0, -1.0)
+    (reading,) = link.receive(vehicle.pack(flow), link.now_ns)
+    assert isinstance(reading, FlowReading)
+    assert reading.integration_s == pytest.approx(0.016)
+    np.testing.assert_allclose(reading[2:6], (0.01, -0.02, 0.003, 0.004), rtol=1e-6)
+    assert reading.quality == 180
+    rad = mavlink.MAVLink_optical_flow_rad_message(us, 0, 16_000, 0.01, -0.02, 0.003, 0.004, 0.5, 2000, 180, 0, -1.0)
+    assert link.receive(vehicle.pack(rad), link.now_ns) == [reading]
+    distance = mavlink.MAVLink_distance_sensor_message(us // 1000, 44, 400, 123, 1, 0, 25, 4)
+    (reading,) = link.receive(vehicle.pack(distance), link.now_ns)
+    assert isinstance(reading, RangeReading)
+    assert reading.distance_m == pytest.approx(1.23)
+    assert 0 <= link.now_ns - reading.time_ns < 2_000_000
+    battery = mavlink.MAVLink_battery_status_message(0, 0, 1, 2500, [3999] + [0xFFFF] * 9, 400, 10, -1, 77)
+    (reading,) = link.receive(vehicle.pack(battery), link.now_ns)
+    assert isinstance(reading, BatteryReading)
+    assert (reading.voltage_v, reading.remaining) == (pytest.approx(3.999), pytest.approx(0.77))
+    system = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 3800, -1, -1, 0, 0, 0, 0, 0, 0)
+    (reading,) = link.receive(vehicle.pack(system), link.now_ns)
+    assert (reading.voltage_v, reading.remaining) == (pytest.approx(3.8), -1.0)
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 8, 0, 0, 4, 3)
+    assert link.receive(vehicle.pack(heartbeat), link.now_ns) == []
+    assert link.last_heartbeat_ns == link.now_ns
+    assert not link.rejected
+
+
+@pytest.mark.parametrize("armed", [True, False])
+@pytest.mark.parametrize("key", [None, KEY])
+def test_motor_command_has_the_bytes_that_pymavlink_writes(armed, key):
+    link, vehicle = Link(key), Vehicle(key=key)
+    for count in range(3):
+        now_ns = 10**12 + count * STEP_NS
+        controls = [0.25, 0.5, 0.75, 1.0] + [0.0] * 12 if armed else [0.0] * 16
+        message = mavlink.MAVLink_hil_actuator_controls_message(now_ns // 1000, controls, ARMED if armed else 0, 0)
+        vehicle.mav.signing.timestamp = now_ns // 10_000
+        assert link.encode_motors((0.25, 0.5, 0.75, 1.0), armed, now_ns) == vehicle.pack(message)
+
+
+def test_motors_are_off_unless_armed_and_when_a_number_is_not_finite(link):
+    decoder = mavlink.MAVLink(None)
+    for fractions, armed in (
+        ((0.5, 0.5, 0.5, 0.5), False),
+        ((0.5, math.nan, 0.5, 0.5), True),
+        ((0.5, 0.5, math.inf, 0.5), True),
+        ((math.inf, -math.inf, 0.5, 0.5), True),
+    ):
+        message = decoder.decode(bytearray(link.encode_motors(np.array(fractions), armed, link.now_ns)))
+        assert (message.controls, message.mode) == ([0.0] * 16, 0)
+    assert link.rejected["motor_command"] == 3
+
+
+def test_motor_fractions_are_clipped(link):
+    message = mavlink.MAVLink(None).decode(bytearray(link.encode_motors((-1.0, 0.5, 2.0, 1e300), True, 0)))
+    assert message.controls[:4] == [0.0, 0.5, 1.0, 1.0]
+    assert message.mode == ARMED
+
+
+# -- datagrams --------------------------------------------------------------------------------------------------------
+
+
+def test_a_truncated_datagram_does_not_spoil_the_next_one(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    for cut in range(len(vehicle.imu())):
+        vehicle.clock_ns += STEP_NS
+        link.now_ns += STEP_NS
+        assert link.receive(vehicle.imu()[:cut], link.now_ns) == []
+        assert len(vehicle.tick(link)) == 1
+
+
+def test_several_frames_in_one_datagram(link):
+    vehicle = Vehicle()
+    frames = []
+    for _ in range(3):
+        vehicle.clock_ns += STEP_NS
+        frames.append(vehicle.imu())
+    assert len(link.receive(b"".join(frames), link.now_ns)) == 3
+    bad = bytearray(frames[1])
+    bad[20] ^= 1
+    vehicle = Vehicle(clock_ns=vehicle.clock_ns + STEP_NS)
+    assert len(link.receive(frames[0] + bytes(bad) + vehicle.imu(), link.now_ns)) == 1
+    assert link.rejected["checksum"] == 1
+    assert link.rejected["time_backwards"] == 1
+    many = vehicle.pack(mavlink.MAVLink_heartbeat_message(2, 8, 0, 0, 4, 3)) * 40
+    assert link.receive(many, link.now_ns) == []
+    assert link.rejected["too_many_frames"] == 1
+
+
+def test_every_wrong_bit_is_noticed(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    vehicle.clock_ns += STEP_NS
+    good = vehicle.imu()
+    for bit in range(8 * len(good)):
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << bit % 8
+        assert link.receive(bytes(bad), link.now_ns + STEP_NS) == []
+    assert link.rejected.total() >= 8 * len(good)
+    assert len(link.receive(good, link.now_ns + STEP_NS)) == 1
+
+
+@given(st.binary(max_size=400))
+@settings(max_examples=300, deadline=None)
+def test_any_bytes_at_all(data):
+    assert Link().receive(data, 10**12) == []
+
+
+@given(st.binary(min_size=1, max_size=65), st.sampled_from([107, 114, 106, 132, 147, 1, 0]))
+@settings(max_examples=300, deadline=None)
+def test_any_payload_with_a_good_checksum(payload, message_id):
+    """What a hostile or broken vehicle can say with valid frames: readings are finite, and nothing raises."""
+    link = Link()
+    seed = mavlink.mavlink_map[message_id].crc_extra
+    body = bytes((len(payload), 0, 0, 0, 1, 1, message_id, 0, 0)) + payload
+    checksum = mavlink.mcrf4xx(bytes((seed,)), mavlink.mcrf4xx(body))
+    for reading in link.receive(b"\xfd" + body + checksum.to_bytes(2, "little"), link.now_ns):
+        for value in reading:
+            assert all(math.isfinite(x) and abs(x) < 1e30 for x in (value if isinstance(value, tuple) else (value,)))
+
+
+def test_mavlink_1_and_messages_off_the_list_are_refused(link):
+    vehicle = Vehicle()
+    old = mavlink.MAVLink_heartbeat_message(2, 8, 0, 0, 4, 3).pack(vehicle.mav, force_mavlink1=True)
+    assert link.receive(bytes(old), link.now_ns) == []
+    assert link.rejected["not_mavlink_2"] == 1
+    command = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+    assert link.receive(vehicle.pack(command), link.now_ns) == []
+    assert link.rejected["message_not_allowed"] == 1
+
+
+def test_unknown_flags_are_refused(link):
+    frame = bytearray(Vehicle().imu())
+    frame[2] = 0x02
+    assert link.receive(bytes(frame), link.now_ns) == []
+    assert link.rejected["unknown_flags"] == 1
+
+
+# -- sensor faults ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e6])
+@pytest.mark.parametrize("sensor", ["acc", "gyro"])
+def test_numbers_that_no_sensor_gives_are_refused_and_said(link, bad, sensor):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    assert vehicle.tick(link, **{sensor: (bad, 0.0, -9.8)}) == []
+    assert link.rejected[{"acc": "accelerometer", "gyro": "gyroscope"}[sensor]] == 1
+    assert "sample ignored" in link.texts()
+    assert len(vehicle.tick(link)) == 1
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, 5000.0])
+def test_bad_pressure_costs_the_pressure_only(link, bad):
+    (reading,) = Vehicle().tick(link, pressure_hpa=bad)
+    assert reading.pressure_pa == 0.0
+    assert link.rejected["pressure"] == 1
+    assert "pressure gave" in link.texts()
+
+
+def test_missing_fields_and_second_imus_are_refused(link):
+    vehicle = Vehicle()
+    assert vehicle.tick(link, fields=0b111) == []
+    assert vehicle.tick(link, sensor=1) == []
+    assert link.rejected["imu_fields"] == 2
+    (reading,) = vehicle.tick(link, fields=0b111111)
+    assert reading.pressure_pa == 0.0
+
+
+def test_a_frozen_imu_goes_silent_and_comes_back(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    stuck = []
+    for _ in range(20):
+        vehicle.count = 0
+        stuck += vehicle.tick(link)
+    assert len(stuck) == 7  # what may still be chance
+    assert link.rejected["imu_frozen"] == 13
+    assert "IMU frozen" in link.texts()
+    assert len(vehicle.tick(link)) == 1
+
+
+def test_frozen_detection_can_be_switched_off():
+    link, vehicle = Link(frozen_samples=0), Vehicle()
+    assert sum(len(vehicle.tick(link)) + (vehicle.__setattr__("count", 0) or 0) for _ in range(20)) == 20
+
+
+def test_a_frozen_range_is_refused():
+    link, vehicle = Link(frozen_ranges=5), Vehicle()
+    vehicle.tick(link)
+    for count in range(10):
+        message = mavlink.MAVLink_distance_sensor_message(count, 44, 400, 100, 1, 0, 25, 4)
+        assert len(link.receive(vehicle.pack(message), link.now_ns)) == (count < 5)
+    assert link.rejected["range_frozen"] == 5
+    assert "ultrasonic frozen" in link.texts()
+
+
+def test_a_range_at_the_sensors_least_distance_is_not_frozen():
+    link, vehicle = Link(frozen_ranges=5), Vehicle()
+    vehicle.tick(link)
+    for count in range(10):
+        message = mavlink.MAVLink_distance_sensor_message(count, 44, 400, 44, 1, 0, 25, 4)
+        assert len(link.receive(vehicle.pack(message), link.now_ns)) == 1
+    assert "frozen" not in link.texts()
+
+
+def flow_frame(x, gyro=0.01, duration_us=16_000):
+    return mavlink.MAVLink_hil_optical_flow_message(1, 0, duration_us, x, 0.0, gyro, 0.0, 0.0, 0, 200, 0, -1.0)
+
+
+def test_a_frozen_flow_is_refused_and_one_that_sees_nothing_is_not(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    taken = [len(link.receive(vehicle.pack(flow_frame(0.1)), link.now_ns)) for _ in range(12)]
+    assert taken == [1] * 8 + [0] * 4
+    assert link.rejected["flow_frozen"] == 4
+    assert "optical flow frozen" in link.texts()
+    blind = [len(link.receive(vehicle.pack(flow_frame(0.0, gyro=0.0)), link.now_ns)) for _ in range(12)]
+    assert blind == [1] * 12
+
+
+def test_a_frozen_pressure_costs_the_pressure_only():
+    link, vehicle = Link(frozen_pressures=3), Vehicle()
+    given = [vehicle.tick(link)[0].pressure_pa > 0.0 for _ in range(6)]
+    assert given == [True] * 3 + [False] * 3
+    assert link.rejected["pressure_frozen"] == 3
+    assert "pressure frozen" in link.texts()
+
+
+@pytest.mark.parametrize(
+    ("centimetres", "orientation", "reason"),
+    [(0, 25, "range"), (5000, 25, "range"), (100, 0, "range_orientation")],
+)
+def test_ranges_that_are_none(link, centimetres, orientation, reason):
+    message = mavlink.MAVLink_distance_sensor_message(5, 44, 400, centimetres, 1, 0, orientation, 4)
+    assert link.receive(Vehicle().pack(message), link.now_ns) == []
+    assert link.rejected[reason] == 1
+
+
+def test_flows_and_batteries_that_are_none(link):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    for duration, x in ((0, 0.1), (900_000, 0.1), (16_000, math.nan), (16_000, 5.0)):
+        assert link.receive(vehicle.pack(flow_frame(x, duration_us=duration)), link.now_ns) == []
+    assert (link.rejected["flow_time"], link.rejected["flow"]) == (2, 2)
+    assert "flow gave nan: sample ignored" in link.texts()
+    for millivolts, percent in (([0xFFFF] * 10, 50), ([65_000] * 10, 50), ([4000] + [0xFFFF] * 9, 101)):
+        battery = mavlink.MAVLink_battery_status_message(0, 0, 1, 0, millivolts, 0, 0, -1, percent)
+        assert link.receive(vehicle.pack(battery), link.now_ns) == []
+    assert link.rejected["battery"] == 3
+
+
+# -- time -------------------------------------------------------------------------------------------------------------
+
+
+def test_time_is_mapped_by_the_least_delay():
+    """A vehicle clock 40 ppm fast, delays with a long tail: the mapped time is never after the arrival, and close."""
+    rng = np.random.default_rng(4)
+    link, vehicle = Link(), Vehicle()
+    errors = []
+    for count in range(4000):
+        true_ns = 10**12 + count * STEP_NS
+        stamp_ns = int(123e9 + (true_ns - 10**12) * (1 + 40e-6))
+        arrival_ns = true_ns + LATENCY_NS + int(rng.exponential(2e6))
+        (reading,) = link.receive(vehicle.imu(stamp_ns), arrival_ns)
+        assert reading.time_ns <= arrival_ns
+        errors.append(reading.time_ns - true_ns - LATENCY_NS)
+    late = np.array(errors[400:]) * 1e-6
+    assert np.abs(late).max() < 0.6
+    assert np.abs(np.diff(late)).max() < 0.5
+
+
+def test_a_late_or_repeated_sample_is_dropped(link):
+    vehicle = Vehicle()
+    vehicle.tick(link, 10)
+    assert link.receive(vehicle.imu(), link.now_ns) == []
+    assert link.receive(vehicle.imu(vehicle.clock_ns - 3 * STEP_NS), link.now_ns) == []
+    assert (link.rejected["time_repeated"], link.rejected["time_backwards"]) == (1, 1)
+    assert len(vehicle.tick(link)) == 1
+    assert link.restarts == 0
+
+
+def test_a_restarted_vehicle_is_taken_up_again_and_said(link):
+    Vehicle(clock_ns=500 * 10**9).tick(link, 100)
+    before_ns = link.now_ns
+    again = Vehicle()
+    readings = again.tick(link, 10)
+    assert len(readings) == 8  # two samples to be sure
+    assert link.restarts == 1
+    assert "vehicle restarted" in link.texts()
+    assert not link.conflict
+    times = [reading.time_ns for reading in readings]
+    assert all(a < b for a, b in itertools.pairwise(times))
+    assert times[0] > before_ns
+
+
+def test_one_wild_time_stamp_heals_itself(link):
+    vehicle = Vehicle(clock_ns=10**9)
+    vehicle.tick(link, 50)
+    link.receive(vehicle.imu(10**15), link.now_ns)
+    readings = vehicle.tick(link, 10)
+    assert len(readings) == 8
+    assert abs(readings[-1].time_ns - link.now_ns) < 1_000_000
+
+
+# -- two vehicles -----------------------------------------------------------------------------------------------------
+
+
+def test_only_the_first_vehicle_is_heard(link):
+    first, second = Vehicle(1), Vehicle(2)
+    first.tick(link)
+    for _ in range(50):
+        assert len(first.tick(link)) == 1
+        assert second.tick(link) == []
+    assert link.system == 1
+    assert link.rejected["other_vehicle"] == 50
+    texts = link.texts()
+    assert texts.count("second vehicle (system id 2)") == 1  # said, but not 200 times a second
+
+
+def test_another_vehicle_is_heard_after_a_long_silence(link):
+    Vehicle(1).tick(link)
+    second = Vehicle(2)
+    assert second.tick(link) == []
+    link.now_ns += 11 * 10**9
+    assert len(second.tick(link)) == 1
+    assert link.system == 2
+
+
+def test_a_configured_vehicle_is_the_only_one():
+    link = Link(vehicle_system=9)
+    assert Vehicle(1).tick(link) == []
+    assert len(Vehicle(9).tick(link)) == 1
+
+
+def test_two_vehicles_with_one_system_id_are_noticed(link):
+    one, two = Vehicle(1, clock_ns=900 * 10**9), Vehicle(1, clock_ns=10**9)
+    for _ in range(400):
+        one.tick(link)
+        two.tick(link)
+    assert link.conflict
+    first, second = Link(), Vehicle(1, clock_ns=10**9)
+    for _ in range(3):
+        one.tick(first, 5)
+        second.tick(first, 5)
+    assert first.conflict
+    assert "two vehicles with one system id" in first.texts()

@@ -1,0 +1,126 @@
+"""A serial line, played by a pair of pseudo-terminals: frames across it, and what may go wrong with a line."""
+
+import os
+import pty
+import time
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from onboard.links.frame_stream import FrameStream
+from protocol.mavlink_frames import FrameWriter
+from runtime.errors import StartError
+from runtime.serial_port import WAITING_MAX, SerialPort
+
+
+@pytest.fixture
+def line():
+    """(the far end's descriptor, our port)."""
+    far, near = pty.openpty()
+    port = SerialPort("vehicle", os.ttyname(near), 921600, FrameStream().feed)
+    os.close(near)
+    os.set_blocking(far, False)
+    yield far, port
+    port.close()
+    os.close(far)
+
+
+def heartbeat(number=0):
+    return FrameWriter(1, 1).write(mavlink.MAVLink_heartbeat_message, (number, 2, 8, 0, 3, 3), 0)
+
+
+def wait_for(receive, count):
+    got, end = [], time.monotonic() + 5.0
+    while len(got) < count and time.monotonic() < end:
+        got += receive()
+        time.sleep(0.001)
+    return got
+
+
+def test_frames_cross_the_line_both_ways_byte_for_byte(line):
+    far, port = line
+    sent = [heartbeat(number) for number in range(256)]  # every byte value, control characters too
+    for frame in sent[:20]:
+        for byte in frame:
+            os.write(far, bytes([byte]))
+    assert wait_for(lambda: port.receive(8), 20) == sent[:20]
+    for frame in sent[20:60]:
+        port.send(frame)
+    expected = b"".join(sent[20:60])
+    data, end = b"", time.monotonic() + 5.0
+    while len(data) < len(expected) and time.monotonic() < end:
+        try:
+            data += os.read(far, 4096)
+        except BlockingIOError:
+            time.sleep(0.001)
+    assert data == expected
+    assert (port.received, port.sent, port.unsent) == (20, 40, 0)
+
+
+def test_nothing_to_read_is_no_wait_and_no_failure(line):
+    _, port = line
+    assert port.receive(8) == []
+    assert not port.hung_up
+
+
+def test_at_most_so_many_frames_at_once_and_the_rest_later(line):
+    far, port = line
+    os.write(far, b"".join(heartbeat(number) for number in range(10)))
+    time.sleep(0.01)
+    assert len(wait_for(lambda: port.receive(4), 4)) >= 4
+    assert len(wait_for(lambda: port.receive(16), 1)) > 0
+
+
+def test_frames_that_are_not_fetched_are_bounded():
+    far, near = pty.openpty()
+    port = SerialPort("vehicle", os.ttyname(near), 115200, lambda data: [data[:1]] * 1000)
+    os.write(far, b"x")
+    assert wait_for(lambda: port.receive(10), 1) == [b"x"] * 10
+    assert port.dropped == 1000 - WAITING_MAX
+    port.close()
+    os.close(far)
+    os.close(near)
+
+
+def test_a_full_line_loses_whole_frames_only(line):
+    far, port = line
+    frame = heartbeat(5)
+    for _ in range(20_000):
+        port.send(frame)
+        if port.unsent > 10:
+            break
+    assert port.unsent > 10
+    stream, got = FrameStream(), 0
+    end = time.monotonic() + 5.0
+    while got < port.sent and time.monotonic() < end:
+        try:
+            got += len(stream.feed(os.read(far, 4096)))
+        except BlockingIOError:
+            port.send(frame)  # brings out the rest of the frame that was half out
+    assert got > 0
+    assert not stream.skipped
+
+
+def test_a_pulled_plug_is_noted_and_raises_nothing():
+    far, near = pty.openpty()
+    port = SerialPort("vehicle", os.ttyname(near), 115200, FrameStream().feed)
+    os.close(near)
+    os.close(far)
+    assert port.receive(4) == []
+    port.send(heartbeat())
+    assert port.hung_up
+    assert port.unsent == 1
+    port.close()
+
+
+@pytest.mark.parametrize(
+    ("device", "baud", "said"),
+    [
+        ("/dev/does-not-exist", 115200, "cannot be opened: No such file"),
+        ("/dev/null", 115200, "no serial line"),
+        ("/dev/null", 123, "no speed of 123 baud; known are"),
+    ],
+)
+def test_a_line_that_cannot_be_used_is_named(device, baud, said):
+    with pytest.raises(StartError, match=said):
+        SerialPort("vehicle", device, baud, FrameStream().feed)

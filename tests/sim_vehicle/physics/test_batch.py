@@ -1,0 +1,50 @@
+"""The batch moves as single vehicles do."""
+
+import numpy as np
+import pytest
+
+from sim_vehicle.config import load_vehicle
+from sim_vehicle.physics.batch import VehicleBatch
+from sim_vehicle.vehicle import SimVehicle
+
+OVER = {
+    "initial": {"position_ned_m": [0, 0, -4], "hovering": True},
+    "disturbances": [
+        {"kind": "gusts", "sigma_m_s": 0.5, "length_scale_m": 0.4},
+        {"kind": "motor_gain", "common": 0.9, "spread": 0.02},
+        {"kind": "cloth"},
+        {"kind": "rotor_chip", "thrust_factor": 0.9, "onset_s": 0.083},
+    ],
+}
+
+
+def test_batch_equals_single_vehicles(motors):
+    config, seeds = load_vehicle("mambo", OVER), (3, 9, 27)
+    batch, singles = VehicleBatch(config, seeds), [SimVehicle(config, seed) for seed in seeds]
+    commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.52, 0.5, 0.5, 0.5], [0.5, 0.5, 0.53, 0.5]], dtype=np.float32)
+    for k in range(60):
+        batch.step(commands.astype(np.float64))
+        for row, single in zip(commands, singles, strict=True):
+            single.take_in(motors(row), k * 5_000_000)
+        truths = [single.step((k + 1) * 5_000_000).truth for single in singles]
+    np.testing.assert_allclose(batch.states[:, :13], np.array(truths)[:, :13], rtol=1e-12, atol=1e-12)
+    assert batch.time_ns == 300_000_000
+    assert not batch.lost.any()
+
+
+def test_a_lost_vehicle_stops_its_motors_and_no_others():
+    batch = VehicleBatch(load_vehicle("mambo", OVER | {"disturbances": []}), range(2))
+    commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.9, 0.2, 0.2, 0.9]])
+    for _ in range(100):
+        batch.step(commands.copy())
+    assert batch.lost.tolist() == [False, True]
+    assert batch.states[1, 13:17].max() < 0.02
+    assert batch.states[0, 13:17].min() > 0.1
+
+
+def test_a_batch_refuses_what_it_cannot_run():
+    batch = VehicleBatch(load_vehicle("mambo"), range(2))
+    with pytest.raises(ValueError, match="shape"):
+        batch.step(np.zeros((3, 4)))
+    with pytest.raises(ValueError, match="sub-steps"):
+        batch.step(np.zeros((2, 4)), substeps=1000)
