@@ -28,7 +28,9 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "onboard": Subcommand("onboard.command", "the 200 Hz flight process alone"),
     "offboard": Subcommand("offboard.command", "the training process alone"),
     "sim": Subcommand("sim_vehicle.command", "the simulated vehicle and its radio alone"),
-    "replay": Subcommand("async_dmrac.commands.replay", "re-fly a recorded flight with exactly the fates its link had"),
+    "replay": Subcommand(
+        "async_dmrac.commands.replay", "re-fly a recorded flight with exactly the deliveries its link had"
+    ),
     "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),
     "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep"),

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from configs.loader import Record, fill, merge, read_tree
+from configs.loader import ConfigRecord, fill, merge, read_tree
 
 RESERVED_PORTS: Final = (24099, 26061)
 """The Mambo's firmware listens there."""
@@ -89,7 +89,7 @@ def is_loopback(address: str) -> bool:
         return False
 
 
-class NetworkConfig(Record):
+class Addresses(ConfigRecord):
     """Who binds what. Each process binds its own addresses and sends from there to its peer's."""
 
     vehicle: VehicleAddress = Field(
@@ -144,7 +144,7 @@ class NetworkConfig(Record):
         return {"offboard_link": self.offboard_link, "motion_capture": self.motion_capture}
 
 
-def load_network(path: Path, options: Mapping[str, str | None]) -> NetworkConfig:
+def load_network(path: Path, options: Mapping[str, str | None]) -> Addresses:
     """The network section of a resolved configuration, with the addresses given as options laid over it.
 
     Raises
@@ -155,12 +155,12 @@ def load_network(path: Path, options: Mapping[str, str | None]) -> NetworkConfig
     return network_of(read_tree(path), str(path), options)
 
 
-def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, str | None]) -> NetworkConfig:
+def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, str | None]) -> Addresses:
     """The network of a flight's plain tree, with the addresses given as options laid over it. Raises ConfigError."""
     section = tree.get("network")
     given = {name: address for name, address in options.items() if address is not None}
     source = f"{source} with {', '.join(given)} from options" if given else source
-    return fill(NetworkConfig, merge(section if isinstance(section, dict) else {}, given), source, at="network.")
+    return fill(Addresses, merge(section if isinstance(section, dict) else {}, given), source, at="network.")
 
 
 def seen_from_onboard(options: Mapping[str, str | None]) -> dict[str, str | None]:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, ValidationError
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, merge, read_tree, set_path
+from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, merge, read_tree, set_path
 
 DEFAULT_SCENARIO: Final = "figure8_wind"
 
@@ -28,7 +28,7 @@ REAL_PEERS: Final = ("vehicle", "ground")
 """Addresses that a real vehicle and its ground station bind themselves."""
 
 
-class _Options(Record):
+class _Options(ConfigRecord):
     """What `--seed`, `--duration` and `--vehicle` may be."""
 
     seed: Seed | None
@@ -36,7 +36,7 @@ class _Options(Record):
     vehicle: VehicleNumber
 
 
-class ScenarioFile(Record):
+class ScenarioFile(ConfigRecord):
     """A scenario as written: the parts by name, and what is laid over them."""
 
     description: str

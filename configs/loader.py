@@ -21,7 +21,7 @@ class ConfigError(Exception):
     """A configuration that cannot be used. The message is one line a fault: file, path, value, what is allowed."""
 
 
-class Record(BaseModel):
+class ConfigRecord(BaseModel):
     """Base of every configuration record: strict, frozen, unknown keys refused."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)

@@ -2,10 +2,10 @@
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 
 
-class RealtimeConfig(Record):
+class RealtimeConfig(ConfigRecord):
     """The 200 Hz loop's claim on the machine. None of it changes what the loop computes."""
 
     priority: int = Field(ge=0, le=90, description="SCHED_FIFO priority that is asked for; 0 asks for none")

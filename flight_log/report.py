@@ -43,7 +43,7 @@ def build_report(flight: Flight) -> str:
     return page(
         title_of(flight),
         [
-            _fate(summary),
+            _delivery(summary),
             section("Flight card", card(card_rows(summary))),
             section("Figures", *(image(file.read_bytes(), file.stem) for file in sorted(flight.path.glob("*.png")))),
             section("Training", _training(flight.get("offboard/training"))),
@@ -116,7 +116,7 @@ def _configured_duration_s(flight: Flight) -> float:
     return 0.0
 
 
-def _fate(summary: Mapping[str, Any]) -> str:
+def _delivery(summary: Mapping[str, Any]) -> str:
     if not summary:
         return paragraph("no flight card (summary.json): the flight did not end in order", "bad")
     if summary.get("survived"):

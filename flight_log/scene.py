@@ -121,7 +121,7 @@ GROUPS: Final = tuple(group for groups in TABS.values() for group in groups)
 def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
     """The scene of a flight, or of a part of it; `start_ns` is the zero of the time line, by default its start."""
     tables = {topic: flight[topic] for topic in flight.topics}
-    tick, truth, fate = (tables.get(topic) for topic in ("onboard/tick", "sim_vehicle/truth", "radio/fate"))
+    tick, truth, delivery = (tables.get(topic) for topic in ("onboard/tick", "sim_vehicle/truth", "radio/delivery"))
     curves = [curve for wanted in PLAIN_CURVES if (curve := _plain(tables, *wanted)) is not None]
     flown = truth if truth is not None else tick
     if flown is not None:
@@ -130,8 +130,8 @@ def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
         curves += _commanded(tick) + _bounds(tick) + _weight_limits(flight, tick)
     if tick is not None and truth is not None:
         curves += _true_disturbance(tick, truth)
-    if fate is not None:
-        curves += _fates(fate)
+    if delivery is not None:
+        curves += _deliveries(delivery)
     present = {curve.group for curve in curves}
     return Scene(
         motion=_motion(tick, truth),
@@ -252,12 +252,12 @@ def _smoothed(values: Array) -> Array:
     return mean
 
 
-def _fates(fate: Table) -> list[Curve]:
+def _deliveries(delivery: Table) -> list[Curve]:
     """Each datagram's delay, and the share of those of the last LOSS_WINDOW_NS that never arrived, by direction."""
     curves = []
     for number, name in enumerate(("up", "down")):  # as in sim_vehicle.link.radio.DIRECTIONS
-        rows = fate["direction"] == number
-        sent_ns, delay_ns = fate.time_ns[rows], fate["delay_ns"][rows]
+        rows = delivery["direction"] == number
+        sent_ns, delay_ns = delivery.time_ns[rows], delivery["delay_ns"][rows]
         lost = np.cumsum(delay_ns < 0)
         first = np.searchsorted(sent_ns, sent_ns - LOSS_WINDOW_NS)
         count = np.arange(1, len(sent_ns) + 1) - first

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.config import TransferConfig
 from protocol.feature_set import LAYERS_MAX, WIDTH_MAX
 from protocol.signals import SIGNAL_NAMES, input_indices
@@ -12,7 +12,7 @@ from protocol.signals import SIGNAL_NAMES, input_indices
 ChannelName = Literal["position", "attitude"]
 
 
-class LabelConfig(Record):
+class LabelConfig(ConfigRecord):
     """What the networks are asked to reproduce (control.md, section 5)."""
 
     kind: Literal["residual", "mrgen"] = Field(
@@ -27,7 +27,7 @@ class LabelConfig(Record):
     attitude_limit_rad_s2: float = Field(gt=0.0, description="rad/s^2, larger labels are not believed")
 
 
-class BufferConfig(Record):
+class BufferConfig(ConfigRecord):
     """Which samples are kept (control.md, section 6)."""
 
     capacity: int = Field(ge=8, le=4000, description="samples, p_max")
@@ -52,14 +52,14 @@ class BufferConfig(Record):
         return self
 
 
-class SignalScale(Record):
+class SignalScale(ConfigRecord):
     """How a signal becomes an input of about unit size: z = (signal - offset) / scale."""
 
     offset: float = Field(description="in the signal's unit")
     scale: float = Field(gt=0.0, description="in the signal's unit")
 
 
-class NetworkConfig(Record):
+class NetworkConfig(ConfigRecord):
     """Shape of the networks (control.md, section 3)."""
 
     channels: tuple[ChannelName, ...] = Field(min_length=1, description="channels that get learnt features")
@@ -94,7 +94,7 @@ class NetworkConfig(Record):
         return self.position_inputs if channel == "position" else self.attitude_inputs
 
 
-class TrainerConfig(Record):
+class TrainerConfig(ConfigRecord):
     """How the networks are trained (control.md, section 7)."""
 
     optimiser: Literal["adam", "sgd"]
@@ -117,7 +117,7 @@ class TrainerConfig(Record):
     attitude_label_floor_rad_s2: float = Field(gt=0.0, description="rad/s^2, least scale of attitude labels")
 
 
-class GateConfig(Record):
+class GateConfig(ConfigRecord):
     """When a trained version is worth sending (control.md, section 7)."""
 
     trigger_unexplained: float = Field(
@@ -129,21 +129,21 @@ class GateConfig(Record):
     interval_s: float = Field(ge=0.0, description="s, least time between two versions")
 
 
-class ExperienceConfig(Record):
+class ExperienceConfig(ConfigRecord):
     """What becomes of what was learnt."""
 
     mode: Literal["learn", "frozen"] = Field(description="frozen: fly what was loaded, learn nothing")
     checkpoint_period_s: float = Field(gt=0.0, description="s between checkpoints")
 
 
-class PoseRelayConfig(Record):
+class PoseRelayConfig(ConfigRecord):
     """The motion capture and its clock."""
 
     latency_s: float = Field(ge=0.0, le=0.2, description="s, least time from capture to arrival here")
     position_limit_m: float = Field(gt=0.0, description="m, farther poses are not believed")
 
 
-class OffboardConfig(Record):
+class OffboardConfig(ConfigRecord):
     """All of the offboard side."""
 
     vehicle_id: int = Field(ge=1, le=255)

@@ -4,7 +4,7 @@ from typing import Annotated, Final, Self
 
 from pydantic import Field, model_validator
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from configs.realtime import RealtimeConfig
 from onboard.control.airframe import AirframeConfig
 from onboard.control.interface import ControllerConfig
@@ -23,7 +23,7 @@ SYNC_REQUEST_BYTES: Final = 82
 SYNC_REPLY_BYTES: Final = 100
 
 
-class OnboardConfig(Record):
+class OnboardConfig(ConfigRecord):
     """All of the onboard side."""
 
     vehicle_id: Annotated[int, Field(ge=0, lt=2**16)] = 1

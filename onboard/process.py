@@ -15,13 +15,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from configs.addresses import NetworkConfig, serial_line
+from configs.addresses import Addresses, serial_line
 from configs.realtime import RealtimeConfig
 from flight_log.schema import CLOCK_OFFSET, RecordType
 from flight_log.writer import FlightLogWriter
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.links.frame_stream import FrameStream
-from onboard.record.input_log import TOPIC, Entry, TapeWriter
+from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from runtime.kernel import resident_mb
@@ -44,7 +44,7 @@ LOOP: Final = RecordType("onboard/loop", (("lateness", "us"), ("tick", "us"), ("
 class Sockets:
     """The three addresses onboard talks to."""
 
-    def __init__(self, network: NetworkConfig) -> None:
+    def __init__(self, network: Addresses) -> None:
         ground_host = network.ground.rpartition(":")[0]
         own_host = "127.0.0.1" if ground_host in {"127.0.0.1", "localhost"} else "0.0.0.0"
         self.vehicle = open_vehicle(network.vehicle, network.onboard_vehicle)
@@ -98,7 +98,7 @@ class OnboardProcess:
         self._ticks = DurationStatistics()
         self._lateness = DurationStatistics()
         self._loop_record = np.zeros(len(LOOP.fields))
-        self._tape = TapeWriter()
+        self._datagrams = DatagramLogWriter()
         self._last_vehicle_ns = 0
         self._landing_until_ns = 0
         self._latest_report = ""
@@ -118,7 +118,7 @@ class OnboardProcess:
                 output = self._answer_escape(now)
             if output is not None:
                 self._give_out(output, now)
-            self._log.write_bytes(TOPIC, now, self._tape.end_tick(now, self._pace.missed, self.escapes > escapes))
+            self._log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, self._pace.missed, self.escapes > escapes))
             self._note_loop(now)
         self._leave_safe(now)
         return int(self.escapes >= self._realtime.escapes_max)
@@ -128,25 +128,25 @@ class OnboardProcess:
         if datagrams:
             self._last_vehicle_ns = now
         for datagram in datagrams:
-            self._tape.put(Entry.FROM_VEHICLE, datagram)
+            self._datagrams.put(Entry.FROM_VEHICLE, datagram)
             self._core.take_in_vehicle(datagram, now)
         for datagram in self._sockets.offboard.receive(DATAGRAMS_PER_STEP_MAX):
-            self._tape.put(Entry.FROM_OFFBOARD, datagram)
+            self._datagrams.put(Entry.FROM_OFFBOARD, datagram)
             self._core.take_in_offboard(datagram, now)
         for datagram in self._sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK):
-            self._tape.put(Entry.FROM_GROUND, datagram)
+            self._datagrams.put(Entry.FROM_GROUND, datagram)
             self._core.take_in_ground(datagram, now)
 
     def _give_out(self, output: OnboardOutput, now: int) -> None:
         for datagram in output.to_vehicle:
             self._sockets.vehicle.send(datagram)
-            self._tape.put(Entry.TO_VEHICLE, datagram)
+            self._datagrams.put(Entry.TO_VEHICLE, datagram)
         for datagram in output.to_offboard:
             self._sockets.offboard.send(datagram)
-            self._tape.put(Entry.TO_OFFBOARD, datagram)
+            self._datagrams.put(Entry.TO_OFFBOARD, datagram)
         for datagram in output.to_ground:
             self._sockets.ground.send(datagram)
-            self._tape.put(Entry.TO_GROUND, datagram)
+            self._datagrams.put(Entry.TO_GROUND, datagram)
         self._log.write(TICK, now, output.tick)
         if output.clock_offset is not None:
             self._log.write(CLOCK_OFFSET, now, output.clock_offset)
@@ -187,7 +187,7 @@ class OnboardProcess:
             return False
         if self._landing_until_ns == 0:
             self._landing_until_ns = now + round(self._realtime.landing_limit_s * 1e9)
-            self._tape.land_request(now)
+            self._datagrams.land_request(now)
             self._core.request_land(now)
         silent = now - self._last_vehicle_ns > VEHICLE_SILENT_NS
         return silent or now > self._landing_until_ns or not self._core.airborne

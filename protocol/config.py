@@ -4,11 +4,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.messages import CHUNK_DATA_MAX_BYTES
 
 
-class TransferConfig(Record):
+class TransferConfig(ConfigRecord):
     """How feature sets are sent."""
 
     dtype: Literal["float16", "float32"] = Field(default="float16", description="size of the parameters on the wire")

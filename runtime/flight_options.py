@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import yaml
 
-from configs.addresses import NetworkConfig, check_address, check_vehicle_address, network_of
+from configs.addresses import Addresses, check_address, check_vehicle_address, network_of
 from configs.flight_tree import Choices, flight_tree
 from configs.loader import ConfigError, fill, merge, read_tree
 
@@ -27,7 +27,7 @@ class FlightOptions(NamedTuple):
     """What it was made of, for messages."""
     text: bytes
     """The same as YAML, for the log."""
-    network: NetworkConfig
+    network: Addresses
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +76,7 @@ def flight_of(
     tree, source = flight_tree(arguments.scenario or REAL_SCENARIO, choices)
     words = [f"{option} {value}" for option in options.values() if (value := _value(arguments, option)) is not None]
     addresses = {name: address for name, address in implied(given).items() if address is not None}
-    network = fill(NetworkConfig, merge(tree["network"], addresses), " ".join(words), at="network.")
+    network = fill(Addresses, merge(tree["network"], addresses), " ".join(words), at="network.")
     tree["network"] = network.model_dump(mode="json")
     return FlightOptions(tree, source, yaml.safe_dump(tree, sort_keys=False, allow_unicode=True).encode(), network)
 

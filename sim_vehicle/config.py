@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field
 
 from configs.flight_tree import read_vehicle_tree
-from configs.loader import Record, fill, merge
+from configs.loader import ConfigRecord, fill, merge
 from sim_vehicle.disturbances.records import Disturbance
 from sim_vehicle.link.radio import RadioConfig
 from sim_vehicle.physics.parameters import (
@@ -23,7 +23,7 @@ from sim_vehicle.physics.parameters import (
 )
 
 
-class SimVehicleConfig(Record):
+class SimVehicleConfig(ConfigRecord):
     """One simulated vehicle in its world."""
 
     body: BodyConfig

@@ -3,7 +3,7 @@
 Theory of operation. One tick is one onboard period. The vehicle advances to the tick's time with the motor command
 computed two ticks ago at the latest (a command computed at tick k acts from tick k+1, as one that has to be computed
 and carried does); its sensors reach onboard in the same tick; what onboard and offboard say passes through the radio
-with the scenario's fate and delay; a training round takes its modelled time before its result counts. So lockstep
+with the scenario's delivery and delay; a training round takes its modelled time before its result counts. So lockstep
 is not kinder than reality. This file gets built cores and knows only their methods.
 
 The trace hash is the SHA-256 of every datagram that any core gave out, in order: two flights with the same hash did

@@ -13,14 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from configs.addresses import NetworkConfig
+from configs.addresses import Addresses
 from flight_log.schema import RecordType
 from flight_log.writer import FlightLogWriter
 from runtime.kernel import resident_mb
 from runtime.signals import StopRequest
 from runtime.sockets import AddressInUseError, DatagramSocket
 from runtime.status import StatusLines
-from sim_vehicle.link.radio import DIRECTIONS, FATE, Direction, Radio, fate_vector
+from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, Direction, Radio, delivery_vector
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
@@ -46,7 +46,7 @@ class SimProcess:
         self,
         vehicle: SimVehicle,
         radio: Radio,
-        network: NetworkConfig,
+        network: Addresses,
         duration_s: float,
         log: FlightLogWriter,
         status: StatusLines,
@@ -64,11 +64,11 @@ class SimProcess:
         self._loop_record = np.zeros(len(LOOP.fields))
         self._crash_ns = 0
         self._airborne = False
-        self._fates_logged: dict[Direction, int] = {"up": 0, "down": 0}
+        self._deliveries_logged: dict[Direction, int] = {"up": 0, "down": 0}
         self.steps = 0
         self.stalled_steps = 0
 
-    def _open(self, network: NetworkConfig) -> None:
+    def _open(self, network: Addresses) -> None:
         sockets: list[DatagramSocket] = []
         try:
             for name, local, remote in (
@@ -163,7 +163,7 @@ class SimProcess:
         self._loop_record[0] = late_ns * 1e-3
         self._loop_record[1] = self.stalled_steps
         self._log.write(LOOP, at_ns, self._loop_record)
-        self._record_fates(at_ns)
+        self._record_deliveries(at_ns)
         if self._vehicle.crash_reason and self._crash_ns == 0:
             self._crash_ns = step_ns
             text = f"vehicle lost at {step_ns * 1e-9:.2f} s: {self._vehicle.crash_reason}"
@@ -172,11 +172,11 @@ class SimProcess:
         if self._status.due(at_ns):
             self._status.write(self.status(step_ns))
 
-    def _record_fates(self, at_ns: int) -> None:
-        for direction, fates in self._radio.fates.items():
-            for fate in fates[self._fates_logged[direction] :]:
-                self._log.write(FATE, at_ns, fate_vector(direction, fate))
-            self._fates_logged[direction] = len(fates)
+    def _record_deliveries(self, at_ns: int) -> None:
+        for direction, deliveries in self._radio.deliveries.items():
+            for delivery in deliveries[self._deliveries_logged[direction] :]:
+                self._log.write(DELIVERY, at_ns, delivery_vector(direction, delivery))
+            self._deliveries_logged[direction] = len(deliveries)
 
     def _ended(self) -> bool:
         if self._stop.count:

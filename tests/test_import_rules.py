@@ -206,7 +206,7 @@ def test_the_rules_catch(module: str, source: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("protocol.transfer", "from configs.loader import Record\nimport numpy as np\nimport hashlib"),
+        ("protocol.transfer", "from configs.loader import ConfigRecord\nimport numpy as np\nimport hashlib"),
         ("onboard.process", "import socket, time\nfrom flight_log.writer import FlightLogWriter"),
         ("onboard.process", "from runtime.sockets import DatagramSocket"),
         ("onboard.core", "from flight_log.schema import RecordType"),

@@ -1,4 +1,4 @@
-"""`dmrac replay`: a flight once more, in lockstep with its link's fates, or through a fresh core bit for bit."""
+"""`dmrac replay`: a flight once more, in lockstep with its link's deliveries, or through a fresh core bit for bit."""
 
 import argparse
 from pathlib import Path
@@ -15,7 +15,7 @@ EXAMPLES = """examples:
   dmrac replay flights/2026-01-01_120000_blackout                   the same flight again, in lockstep
   dmrac replay flights/... --controller pid                         what another controller makes of that link
   dmrac replay flights/... --check                                  does this onboard code still give the same bits?
-  dmrac replay flights/... --save-trace configs/dropouts/mine.csv   keep the fates of its link for dmrac dropouts
+  dmrac replay flights/... --save-trace configs/dropouts/mine.csv   keep the deliveries of its link for dmrac dropouts
 """
 
 
@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--check", action="store_true", help="feed onboard's logged inputs to a fresh core, compare bits"
     )
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
-    parser.add_argument("--save-trace", type=Path, metavar="FILE", help="only write the link's fates to a .csv file")
+    parser.add_argument(
+        "--save-trace", type=Path, metavar="FILE", help="only write the link's deliveries to a .csv file"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,9 +59,9 @@ def replay(flight: "RecordedFlight", arguments: argparse.Namespace, console: Con
     folder = make_folder(arguments.out, f"{config.scenario}_replay")
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     outcome = refly(flight, config, folder)
-    again = figures(config, outcome.trace, outcome.crash_reason, outcome.fates)
+    again = figures(config, outcome.trace, outcome.crash_reason, outcome.deliveries)
     write_summary(folder, lockstep_summary(config, outcome) | {"replay_of": str(flight.path.resolve())})
-    title = f"{config.scenario}, {config.controller}, seed {config.seed}, with the fates of {flight.path}"
+    title = f"{config.scenario}, {config.controller}, seed {config.seed}, with the deliveries of {flight.path}"
     console.print(comparison(original, again, title))
     for line in (*verdict(flight, config, outcome), f"record: {folder}"):
         console.print(line, highlight=False, soft_wrap=True)
@@ -87,15 +89,15 @@ def check(flight: "RecordedFlight", key_file: Path | None, console: Console) -> 
 
 
 def save_trace(flight: "RecordedFlight", path: Path, console: Console) -> int:
-    """Writes the fates of the flight's link as a file for `dmrac dropouts`."""
+    """Writes the deliveries of the flight's link as a file for `dmrac dropouts`."""
     from experiments.link.dropout_trace import write_csv
 
     if path.suffix != ".csv":
         raise ConfigError(f"--save-trace {path}: expected a name that ends in .csv")
-    if not any(flight.fates.values()):
-        raise ConfigError(f"{flight.path}: holds no radio/fate records")
+    if not any(flight.deliveries.values()):
+        raise ConfigError(f"{flight.path}: holds no radio/delivery records")
     how = "in lockstep" if flight.lockstep else "in real time"
     about = f"Recorded {how}: {flight.config.scenario}, {flight.config.controller}, seed {flight.config.seed}."
-    write_csv(path, flight.fates, about)
-    console.print(f"{sum(map(len, flight.fates.values()))} fates in {path}", highlight=False, soft_wrap=True)
+    write_csv(path, flight.deliveries, about)
+    console.print(f"{sum(map(len, flight.deliveries.values()))} deliveries in {path}", highlight=False, soft_wrap=True)
     return 0

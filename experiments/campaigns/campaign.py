@@ -16,7 +16,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, load
+from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load
 
 DRAW_STREAM = 401
 PRESENTATION = (
@@ -37,7 +37,7 @@ Assignments = dict[str, Any]
 """Value by path on the resolved tree."""
 
 
-class Draw(Record):
+class Draw(ConfigRecord):
     """A value drawn anew for each seed, the same for all controllers."""
 
     path: str
@@ -60,7 +60,7 @@ class Draw(Record):
         return round(float(rng.uniform(*self.uniform)), 6)
 
 
-class Case(Record):
+class Case(ConfigRecord):
     """A scenario with what is laid over it."""
 
     name: Name
@@ -82,7 +82,7 @@ class Case(Record):
     """Keep what each flight learnt, in the folder's experience/."""
 
 
-class Sweep(Record):
+class Sweep(ConfigRecord):
     """One axis: either `path` and `values`, or named points that each assign several values."""
 
     name: Name
@@ -105,14 +105,14 @@ class Sweep(Record):
         return [(value, {self.path: value}) for value in self.values]
 
 
-class Seeds(Record):
+class Seeds(ConfigRecord):
     """Seeds of a campaign. 0 to 999 are for tuning, evaluation starts at 1000."""
 
     first: Annotated[int, Field(ge=0)] = 1000
     count: Annotated[int, Field(ge=1, le=100_000)]
 
 
-class Flown(Record):
+class Flown(ConfigRecord):
     """Names a group of flights: a case, a controller, and where in the sweeps."""
 
     case: str
@@ -120,7 +120,7 @@ class Flown(Record):
     point: dict[str, Any] = Field(default_factory=dict)
 
 
-class Target(Record):
+class Target(ConfigRecord):
     """A ratio that is to be reached: median of ours / theirs, paired by seed."""
 
     label: str
@@ -130,7 +130,7 @@ class Target(Record):
     at_most: float
 
 
-class CampaignConfig(Record):
+class CampaignConfig(ConfigRecord):
     """A campaign file."""
 
     description: str

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
-from configs.loader import ConfigError, Record, fill, load, parse_mapping
+from configs.loader import ConfigError, ConfigRecord, fill, load, parse_mapping
 from experiments.campaigns.campaign import CampaignConfig, fingerprint
 from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
@@ -19,7 +19,7 @@ _METADATA: Final = b"campaign.yaml"
 """Under this key published rows carry that file."""
 
 
-class About(Record):
+class About(ConfigRecord):
     """What flights are of: the content of CAMPAIGN_FILE."""
 
     name: str

@@ -25,7 +25,7 @@ from typing import Annotated, Any, Final, Literal, Self
 import optuna
 from pydantic import Field, model_validator
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, load, merge, read_tree
+from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load, merge, read_tree
 from experiments.campaigns.campaign import CampaignConfig, Case, FlightJob, Seeds, flights_of_seed
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.flights.scenario import named_file
@@ -36,7 +36,7 @@ TRAINING_SEEDS: Final = range(1000)
 """Seeds from 1000 on are for evaluation."""
 
 
-class Parameter(Record):
+class Parameter(ConfigRecord):
     """One dimension of the search; `paths` are in the controller file, such as settings.position.gains.damping."""
 
     name: str
@@ -56,7 +56,7 @@ class Parameter(Record):
 Window = Literal["settled_rmse_m", "position_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"]
 
 
-class TuneCase(Record):
+class TuneCase(ConfigRecord):
     """A case of the tuning campaign with what its error is measured against."""
 
     case: Case
@@ -64,7 +64,7 @@ class TuneCase(Record):
     reference_m: Annotated[float, Field(gt=0)]
 
 
-class TuneConfig(Record):
+class TuneConfig(ConfigRecord):
     """A tuning campaign."""
 
     description: str

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError
-from onboard.control.interface import Learner
+from onboard.control.interface import LearningController
 from onboard.core import OnboardCore
 
 CHANNEL_KEYS: Final = ("position_last_layer", "attitude_last_layer")
@@ -60,7 +60,7 @@ def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = 
         If the file is not one, holds nothing for this controller, or was made with other networks.
     """
     controller = onboard.controller
-    learns = isinstance(controller, Learner) and controller.accepts_features
+    learns = isinstance(controller, LearningController) and controller.accepts_features
     try:
         if learns and offboard is not None:
             from offboard.data.experience import ExperienceError

@@ -103,8 +103,8 @@ def _title(summary: dict[str, Any]) -> str:
 
 def card_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """The card line by line: name and text."""
-    fate = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
-    rows = [("flight", f"{summary['duration_s']:.1f} s, {fate}")]
+    delivery = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
+    rows = [("flight", f"{summary['duration_s']:.1f} s, {delivery}")]
     rows.append(("position RMSE", _metres(summary["position_rmse_m"]) + _laps(summary)))
     attitude = summary["attitude_rmse_rad"]
     rows.append(("attitude RMSE", "-" if attitude is None else f"{math.degrees(attitude):.2f} deg"))

@@ -17,7 +17,7 @@ from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
 from protocol.conventions import Array
 from protocol.keys import load_key, load_keys
-from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Direction, Fate, Radio, Recording
+from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Delivery, Direction, Radio, RecordedDeliveries
 from sim_vehicle.lockstep import Lockstep, TickResult
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
@@ -28,7 +28,7 @@ _TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 _MODE = OFFSET["mode"]
 _FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)
 
-Fates = Mapping[Direction, Sequence[Fate]]
+Deliveries = Mapping[Direction, Sequence[Delivery]]
 Observer = Callable[[TickResult], None]
 """Called after every tick; what it is given is rewritten by the next tick."""
 
@@ -48,20 +48,20 @@ class LockstepOutcome:
     events: list[tuple[int, str, str]] = field(default_factory=list)
     """(time_ns, process, text)."""
     offboard_records: list[tuple[RecordType, int, Array]] = field(default_factory=list)
-    fates: Fates = field(default_factory=dict)
+    deliveries: Deliveries = field(default_factory=dict)
     """What became of each datagram of the link, by direction."""
-    recordings: dict[Direction, Recording] = field(default_factory=dict)
-    """How far the recorded fates, if any, were dealt out."""
+    recordings: dict[Direction, RecordedDeliveries] = field(default_factory=dict)
+    """How far the recorded deliveries, if any, were dealt out."""
     learnt: bytes = b""
     """What another flight can start from (experiments.flights.carried_experience)."""
 
 
 def build(
-    config: FlightConfig, with_offboard: bool = True, recorded: Fates | None = None
+    config: FlightConfig, with_offboard: bool = True, recorded: Deliveries | None = None
 ) -> tuple[Lockstep, OnboardCore, OffboardCore | None, Radio]:
     """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio.
 
-    recorded: fates that the link's datagrams meet instead of the configured radio's.
+    recorded: deliveries that the link's datagrams meet instead of the configured radio's.
     """
     network = config.network
     keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
@@ -83,14 +83,15 @@ def fly_lockstep(
     observers: tuple[Observer, ...] = (),
     with_offboard: bool = True,
     experience: bytes | None = None,
-    recorded: Fates | None = None,
+    recorded: Deliveries | None = None,
 ) -> LockstepOutcome:
     """Flies a scenario in virtual time, until its duration is over or the vehicle is lost.
 
     Parameters
     ----------
     experience: what an earlier flight learnt (carried_experience); None: what the config names, if any.
-    recorded: fates of an earlier flight, by direction, for this one's datagrams (sim_vehicle.link.radio.Recording).
+    recorded: deliveries of an earlier flight, by direction, for this one's datagrams
+    (sim_vehicle.link.radio.RecordedDeliveries).
 
     Raises
     ------
@@ -133,7 +134,7 @@ def fly_lockstep(
         lockstep.trace_sha256,
         events,
         records,
-        radio.fates,
+        radio.deliveries,
         {direction: radio.recording(direction) for direction in DIRECTIONS},
         dump_learnt(onboard, offboard),
     )

@@ -9,9 +9,9 @@ from experiments.flights.lockstep_flight import ONBOARD_SESSION
 from experiments.flights.scenario import FlightConfig
 from flight_log.schema import CLOCK_OFFSET
 from flight_log.writer import FlightLogWriter
-from onboard.record.input_log import TOPIC, Entry, TapeWriter
+from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
-from sim_vehicle.link.radio import DIRECTIONS, FATE, fate_vector
+from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, delivery_vector
 from sim_vehicle.lockstep import TickResult
 from sim_vehicle.records import TRUTH
 
@@ -46,23 +46,23 @@ class LockstepLog:
             process: FlightLogWriter(folder / f"{process}.mcap", process, metadata, attachments, threaded=False)
             for process in PROCESSES
         }
-        self._tape = TapeWriter()
-        self._fates_logged = dict.fromkeys(DIRECTIONS, 0)
+        self._datagrams = DatagramLogWriter()
+        self._deliveries_logged = dict.fromkeys(DIRECTIONS, 0)
 
     def __call__(self, result: TickResult) -> None:
         """Logs one tick."""
         now, onboard = result.now_ns, self._logs["onboard"]
         self._logs["sim_vehicle"].write(TRUTH, now, result.truth)
-        self._record_fates(result)
+        self._record_deliveries(result)
         onboard.write(TICK, now, result.onboard.tick)
         if result.onboard.clock_offset is not None:
             onboard.write(CLOCK_OFFSET, now, result.onboard.clock_offset)
-        onboard.write_bytes(TOPIC, now, self._taped(result))
+        onboard.write_bytes(TOPIC, now, self._logged(result))
         if result.offboard is not None:
             for record_type, when_ns, vector in result.offboard.records:
                 self._logs["offboard"].write(record_type, when_ns, vector)
 
-    def _taped(self, result: TickResult) -> bytes:
+    def _logged(self, result: TickResult) -> bytes:
         out = result.onboard
         for kind, datagrams in (
             (Entry.FROM_VEHICLE, result.from_vehicle),
@@ -72,14 +72,14 @@ class LockstepLog:
             (Entry.TO_GROUND, out.to_ground),
         ):
             for datagram in datagrams:
-                self._tape.put(kind, datagram)
-        return self._tape.end_tick(result.now_ns, missed_ticks=0)
+                self._datagrams.put(kind, datagram)
+        return self._datagrams.end_tick(result.now_ns, missed_ticks=0)
 
-    def _record_fates(self, result: TickResult) -> None:
-        for direction, fates in result.radio.fates.items():
-            for fate in fates[self._fates_logged[direction] :]:
-                self._logs["sim_vehicle"].write(FATE, result.now_ns, fate_vector(direction, fate))
-            self._fates_logged[direction] = len(fates)
+    def _record_deliveries(self, result: TickResult) -> None:
+        for direction, deliveries in result.radio.deliveries.items():
+            for delivery in deliveries[self._deliveries_logged[direction] :]:
+                self._logs["sim_vehicle"].write(DELIVERY, result.now_ns, delivery_vector(direction, delivery))
+            self._deliveries_logged[direction] = len(deliveries)
 
     def event(self, process: str, time_ns: int, text: str) -> None:
         """Logs something that happened, in words."""

@@ -124,9 +124,9 @@ def lost_datagrams(folder: Path) -> dict[str, Array]:
         flight = open_flight(folder)
     except FlightError:
         return {}
-    tick, fate = flight.get("onboard/tick"), flight.get("radio/fate")
-    if tick is None or fate is None or len(tick) == 0:
+    tick, delivery = flight.get("onboard/tick"), flight.get("radio/delivery")
+    if tick is None or delivery is None or len(tick) == 0:
         return {}
-    lost = fate["outcome"] != OUTCOMES.index("delivered")
-    seconds = (fate.time_ns - tick.time_ns[0]) * 1e-9
-    return {name: seconds[lost & (fate["direction"] == number)] for number, name in enumerate(DIRECTIONS)}
+    lost = delivery["outcome"] != OUTCOMES.index("delivered")
+    seconds = (delivery.time_ns - tick.time_ns[0]) * 1e-9
+    return {name: seconds[lost & (delivery["direction"] == number)] for number, name in enumerate(DIRECTIONS)}

@@ -18,7 +18,7 @@ from onboard.preflight.checks import (
     skipped,
 )
 from onboard.preflight.motion_checks import check_motion
-from onboard.preflight.recorder import PoseSample, Recorder, Recording
+from onboard.preflight.recorder import Capture, PoseSample, Recorder
 
 STILL_S: Final = 6.0
 MOTION_S: Final = 8.0
@@ -101,7 +101,7 @@ class PreflightSession:
         self.checks += checks
         self._person.tell(checks)
 
-    def _record(self, step: Step, seconds: float) -> Recording:
+    def _record(self, step: Step, seconds: float) -> Capture:
         self._person.ready(step, seconds)
         self._drain()
         self._recorder.begin()

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from configs.addresses import NetworkConfig
+from configs.addresses import Addresses
 from runtime.errors import StartError
 from runtime.signals import StopRequest, die_with_parent
 from runtime.sockets import require_free
@@ -268,13 +268,13 @@ class Supervisor:
         self._selector.close()
 
 
-def require_free_ports(network: NetworkConfig) -> None:
+def require_free_ports(network: Addresses) -> None:
     """Check that all addresses of the flight can be bound now. Raises AddressInUseError naming the first."""
     require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
 
 
 def run(
-    network: NetworkConfig, config_path: Path, duration_s: float, out: Path, on_status: OnStatus = lambda entry: None
+    network: Addresses, config_path: Path, duration_s: float, out: Path, on_status: OnStatus = lambda entry: None
 ) -> RealtimeResult:
     """Fly in real time over UDP.
 

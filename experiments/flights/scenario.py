@@ -8,19 +8,19 @@ from typing import Annotated, Any
 import yaml
 from pydantic import Field
 
-from configs.addresses import NetworkConfig
+from configs.addresses import Addresses
 from configs.flight_tree import DEFAULT_SCENARIO, Choices, Duration, Seed, flight_tree, named_file
-from configs.loader import Record, fill
+from configs.loader import ConfigRecord, fill
 from offboard.config import OffboardConfig
 from onboard.config import OnboardConfig
-from onboard.control.interface import Learner
+from onboard.control.interface import LearningController
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.radio import RadioConfig
 
 __all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "named_file", "resolve"]
 
 
-class FlightConfig(Record):
+class FlightConfig(ConfigRecord):
     """Everything about one flight, resolved."""
 
     scenario: str
@@ -36,7 +36,7 @@ class FlightConfig(Record):
     offboard: OffboardConfig
     vehicle: SimVehicleConfig
     radio: RadioConfig
-    network: NetworkConfig
+    network: Addresses
 
     def to_yaml(self) -> str:
         """The record as YAML that the processes read back."""
@@ -67,7 +67,7 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
     _, and_set, assignments = source.partition(" --set ")
     law = f"{named_file('controllers', flight.controller)}{and_set}{assignments}"
     controller = flight.onboard.controller.build(flight.onboard.airframe, flight.seed, law)
-    learns = isinstance(controller, Learner) and controller.accepts_features
+    learns = isinstance(controller, LearningController) and controller.accepts_features
     return flight if learns else _without_training(flight)
 
 

@@ -77,13 +77,13 @@ def fly_one(job: DropoutFlight) -> DropoutRow:
     """One flight with one trace. Raises ConfigError."""
     config = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s))
     if job.trace == PERFECT:
-        name, description, radio, fates = PERFECT, "Nothing is lost, nothing is late.", None, None
+        name, description, radio, deliveries = PERFECT, "Nothing is lost, nothing is late.", None, None
     else:
         trace = load_trace(job.trace)
-        name, description, radio, fates = trace.name, trace.description, trace.radio, trace.fates
+        name, description, radio, deliveries = trace.name, trace.description, trace.radio, trace.deliveries
     config = config.model_copy(update={"radio": radio or type(config.radio)()})
-    outcome = fly_lockstep(config, recorded=fates)
-    found = figures(config, outcome.trace, outcome.crash_reason, outcome.fates)
+    outcome = fly_lockstep(config, recorded=deliveries)
+    found = figures(config, outcome.trace, outcome.crash_reason, outcome.deliveries)
     up, down = found.link["up"], found.link["down"]
     return DropoutRow(
         name,

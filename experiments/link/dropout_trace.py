@@ -1,4 +1,4 @@
-"""Traces of a link's dropouts, by name in configs/dropouts: recorded fates (.csv) or patterns (.yaml).
+"""Traces of a link's dropouts, by name in configs/dropouts: recorded deliveries (.csv) or patterns (.yaml).
 
 A .csv file holds what became of each datagram of a flight, one a line:
 
@@ -9,8 +9,8 @@ A .csv file holds what became of each datagram of a flight, one a line:
 
 `direction` is up (onboard to offboard) or down; `sent_ms` counts from the start of the flight and grows within a
 direction; `outcome` is delivered, loss, burst, blackout or queue; the delays, to microseconds, are empty where no such
-copy arrived; `flipped_bit` is the bit that was inverted, if any. Another flight's datagrams meet these fates by time
-(sim_vehicle.link.radio.Recording); past the end the `perfect` radio takes over.
+copy arrived; `flipped_bit` is the bit that was inverted, if any. Another flight's datagrams meet these deliveries by
+time (sim_vehicle.link.radio.RecordedDeliveries); past the end the `perfect` radio takes over.
 
 A .yaml file holds a `description`, a profile of configs/radio by name (`radio`, perfect unless given) and what is laid
 over it (`radio_values`), as a scenario does.
@@ -24,10 +24,10 @@ from typing import Any, Final
 
 from pydantic import Field
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, Record, fill, load, merge, read_tree
-from experiments.flights.lockstep_flight import Fates
+from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, load, merge, read_tree
+from experiments.flights.lockstep_flight import Deliveries
 from experiments.flights.scenario import named_file
-from sim_vehicle.link.radio import DIRECTIONS, OUTCOMES, Direction, Fate, RadioConfig
+from sim_vehicle.link.radio import DIRECTIONS, OUTCOMES, Delivery, Direction, RadioConfig
 
 FOLDER: Final = CONFIG_DIRECTORY / "dropouts"
 COLUMNS: Final = ("direction", "sent_ms", "outcome", "delay_ms", "copy_delay_ms", "flipped_bit")
@@ -35,7 +35,7 @@ SIZE_UNKNOWN: Final = 0
 DELAY_MAX_MS: Final = 3_600_000.0
 
 
-class PatternFile(Record):
+class PatternFile(ConfigRecord):
     """A .yaml trace as written."""
 
     description: str
@@ -50,8 +50,8 @@ class DropoutTrace:
     name: str
     description: str
     radio: RadioConfig
-    fates: Fates = field(default_factory=dict)
-    """Recorded fates by direction; empty for a pattern."""
+    deliveries: Deliveries = field(default_factory=dict)
+    """Recorded deliveries by direction; empty for a pattern."""
 
 
 def trace_names() -> list[str]:
@@ -86,23 +86,25 @@ def _find(name: str) -> Path:
     return path
 
 
-def write_csv(path: Path, fates: Fates, description: str) -> None:
-    """Writes recorded fates. Raises ConfigError if the file cannot be written."""
-    rows = sorted(((fate, direction) for direction in DIRECTIONS for fate in fates.get(direction, ())), key=_by_time)
+def write_csv(path: Path, deliveries: Deliveries, description: str) -> None:
+    """Writes recorded deliveries. Raises ConfigError if the file cannot be written."""
+    rows = sorted(
+        ((delivery, direction) for direction in DIRECTIONS for delivery in deliveries.get(direction, ())), key=_by_time
+    )
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             file.write(f"# {description}\n")
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(COLUMNS)
-            for fate, direction in rows:
-                delays = (_written(fate.delay_ns), _written(fate.copy_delay_ns))
-                bit = fate.flipped_bit if fate.flipped_bit >= 0 else ""
-                writer.writerow((direction, _written(max(fate.sent_ns, 0)), fate.outcome, *delays, bit))
+            for delivery, direction in rows:
+                delays = (_written(delivery.delay_ns), _written(delivery.copy_delay_ns))
+                bit = delivery.flipped_bit if delivery.flipped_bit >= 0 else ""
+                writer.writerow((direction, _written(max(delivery.sent_ns, 0)), delivery.outcome, *delays, bit))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _by_time(row: tuple[Fate, Direction]) -> int:
+def _by_time(row: tuple[Delivery, Direction]) -> int:
     return row[0].sent_ns
 
 
@@ -119,16 +121,16 @@ def _load_csv(path: Path) -> DropoutTrace:
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
     if not numbered or tuple(numbered[0][1].split(",")) != COLUMNS:
         raise ConfigError(f"{path}: expected the head {','.join(COLUMNS)}")
-    fates: dict[Direction, list[Fate]] = {direction: [] for direction in DIRECTIONS}
-    for direction, fate in _rows(path, numbered[1:]):
-        before = fates[direction]
-        if before and fate.sent_ns < before[-1].sent_ns:
-            raise ConfigError(f"{path}: {direction} at {fate.sent_ns * 1e-6:.3f} ms: sent_ms does not grow")
-        before.append(fate)
-    return DropoutTrace(path.stem, " ".join(comments), RadioConfig(), fates)
+    deliveries: dict[Direction, list[Delivery]] = {direction: [] for direction in DIRECTIONS}
+    for direction, delivery in _rows(path, numbered[1:]):
+        before = deliveries[direction]
+        if before and delivery.sent_ns < before[-1].sent_ns:
+            raise ConfigError(f"{path}: {direction} at {delivery.sent_ns * 1e-6:.3f} ms: sent_ms does not grow")
+        before.append(delivery)
+    return DropoutTrace(path.stem, " ".join(comments), RadioConfig(), deliveries)
 
 
-def _rows(path: Path, numbered: list[tuple[int, str]]) -> Iterator[tuple[Direction, Fate]]:
+def _rows(path: Path, numbered: list[tuple[int, str]]) -> Iterator[tuple[Direction, Delivery]]:
     for number, line in numbered:
         try:
             yield _row(line.split(","))
@@ -136,7 +138,7 @@ def _rows(path: Path, numbered: list[tuple[int, str]]) -> Iterator[tuple[Directi
             raise ConfigError(f"{path}: line {number}: {line!r}: {error}") from None
 
 
-def _row(cells: list[str]) -> tuple[Direction, Fate]:
+def _row(cells: list[str]) -> tuple[Direction, Delivery]:
     if len(cells) != len(COLUMNS):
         raise ValueError(f"{len(cells)} cells, expected {len(COLUMNS)}")
     name, sent, outcome, delay, copy_delay, bit = cells
@@ -147,8 +149,8 @@ def _row(cells: list[str]) -> tuple[Direction, Fate]:
         raise ValueError(f"outcome {outcome!r}, allowed are {', '.join(OUTCOMES)}")
     if (outcome == "delivered") != bool(delay):
         raise ValueError("a delay_ms belongs to what was delivered, and to nothing else")
-    fate = Fate(_read(sent), SIZE_UNKNOWN, outcome, _read(delay), _read(copy_delay), int(bit) if bit else -1)
-    return direction, fate
+    delivery = Delivery(_read(sent), SIZE_UNKNOWN, outcome, _read(delay), _read(copy_delay), int(bit) if bit else -1)
+    return direction, delivery
 
 
 def _read(text: str) -> int:

@@ -1,1 +1,1 @@
-"""A recorded flight once more: with the fates its link had, or through a fresh core bit for bit."""
+"""A recorded flight once more: with the deliveries its link had, or through a fresh core bit for bit."""

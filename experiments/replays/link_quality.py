@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_vehicle.link.radio import Fate
+from sim_vehicle.link.radio import Delivery
 
 
 @dataclass(frozen=True)
@@ -28,25 +28,30 @@ class LinkQuality:
         return self.lost / self.sent if self.sent else 0.0
 
 
-def link_quality(fates: Sequence[Fate], duration_s: float) -> LinkQuality:
+def link_quality(deliveries: Sequence[Delivery], duration_s: float) -> LinkQuality:
     """Quality of one direction.
 
     Parameters
     ----------
-    fates: in the order sent; times since the start of the flight.
+    deliveries: in the order sent; times since the start of the flight.
     duration_s: of the flight.
     """
-    lost = np.array([fate.outcome != "delivered" for fate in fates], dtype=bool)
-    delays = np.array([fate.delay_ns for fate in fates if fate.outcome == "delivered"], dtype=np.float64) * 1e-9
-    arrivals = sorted((fate.sent_ns + fate.delay_ns) * 1e-9 for fate in fates if fate.outcome == "delivered")
+    lost = np.array([delivery.outcome != "delivered" for delivery in deliveries], dtype=bool)
+    delays = (
+        np.array([delivery.delay_ns for delivery in deliveries if delivery.outcome == "delivered"], dtype=np.float64)
+        * 1e-9
+    )
+    arrivals = sorted(
+        (delivery.sent_ns + delivery.delay_ns) * 1e-9 for delivery in deliveries if delivery.outcome == "delivered"
+    )
     marks = np.array([0.0, *(time for time in arrivals if time < duration_s), max(duration_s, 0.0)])
     return LinkQuality(
-        sent=len(fates),
+        sent=len(deliveries),
         lost=int(lost.sum()),
         longest_gap_s=float(np.diff(marks).max()),
         longest_burst=_longest_run(lost),
         delay_median_s=float(np.median(delays)) if delays.size else float("nan"),
-        bytes_per_s=sum(fate.size_bytes for fate in fates) / max(duration_s, 1e-9),
+        bytes_per_s=sum(delivery.size_bytes for delivery in deliveries) / max(duration_s, 1e-9),
     )
 
 

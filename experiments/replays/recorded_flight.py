@@ -1,4 +1,4 @@
-"""A recorded flight as replays need it: its configuration, the fates of its link, its trace and its tape."""
+"""A recorded flight as replays need it: its configuration, its link's deliveries, its trace and its datagram log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from configs.loader import ConfigError, fill, parse_yaml
-from experiments.flights.lockstep_flight import Fates
+from experiments.flights.lockstep_flight import Deliveries
 from experiments.flights.lockstep_log import EXPERIENCE
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace, trace_of
 from flight_log.log_file import LogFile
 from flight_log.reader import Flight, FlightError, open_flight
-from sim_vehicle.link.radio import DIRECTIONS, FATE, Direction, Fate, fate_from_vector
+from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, Delivery, Direction, delivery_from_vector
 
 CONFIG_NAME: Final = "config.yaml"
 
@@ -23,7 +23,7 @@ class RecordedFlight:
 
     path: Path
     config: FlightConfig
-    fates: Fates
+    deliveries: Deliveries
     """By direction; empty where the log holds none."""
     trace: FlightTrace | None
     """None if a log is missing or empty."""
@@ -55,7 +55,7 @@ def read_recorded(path: Path) -> RecordedFlight:
     return RecordedFlight(
         path=path,
         config=_config(flight, path),
-        fates=read_fates(flight),
+        deliveries=read_deliveries(flight),
         trace=trace_of(flight),
         summary=summary,
         onboard_logs=onboard,
@@ -65,15 +65,15 @@ def read_recorded(path: Path) -> RecordedFlight:
     )
 
 
-def read_fates(flight: Flight) -> dict[Direction, list[Fate]]:
-    """The fates that the radio logged, by direction."""
-    fates: dict[Direction, list[Fate]] = {direction: [] for direction in DIRECTIONS}
-    table = flight.get(FATE.topic)
-    if table is not None and table.names == FATE.names:
+def read_deliveries(flight: Flight) -> dict[Direction, list[Delivery]]:
+    """The deliveries that the radio logged, by direction."""
+    deliveries: dict[Direction, list[Delivery]] = {direction: [] for direction in DIRECTIONS}
+    table = flight.get(DELIVERY.topic)
+    if table is not None and table.names == DELIVERY.names:
         for row in table.values:
-            direction, fate = fate_from_vector(row)
-            fates[direction].append(fate)
-    return fates
+            direction, delivery = delivery_from_vector(row)
+            deliveries[direction].append(delivery)
+    return deliveries
 
 
 def _config(flight: Flight, path: Path) -> FlightConfig:

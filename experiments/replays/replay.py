@@ -1,4 +1,4 @@
-"""A recorded flight flown again in lockstep, with exactly the fates its link had; and the two compared."""
+"""A recorded flight flown again in lockstep, with exactly the deliveries its link had; and the two compared."""
 
 import math
 from dataclasses import dataclass
@@ -9,14 +9,14 @@ import numpy as np
 from rich.table import Table
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, merge, read_tree
-from experiments.flights.lockstep_flight import Fates, LockstepOutcome, fly_lockstep
+from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome, fly_lockstep
 from experiments.flights.lockstep_log import LockstepLog
 from experiments.flights.metrics import flight_metrics, lost_target
 from experiments.flights.scenario import FlightConfig, complete, named_file
 from experiments.flights.trace import FlightTrace
 from experiments.replays.link_quality import LinkQuality, link_quality
 from experiments.replays.recorded_flight import RecordedFlight
-from onboard.control.interface import Learner
+from onboard.control.interface import LearningController
 from sim_vehicle.link.radio import DIRECTIONS, Direction
 
 NOTHING: Final = "-"
@@ -38,7 +38,7 @@ class FlightFigures:
     link: dict[Direction, LinkQuality]
 
 
-def figures(config: FlightConfig, trace: FlightTrace, crash_reason: str, fates: Fates) -> FlightFigures:
+def figures(config: FlightConfig, trace: FlightTrace, crash_reason: str, deliveries: Deliveries) -> FlightFigures:
     """The figures of a flight."""
     metrics = flight_metrics(trace, config.onboard.guidance.trajectory)
     age = trace.tick["feature_age"][trace.on_path]
@@ -52,7 +52,7 @@ def figures(config: FlightConfig, trace: FlightTrace, crash_reason: str, fates: 
         settled_rmse_m=metrics.settled_rmse_m,
         feature_age_median_s=float(np.median(age)) if age.size else math.nan,
         feature_version=int(trace.tick["feature_version"][-1]),
-        link={direction: link_quality(fates.get(direction, ()), flown_s) for direction in DIRECTIONS},
+        link={direction: link_quality(deliveries.get(direction, ()), flown_s) for direction in DIRECTIONS},
     )
 
 
@@ -61,7 +61,7 @@ def figures_of_recorded(flight: RecordedFlight) -> FlightFigures:
     if flight.trace is None:
         raise ConfigError(f"{flight.path}: the logs of onboard and vehicle are needed, and one is missing or empty")
     crash = flight.summary.get("crash_reason", "") or lost_target(flight.trace)
-    return figures(flight.config, flight.trace, crash, flight.fates)
+    return figures(flight.config, flight.trace, crash, flight.deliveries)
 
 
 def with_choices(config: FlightConfig, controller: str | None, seed: int | None) -> FlightConfig:
@@ -103,21 +103,21 @@ def _former_leads(config: FlightConfig) -> dict[str, Any]:
 
 def _learns(config: FlightConfig) -> bool:
     controller = config.onboard.controller.build(config.onboard.airframe, config.seed)
-    return isinstance(controller, Learner) and controller.accepts_features
+    return isinstance(controller, LearningController) and controller.accepts_features
 
 
 def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> LockstepOutcome:
-    """Flies `config` in lockstep with the recorded fates, logged into `folder`.
+    """Flies `config` in lockstep with the recorded deliveries, logged into `folder`.
 
     Raises
     ------
     ConfigError
-        If the flight has no recorded fates.
+        If the flight has no recorded deliveries.
     """
-    if not any(flight.fates.values()):
-        raise ConfigError(f"{flight.path}: holds no radio/fate records, so there are no fates to fly again")
+    if not any(flight.deliveries.values()):
+        raise ConfigError(f"{flight.path}: holds no radio/delivery records, so there are no deliveries to fly again")
     with LockstepLog(folder, config, flight.with_offboard, flight.experience) as log:
-        outcome = fly_lockstep(config, (log,), flight.with_offboard, flight.experience, flight.fates)
+        outcome = fly_lockstep(config, (log,), flight.with_offboard, flight.experience, flight.deliveries)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
     return outcome
@@ -127,8 +127,8 @@ def verdict(flight: RecordedFlight, config: FlightConfig, outcome: LockstepOutco
     """How faithful the replay was, a line each."""
     lines = []
     for direction, recording in outcome.recordings.items():
-        extra = len(outcome.fates[direction]) - recording.used - recording.repeated
-        said = f"{direction}: {recording.used} of {len(flight.fates[direction])} recorded fates met"
+        extra = len(outcome.deliveries[direction]) - recording.used - recording.repeated
+        said = f"{direction}: {recording.used} of {len(flight.deliveries[direction])} recorded deliveries met"
         said += f", {recording.skipped} skipped" if recording.skipped else ""
         said += f", {recording.repeated} datagrams shared one" if recording.repeated else ""
         said += f", {extra} came after the record's end" if extra else ""

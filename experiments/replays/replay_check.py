@@ -1,9 +1,10 @@
 """The golden replay: what onboard took in goes into a fresh core, and what comes out must be the same bit for bit.
 
-The tape in onboard's log holds every datagram with the tick that took it in, the tick's time and missed ticks, and
-every datagram given out. A core has no clock and no randomness of its own, so a fresh one with the same configuration,
-session number and key must answer alike: motor datagrams, datagrams to offboard and ground, and the record of the tick.
-The same machine, or one with the same numpy and processor family, is needed: other libraries round differently.
+The datagram log in onboard's log holds every datagram with the tick that took it in, the tick's time and missed ticks,
+and every datagram given out. A core has no clock and no randomness of its own, so a fresh one with the same
+configuration, session number and key must answer alike: motor datagrams, datagrams to offboard and ground, and the
+record of the tick. The same machine, or one with the same numpy and processor family, is needed: other libraries round
+differently.
 """
 
 import contextlib
@@ -19,10 +20,10 @@ from configs.loader import ConfigError
 from experiments.flights.carried_experience import start_from
 from experiments.replays.recorded_flight import RecordedFlight
 from flight_log.log_file import LogFile
-from onboard.control.interface import Learner
+from onboard.control.interface import LearningController
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.preflight.certificate import Clearance
-from onboard.record.input_log import TIME, TOPIC, Entry, TapeTick, read_tick
+from onboard.record.datagram_log import TIME, TOPIC, Entry, LoggedTick, read_tick
 from onboard.record.tick import TICK
 from protocol.keys import LinkKeys, load_keys
 
@@ -103,14 +104,14 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> 
     clearance = Clearance(log.metadata.get("arming_bar", ""), log.metadata.get("notice", ""))
     core = OnboardCore(flight.config.onboard, int(session), keys.offboard, keys.vehicle, keys.ground, clearance)
     if flight.experience is not None:
-        learner = isinstance(core.controller, Learner) and core.controller.accepts_features
+        learner = isinstance(core.controller, LearningController) and core.controller.accepts_features
         if not (learner and flight.with_offboard):  # a learner gets it from offboard, over the link
             start_from(flight.experience, core, None)
     return core
 
 
 class _Check:
-    """One pass over one tape."""
+    """One pass over one datagram log."""
 
     def __init__(self, log: LogFile, core: OnboardCore) -> None:
         self._log = log
@@ -122,7 +123,7 @@ class _Check:
 
     def run(self) -> CheckResult:
         difference = None
-        for tick in self._tape():
+        for tick in self._datagrams():
             difference = self._compare(tick)
             if difference is not None:
                 break
@@ -145,7 +146,7 @@ class _Check:
             raise ConfigError(f"{self._log.path}: its tick records are those of another version of this project")
         return dict(zip(topic.times_ns.tolist(), topic.values, strict=True))
 
-    def _tape(self) -> Iterator[TapeTick]:
+    def _datagrams(self) -> Iterator[LoggedTick]:
         for expected, (_, record) in enumerate(self._log.raw[TOPIC]):
             try:
                 tick = read_tick(record)
@@ -159,7 +160,7 @@ class _Check:
                 self._start_ns = tick.now_ns
             yield tick
 
-    def _compare(self, tick: TapeTick) -> Difference | None:
+    def _compare(self, tick: LoggedTick) -> Difference | None:
         output, failed = self._step(tick)
         self._ticks += 1
         self._failed += failed
@@ -177,7 +178,7 @@ class _Check:
                 return found
         return None
 
-    def _step(self, tick: TapeTick) -> tuple[OnboardOutput, bool]:
+    def _step(self, tick: LoggedTick) -> tuple[OnboardOutput, bool]:
         """As the process does it: take in, step; and the safe output when that raises."""
         try:
             for kind, data in tick.entries:
@@ -203,7 +204,7 @@ class _Check:
         self._in += 1
 
     def _first_field(
-        self, tick: TapeTick, logged: NDArray[np.float64], replayed: NDArray[np.float64]
+        self, tick: LoggedTick, logged: NDArray[np.float64], replayed: NDArray[np.float64]
     ) -> Difference | None:
         differs = np.flatnonzero(logged.view(np.int64) != replayed.view(np.int64))
         if not differs.size:
@@ -214,7 +215,7 @@ class _Check:
         return self._difference(tick, name, repr(float(logged[first])), repr(float(replayed[first])) + more)
 
     def _first_datagram(
-        self, tick: TapeTick, name: str, logged: list[bytes], replayed: list[bytes]
+        self, tick: LoggedTick, name: str, logged: list[bytes], replayed: list[bytes]
     ) -> Difference | None:
         self._out += len(replayed)
         if len(logged) != len(replayed):
@@ -226,5 +227,5 @@ class _Check:
                 return self._difference(tick, f"{name}, byte {at}", *shown)
         return None
 
-    def _difference(self, tick: TapeTick, field: str, logged: str, replayed: str) -> Difference:
+    def _difference(self, tick: LoggedTick, field: str, logged: str, replayed: str) -> Difference:
         return Difference(tick.number, (tick.now_ns - self._start_ns) * 1e-9, field, logged, replayed)

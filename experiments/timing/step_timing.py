@@ -14,7 +14,7 @@ from experiments.flights.scenario import FlightConfig
 from flight_log.writer import FlightLogWriter
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.process import LOOP
-from onboard.record.input_log import TOPIC, Entry, TapeWriter
+from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from runtime.pace import PaceKeeper
 
@@ -44,7 +44,7 @@ TURN_S: Final = 2.5
 
 
 @dataclass(slots=True)
-class Recording:
+class RecordedTicks:
     """What came to onboard in each tick of a flight."""
 
     now_ns: list[int] = field(default_factory=list)
@@ -99,13 +99,13 @@ def quantiles_us(durations_ns: Iterable[int]) -> Quantiles:
 Observer = Callable[[OnboardOutput], None]
 
 
-def record_flight(config: FlightConfig, seconds: float, observe: Observer = lambda output: None) -> Recording:
+def record_flight(config: FlightConfig, seconds: float, observe: Observer = lambda output: None) -> RecordedTicks:
     """The datagrams that reach onboard in the first `seconds` of a lockstep flight, offboard included.
 
     `observe` is called with onboard's output of each tick.
     """
     lockstep, onboard, _, _ = build(config)
-    recording = Recording()
+    recording = RecordedTicks()
     for method, into in (("take_in_vehicle", recording.vehicle), ("take_in_offboard", recording.offboard)):
         setattr(onboard, method, _copying(getattr(onboard, method), into))
     for _ in range(round(seconds * 1e9 / config.onboard.period_ns)):
@@ -129,13 +129,13 @@ class Replay:
     """A fresh onboard core that flies a recording again, tick by tick, under stopwatches; `log` takes what it logs."""
 
     def __init__(
-        self, config: FlightConfig, recording: Recording, blocks: bool, log: FlightLogWriter | None = None
+        self, config: FlightConfig, recording: RecordedTicks, blocks: bool, log: FlightLogWriter | None = None
     ) -> None:
         self._core = OnboardCore(config.onboard, ONBOARD_SESSION, None)
         self._recording = recording
         self._next = 0
         self._log = log
-        self._tape = TapeWriter()
+        self._datagrams = DatagramLogWriter()
         self._loop_record = np.zeros(len(LOOP.fields))
         self.observe: Observer | None = None
         """Called with the output of each tick."""
@@ -176,22 +176,22 @@ class Replay:
 
     def keep(self, output: OnboardOutput, log: FlightLogWriter) -> None:
         """The log of a tick as the process writes it."""
-        now, index, tape = self._recording.now_ns[self._next], self._next, self._tape
+        now, index, datagram_log = self._recording.now_ns[self._next], self._next, self._datagrams
         for datagram in self._recording.vehicle[index]:
-            tape.put(Entry.FROM_VEHICLE, datagram)
+            datagram_log.put(Entry.FROM_VEHICLE, datagram)
         for datagram in self._recording.offboard[index]:
-            tape.put(Entry.FROM_OFFBOARD, datagram)
+            datagram_log.put(Entry.FROM_OFFBOARD, datagram)
         for entry, datagrams in (
             (Entry.TO_VEHICLE, output.to_vehicle),
             (Entry.TO_OFFBOARD, output.to_offboard),
             (Entry.TO_GROUND, output.to_ground),
         ):
             for datagram in datagrams:
-                tape.put(entry, datagram)
+                datagram_log.put(entry, datagram)
         log.write(TICK, now, output.tick)
         for time_ns, text in output.events:
             log.event(time_ns, text)
-        log.write_bytes(TOPIC, now, tape.end_tick(now, 0, False))
+        log.write_bytes(TOPIC, now, datagram_log.end_tick(now, 0, False))
         log.write(LOOP, now, self._loop_record)
 
 
@@ -220,7 +220,7 @@ def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], 
 
 
 def measure_step(
-    config: FlightConfig, recording: Recording
+    config: FlightConfig, recording: RecordedTicks
 ) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
     """us: {block: {paced, hot: (p50, p99, max)}} and the lateness of the loop and of the bare loop.
 
@@ -234,7 +234,7 @@ def measure_step(
 
 
 def _timed(
-    config: FlightConfig, recording: Recording, blocks: bool
+    config: FlightConfig, recording: RecordedTicks, blocks: bool
 ) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
     """The recording once back to back and once paced, logged as in flight."""
     period_ns, spin_ns = config.onboard.period_ns, config.onboard.realtime.spin_us * 1000

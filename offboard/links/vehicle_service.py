@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from configs.addresses import NetworkConfig
+from configs.addresses import Addresses
 from flight_log.writer import FlightLogWriter
 from offboard.core import OffboardCore
 from offboard.data.records import OffboardOutput
@@ -46,7 +46,7 @@ class VehicleService:
     def __init__(
         self,
         core: OffboardCore,
-        network: NetworkConfig,
+        network: Addresses,
         log: FlightLogWriter,
         out: Path,
         status: StatusLines,

@@ -7,14 +7,14 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 
 Positive = Annotated[float, Field(gt=0)]
 GRAVITY: Final = 9.81
 """m/s^2."""
 
 
-class AirframeConfig(Record):
+class AirframeConfig(ConfigRecord):
     """Nominal values; sources stand beside the numbers in configs/onboard.yaml."""
 
     mass_kg: Positive

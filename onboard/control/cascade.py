@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.airframe import GRAVITY, AirframeConfig
 from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
@@ -48,14 +48,14 @@ MODEL_ERROR_MAX_RAD = 0.6
 """Beyond this the attitude error is no longer linear: the reference model starts over at the vehicle."""
 
 
-class ChannelSettings(Record):
+class ChannelSettings(ConfigRecord):
     """One channel: its poles and its augmentation."""
 
     gains: ChannelGains
     augmentation: AugmentationConfig
 
 
-class CascadeSettings(Record):
+class CascadeSettings(ConfigRecord):
     """The whole cascade."""
 
     position: ChannelSettings

@@ -15,7 +15,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.airframe import GRAVITY
 from protocol.geometry import Vector3
 
@@ -23,7 +23,7 @@ FALL_MIN_M_S2 = 2.0
 """Specific thrust never falls below this: without thrust there is no torque and no direction to tilt to."""
 
 
-class DemandLimitsConfig(Record):
+class DemandLimitsConfig(ConfigRecord):
     """The limits with motors that deliver, and with motors that fall short."""
 
     tilt_max_rad: Annotated[float, Field(gt=0, le=1.2)] = 0.7

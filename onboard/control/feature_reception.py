@@ -3,7 +3,7 @@
 Gathering (digest, decoding) and swapping (a k x k solve) are spread over two ticks, so that neither makes one late.
 """
 
-from onboard.control.interface import Controller, Learner
+from onboard.control.interface import Controller, LearningController
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
 from protocol.transfer import FeatureReceiver
@@ -13,7 +13,7 @@ class FeatureReception:
     """The feature-version state of the vehicle."""
 
     def __init__(self, controller: Controller) -> None:
-        self._learner = controller if isinstance(controller, Learner) else None
+        self._learner = controller if isinstance(controller, LearningController) else None
         self._receiver = FeatureReceiver()
         self._pending: FeatureSet | None = None
         self._refused: tuple[int, int] = (0, 0)

@@ -21,13 +21,13 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.features import Features
 from onboard.control.laws.last_layer import PROJECTION_MARGIN
 from protocol.conventions import Array
 
 
-class SwapConfig(Record):
+class SwapConfig(ConfigRecord):
     """Limits of the swap."""
 
     memory_weight: Annotated[float, Field(gt=0, description="mu per recent state: pull towards W_bar")] = 0.05

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from pydantic import Field
 
-from configs.loader import ConfigError, Record, fill
+from configs.loader import ConfigError, ConfigRecord, fill
 from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ControlInputs, ControlOutput
 from protocol.feature_set import FeatureSet
@@ -24,7 +24,7 @@ class Controller(Protocol):
     The class is called as `Class(settings, airframe, seed)`; it must not touch clocks, files or global random state.
     """
 
-    Settings: type[Record]
+    Settings: type[ConfigRecord]
 
     def step(self, inputs: ControlInputs) -> ControlOutput:
         """The command for this tick. The output may be the same object every time."""
@@ -34,7 +34,7 @@ class Controller(Protocol):
 
 
 @runtime_checkable
-class Learner(Protocol):
+class LearningController(Protocol):
     """What a controller adds to take features that were trained off board."""
 
     @property
@@ -45,7 +45,7 @@ class Learner(Protocol):
         """Swaps to the new features, all channels or none; returns "" or why not (protocol.messages.REFUSALS)."""
 
 
-class ControllerConfig(Record):
+class ControllerConfig(ConfigRecord):
     """A controller by the place of its class, with that class's own settings."""
 
     class_path: str = Field(alias="class", pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class")

@@ -12,12 +12,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.conventions import Array
 from protocol.geometry import Quaternion, Vector3, quaternion_multiply, quaternion_to_rotation_vector, rotate
 
 
-class ChannelGains(Record):
+class ChannelGains(ConfigRecord):
     """Poles of one channel's closed loop."""
 
     natural_frequency_rad_s: tuple[

@@ -2,10 +2,10 @@
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 
 
-class EstimatorConfig(Record):
+class EstimatorConfig(ConfigRecord):
     """Standard deviations unless said otherwise. The defaults fit the Mambo's bench and flight logs."""
 
     accelerometer_sigma: float = Field(

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.conventions import Array
 
 POSES: Final = 32
@@ -19,7 +19,7 @@ EVERY: Final = 8
 NOT_COMPARED: Final = "the pose has not been compared with the IMU yet"
 
 
-class PoseHealthConfig(Record):
+class PoseHealthConfig(ConfigRecord):
     """What the pose must be like before the vehicle may be armed, where arming needs one."""
 
     rate_min_hz: float = Field(default=20.0, gt=0, description="Hz, poses that arrive")

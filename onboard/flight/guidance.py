@@ -4,14 +4,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.records import Target
 from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import Path, PathClock, PathPoint, TrajectoryConfig
 from protocol.geometry import Vector3
 
 
-class GuidanceConfig(Record):
+class GuidanceConfig(ConfigRecord):
     """What is to be flown, and how far ahead to look."""
 
     trajectory: TrajectoryConfig

@@ -15,7 +15,7 @@ from typing import Final, Literal, NamedTuple
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.flight.modes import AIRBORNE, COMMAND_EVENTS, SPINNING, TRANSITIONS, Command, Event, FlightMode
 
 __all__ = ["Command", "FlightMode", "Supervisor", "SupervisorConfig", "SupervisorInputs"]
@@ -28,7 +28,7 @@ _UNREADY_NS: Final = 2 * 10**9
 """What keeps the vehicle from being armed for so long is said."""
 
 
-class SupervisorConfig(Record):
+class SupervisorConfig(ConfigRecord):
     """Limits. Ages are seconds since the newest good input."""
 
     imu_silent_s: float = Field(default=0.05, gt=0, description="s; motors off")

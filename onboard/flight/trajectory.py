@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.geometry import Vector3
 
 Positive = Annotated[float, Field(gt=0)]
@@ -28,13 +28,13 @@ class PathPoint(NamedTuple):
     """m/s^2."""
 
 
-class Hover(Record):
+class Hover(ConfigRecord):
     """Stay above the take-off point."""
 
     kind: Literal["hover"]
 
 
-class Figure8(Record):
+class Figure8(ConfigRecord):
     """Lemniscate of Gerono: north A sin(theta), east B/2 sin(2 theta)."""
 
     kind: Literal["figure8"]
@@ -43,7 +43,7 @@ class Figure8(Record):
     period_s: Annotated[float, Field(ge=2, le=120, description="one lap")]
 
 
-class Circle(Record):
+class Circle(ConfigRecord):
     """Circle through the take-off point, its centre to the north."""
 
     kind: Literal["circle"]
@@ -51,7 +51,7 @@ class Circle(Record):
     period_s: Annotated[float, Field(ge=2, le=120, description="one lap")]
 
 
-class Waypoints(Record):
+class Waypoints(ConfigRecord):
     """Straight legs between points relative to the hover point, each flown rest to rest with a smooth profile."""
 
     kind: Literal["waypoints"]
@@ -61,7 +61,7 @@ class Waypoints(Record):
     wait_s: Annotated[float, Field(ge=0, le=60, description="rest at each point")]
 
 
-class TrajectoryConfig(Record):
+class TrajectoryConfig(ConfigRecord):
     """Take-off, hover, path, landing."""
 
     path: Annotated[Hover | Figure8 | Circle | Waypoints, Field(discriminator="kind")]

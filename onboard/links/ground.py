@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 from pydantic import Field
 from pymavlink.dialects.v20 import common as mavlink
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.estimation.state import VehicleState
 from onboard.flight.modes import SPINNING, Command, FlightMode
 from onboard.links.readings import BatteryReading
@@ -70,7 +70,7 @@ _SYSTEM_STATES: Final[dict[FlightMode, int]] = {
 """All others: active."""
 
 
-class GroundLinkConfig(Record):
+class GroundLinkConfig(ConfigRecord):
     """Rates of the telemetry."""
 
     system: int = Field(default=1, ge=1, le=255, description="MAVLink system id of this vehicle")

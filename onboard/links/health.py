@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.conventions import Array
 
 BLOCK_SAMPLES: Final = 50
@@ -23,7 +23,7 @@ AXES: Final = tuple(f"{sensor} {axis}" for sensor in ("accelerometer", "gyroscop
 NOT_JUDGED: Final = "the vehicle's IMU has not been judged yet"
 
 
-class LinkHealthConfig(Record):
+class LinkHealthConfig(ConfigRecord):
     """What the stream must be like before the vehicle may be armed."""
 
     imu_rate_min_hz: float = Field(default=180.0, gt=0, description="Hz, samples that arrive")

@@ -22,7 +22,7 @@ from typing import Final
 from pydantic import Field
 from pymavlink.dialects.v20 import common as mavlink
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.links.health import LinkHealth, LinkHealthConfig
 from onboard.links.readings import BatteryReading, FlowReading, ImuReading, RangeReading, Reading
 from protocol.conventions import NEVER_NS, Array
@@ -57,7 +57,7 @@ def _clipped(fraction: float) -> float:
     return min(max(fraction, 0.0), 1.0)
 
 
-class VehicleLinkConfig(Record):
+class VehicleLinkConfig(ConfigRecord):
     """What is taken from the vehicle, and what is not."""
 
     vehicle_system: int = Field(default=0, ge=0, le=255, description="MAVLink system id; 0: the first one heard")

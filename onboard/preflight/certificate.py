@@ -11,7 +11,7 @@ import re
 from typing import Final, Literal, NamedTuple
 
 from configs.addresses import serial_line
-from configs.loader import ConfigError, Record, fill
+from configs.loader import ConfigError, ConfigRecord, fill
 from onboard.preflight.checks import Check, Result
 
 AGE_MAX_S: Final = 24 * 3600
@@ -32,7 +32,7 @@ class Clearance(NamedTuple):
 CLEAR: Final = Clearance()
 
 
-class RecordedCheck(Record):
+class RecordedCheck(ConfigRecord):
     """One row of the table."""
 
     name: str
@@ -40,7 +40,7 @@ class RecordedCheck(Record):
     measured: str
 
 
-class PreflightRecord(Record):
+class PreflightRecord(ConfigRecord):
     """A preflight check of one vehicle."""
 
     format: Literal[1] = 1

@@ -29,7 +29,7 @@ class PoseSample(NamedTuple):
     """wxyz, body to world."""
 
 
-class Recording(NamedTuple):
+class Capture(NamedTuple):
     """One step's readings. All times are our clock's, in seconds, unless the name says otherwise."""
 
     imu_arrival_s: Array
@@ -110,7 +110,7 @@ class Recorder:
         """One pose of the motion capture."""
         _keep(self._poses, (*pose.position, *pose.quaternion, pose.time_ns * 1e-9), OTHERS_MAX)
 
-    def end(self) -> Recording:
+    def end(self) -> Capture:
         """What came since `begin`."""
         imu = np.array(self._imu, dtype=np.float64).reshape(-1, 10)
         flow = np.array(self._flow, dtype=np.float64).reshape(-1, 7)
@@ -118,7 +118,7 @@ class Recorder:
         poses = np.array(self._poses, dtype=np.float64).reshape(-1, 8)
         if len(poses):  # q and -q are one rotation; a mean needs them on one side
             poses[:, 3:7] *= np.where(poses[:, 3:7] @ poses[0, 3:7] < 0.0, -1.0, 1.0)[:, None]
-        return Recording(
+        return Capture(
             imu_arrival_s=imu[:, 0],
             imu_stamp_s=imu[:, 1],
             imu_delay_s=imu[:, 2],

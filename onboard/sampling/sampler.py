@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.conventions import Array
 from protocol.messages import SAMPLES_PER_BATCH_MAX, SampleBatch
 from protocol.signals import CHANNELS, SIGNAL_COUNT
@@ -28,7 +28,7 @@ BATCH_OVERHEAD_BYTES: Final = 88 + NETWORK_BYTES
 _BURST_BYTES: Final = 2.0 * (BATCH_OVERHEAD_BYTES + SAMPLES_PER_BATCH_MAX * SAMPLE_BYTES)
 
 
-class SamplerConfig(Record):
+class SamplerConfig(ConfigRecord):
     """How samples are taken and sent."""
 
     rate_hz: float = Field(default=50.0, gt=0.0, le=200.0, description="Hz, samples a second")

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.geometry import Vector3
 
 
-class _Timed(Record):
+class _Timed(ConfigRecord):
     onset_s: float = Field(default=0.0, ge=0.0, description="s, flight time")
     end_s: float | None = Field(default=None, gt=0.0, description="s, flight time; left out: for good")
 

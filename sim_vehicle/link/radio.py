@@ -4,7 +4,8 @@ A datagram's way: queue of the rate-limited sender (full: dropped), air (blackou
 corruption, delay with exponential jitter and a rare long tail, duplication. Datagrams keep their order, as a late
 one holds back those behind it, unless reordering picks one out to arrive later than its turn. Each direction draws
 from a generator of its own, a fixed count of numbers for each datagram, so that the same seed gives datagram i the
-same luck whatever else is configured. What became of each datagram is kept and can be flown again (`Recording`).
+same luck whatever else is configured. What became of each datagram is kept and can be flown again
+(`RecordedDeliveries`).
 """
 
 import heapq
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from flight_log.schema import RecordType
 
 Direction = Literal["up", "down"]
@@ -28,13 +29,13 @@ RADIO_STREAM: Final = 301
 """Number of the radio's random stream, apart from the vehicle's; real time and lockstep draw the same luck."""
 IN_FLIGHT_MAX: Final = 20_000
 """Most datagrams on their way in a direction; beyond it the queue counts as full."""
-FATES_MAX: Final = 1_000_000
-"""Most fates kept in a direction, over an hour of flight; later ones are counted but not kept."""
+DELIVERIES_MAX: Final = 1_000_000
+"""Most deliveries kept in a direction, over an hour of flight; later ones are counted but not kept."""
 _DRAWS: Final = 10
 _BLOCK: Final = 128
 
 
-class BlackoutConfig(Record):
+class BlackoutConfig(ConfigRecord):
     """A window in which nothing gets through."""
 
     start_s: float = Field(ge=0.0, description="s after the start of the flight")
@@ -49,7 +50,7 @@ class BlackoutConfig(Record):
         return self
 
 
-class BurstConfig(Record):
+class BurstConfig(ConfigRecord):
     """Gilbert-Elliott loss: two states, changed before each datagram."""
 
     enter: float = Field(default=0.0, ge=0.0, le=1.0, description="probability good -> bad, per datagram (p)")
@@ -59,7 +60,7 @@ class BurstConfig(Record):
     loss_in_bad: float = Field(default=1.0, ge=0.0, le=1.0, description="loss probability in the bad state")
 
 
-class DirectionConfig(Record):
+class DirectionConfig(ConfigRecord):
     """What one direction does to datagrams."""
 
     delay_s: float = Field(default=0.0, ge=0.0, le=10.0, description="s, least one-way delay")
@@ -88,7 +89,7 @@ class DirectionConfig(Record):
         return self
 
 
-class RadioConfig(Record):
+class RadioConfig(ConfigRecord):
     """Both directions of the radio."""
 
     up: DirectionConfig = DirectionConfig()
@@ -98,7 +99,7 @@ class RadioConfig(Record):
 OUTCOMES: Final[tuple[str, ...]] = ("delivered", "loss", "burst", "blackout", "queue")
 
 
-class Fate(NamedTuple):
+class Delivery(NamedTuple):
     """What became of one datagram. Delays are -1 where there was no such copy, bits -1 where none was flipped."""
 
     sent_ns: int
@@ -110,8 +111,8 @@ class Fate(NamedTuple):
     flipped_bit: int
 
 
-FATE: Final = RecordType(
-    "radio/fate",
+DELIVERY: Final = RecordType(
+    "radio/delivery",
     (
         ("direction", ""),
         ("sent_ns", "ns"),
@@ -122,20 +123,20 @@ FATE: Final = RecordType(
         ("flipped_bit", ""),
     ),
 )
-"""A fate as a record of the flight log: indices into DIRECTIONS and OUTCOMES, the rest as in Fate."""
+"""A delivery as a record of the flight log: indices into DIRECTIONS and OUTCOMES, the rest as in Delivery."""
 
 
-def fate_vector(direction: Direction, fate: Fate) -> NDArray[np.float64]:
-    """The vector of a fate, fields as in FATE."""
-    outcome = OUTCOMES.index(fate.outcome)
-    numbers = (DIRECTIONS.index(direction), fate.sent_ns, fate.size_bytes, outcome, *fate[3:])
+def delivery_vector(direction: Direction, delivery: Delivery) -> NDArray[np.float64]:
+    """The vector of a delivery, fields as in DELIVERY."""
+    outcome = OUTCOMES.index(delivery.outcome)
+    numbers = (DIRECTIONS.index(direction), delivery.sent_ns, delivery.size_bytes, outcome, *delivery[3:])
     return np.array(numbers, dtype=np.float64)
 
 
-def fate_from_vector(vector: Sequence[float] | NDArray[np.float64]) -> tuple[Direction, Fate]:
-    """The reverse of `fate_vector`."""
+def delivery_from_vector(vector: Sequence[float] | NDArray[np.float64]) -> tuple[Direction, Delivery]:
+    """The reverse of `delivery_vector`."""
     direction, sent_ns, size_bytes, outcome, *delays = (int(number) for number in vector)
-    return DIRECTIONS[direction], Fate(sent_ns, size_bytes, OUTCOMES[outcome], *delays)
+    return DIRECTIONS[direction], Delivery(sent_ns, size_bytes, OUTCOMES[outcome], *delays)
 
 
 @dataclass(slots=True)
@@ -165,43 +166,43 @@ class _Luck:
         return self._rows.popleft()
 
 
-class Recording:
-    """One direction's fates of an earlier flight, dealt out to the datagrams of another.
+class RecordedDeliveries:
+    """One direction's deliveries of an earlier flight, dealt out to the datagrams of another.
 
-    Both are walked in the order of time: a datagram meets the next fate, unless that lies more than SLACK_NS away.
-    Fates whose time has passed are skipped; where there is none for a datagram, the one before it counts again. So a
-    flight that sends at the same times meets exactly the recorded fates, one by one, and a flight that sends more or
-    less, as with another controller, still meets each burst and each silence when the recorded one did.
+    Both are walked in the order of time: a datagram meets the next delivery, unless that lies more than SLACK_NS away.
+    Deliveries whose time has passed are skipped; where there is none for a datagram, the one before it counts again.
+    So a flight that sends at the same times meets exactly the recorded deliveries, one by one, and a flight that sends
+    more or less, as with another controller, still meets each burst and each silence when the recorded one did.
     """
 
     SLACK_NS: Final = 100_000_000
 
-    def __init__(self, fates: Sequence[Fate]) -> None:
-        self._fates = fates
+    def __init__(self, deliveries: Sequence[Delivery]) -> None:
+        self._deliveries = deliveries
         self._next = 0
         self.used = 0
-        """Datagrams that met a recorded fate of their own."""
+        """Datagrams that met a recorded delivery of their own."""
         self.repeated = 0
-        """Datagrams that shared the fate of the one before."""
+        """Datagrams that shared the delivery of the one before."""
 
     @property
     def skipped(self) -> int:
-        """Fates that no datagram has met, of those that came before the latest one met."""
+        """Deliveries that no datagram has met, of those that came before the latest one met."""
         return self._next - self.used
 
-    def fate(self, size_bytes: int, now_ns: int) -> Fate | None:
-        """The fate of a datagram sent now; None past the end of the record."""
-        fates, count = self._fates, len(self._fates)
-        if not count or now_ns > fates[-1].sent_ns + self.SLACK_NS:
+    def delivery(self, size_bytes: int, now_ns: int) -> Delivery | None:
+        """The delivery of a datagram sent now; None past the end of the record."""
+        deliveries, count = self._deliveries, len(self._deliveries)
+        if not count or now_ns > deliveries[-1].sent_ns + self.SLACK_NS:
             return None
-        while self._next < count and fates[self._next].sent_ns < now_ns - self.SLACK_NS:
+        while self._next < count and deliveries[self._next].sent_ns < now_ns - self.SLACK_NS:
             self._next += 1
-        if self._next < count and fates[self._next].sent_ns <= now_ns + self.SLACK_NS:
-            found = fates[self._next]
+        if self._next < count and deliveries[self._next].sent_ns <= now_ns + self.SLACK_NS:
+            found = deliveries[self._next]
             self._next += 1
             self.used += 1
         else:
-            found = fates[max(self._next - 1, 0)]
+            found = deliveries[max(self._next - 1, 0)]
             self.repeated += 1
         bits = max(8 * size_bytes, 1)
         bit = found.flipped_bit % bits if found.flipped_bit >= 0 else -1
@@ -211,31 +212,31 @@ class Recording:
 class _Path:
     """One direction."""
 
-    def __init__(self, config: DirectionConfig, rng: np.random.Generator, recorded: Sequence[Fate]) -> None:
+    def __init__(self, config: DirectionConfig, rng: np.random.Generator, recorded: Sequence[Delivery]) -> None:
         self._config = config
         self._luck = _Luck(rng)
-        self.recording = Recording(recorded)
+        self.recording = RecordedDeliveries(recorded)
         self._in_bad_state = False
         self._free_ns = 0  # when the rate-limited sender has sent all it holds
         self._in_order_ns = 0  # arrival of the latest datagram that kept its turn
         self._heap: list[tuple[int, int, bool, bytes]] = []  # (due, running number, is a copy, datagram)
         self._pushed = 0
         self.counts = DirectionCounts()
-        self.fates: list[Fate] = []
+        self.deliveries: list[Delivery] = []
 
     def send(self, datagram: bytes, now_ns: int, since_start_s: float) -> None:
         luck = self._luck.row()
         if len(self._heap) >= IN_FLIGHT_MAX:
-            fate = _undelivered(datagram, now_ns, "queue")
+            delivery = _undelivered(datagram, now_ns, "queue")
         else:
-            recorded = self.recording.fate(len(datagram), now_ns)
-            fate = self._decide(datagram, now_ns, since_start_s, luck) if recorded is None else recorded
-        self._count(fate)
-        if fate.outcome == "delivered":
-            arriving = _flip(datagram, fate.flipped_bit)
-            self._push(now_ns + fate.delay_ns, False, arriving)
-            if fate.copy_delay_ns >= 0:
-                self._push(now_ns + fate.copy_delay_ns, True, arriving)
+            recorded = self.recording.delivery(len(datagram), now_ns)
+            delivery = self._decide(datagram, now_ns, since_start_s, luck) if recorded is None else recorded
+        self._count(delivery)
+        if delivery.outcome == "delivered":
+            arriving = _flip(datagram, delivery.flipped_bit)
+            self._push(now_ns + delivery.delay_ns, False, arriving)
+            if delivery.copy_delay_ns >= 0:
+                self._push(now_ns + delivery.copy_delay_ns, True, arriving)
 
     def due(self, now_ns: int) -> list[bytes]:
         out: list[bytes] = []
@@ -252,18 +253,18 @@ class _Path:
         heapq.heappush(self._heap, (due_ns, self._pushed, is_copy, datagram))
         self._pushed += 1
 
-    def _count(self, fate: Fate) -> None:
+    def _count(self, delivery: Delivery) -> None:
         counts = self.counts
         counts.sent += 1
-        counts.sent_bytes += fate.size_bytes
-        counts.outcomes[fate.outcome] += 1
-        counts.lost += fate.outcome != "delivered"
-        counts.duplicated += fate.copy_delay_ns >= 0
-        counts.corrupted += fate.flipped_bit >= 0
-        if len(self.fates) < FATES_MAX:
-            self.fates.append(fate)
+        counts.sent_bytes += delivery.size_bytes
+        counts.outcomes[delivery.outcome] += 1
+        counts.lost += delivery.outcome != "delivered"
+        counts.duplicated += delivery.copy_delay_ns >= 0
+        counts.corrupted += delivery.flipped_bit >= 0
+        if len(self.deliveries) < DELIVERIES_MAX:
+            self.deliveries.append(delivery)
 
-    def _decide(self, datagram: bytes, now_ns: int, since_start_s: float, luck: list[float]) -> Fate:
+    def _decide(self, datagram: bytes, now_ns: int, since_start_s: float, luck: list[float]) -> Delivery:
         c = self._config
         change = c.burst.leave if self._in_bad_state else c.burst.enter
         if luck[0] < change:
@@ -282,7 +283,7 @@ class _Path:
         arrival_ns = self._arrival(left_ns, luck)
         copy_ns = arrival_ns + round(luck[7] * 1e6) - now_ns if luck[6] < c.duplication else -1
         bit = int(luck[9] * 8 * len(datagram)) if luck[8] < c.corruption and datagram else -1
-        return Fate(now_ns, len(datagram), "delivered", arrival_ns - now_ns, copy_ns, bit)
+        return Delivery(now_ns, len(datagram), "delivered", arrival_ns - now_ns, copy_ns, bit)
 
     def _leave_queue(self, size_bytes: int, now_ns: int) -> int | None:
         """When the last bit is on the air; None when the queue is full."""
@@ -314,7 +315,8 @@ class Radio:
     ----------
     rng: source of the two directions' own generators.
     start_ns: start of the flight, which blackouts count from; by default the time of the first datagram.
-    recorded: fates of an earlier flight by direction, dealt out by `Recording`. Past their end `config` decides.
+    recorded: deliveries of an earlier flight by direction, dealt out by `RecordedDeliveries`. Past their end `config`
+    decides.
     """
 
     def __init__(
@@ -322,7 +324,7 @@ class Radio:
         config: RadioConfig,
         rng: np.random.Generator,
         start_ns: int | None = None,
-        recorded: Mapping[Direction, Sequence[Fate]] | None = None,
+        recorded: Mapping[Direction, Sequence[Delivery]] | None = None,
     ) -> None:
         up, down = rng.spawn(2)
         recorded = recorded or {}
@@ -333,12 +335,12 @@ class Radio:
         self._start_ns = start_ns
 
     @property
-    def fates(self) -> dict[Direction, list[Fate]]:
+    def deliveries(self) -> dict[Direction, list[Delivery]]:
         """What became of each datagram, in the order sent."""
-        return {direction: path.fates for direction, path in self._paths.items()}
+        return {direction: path.deliveries for direction, path in self._paths.items()}
 
-    def recording(self, direction: Direction) -> Recording:
-        """How far the recorded fates were dealt out."""
+    def recording(self, direction: Direction) -> RecordedDeliveries:
+        """How far the recorded deliveries were dealt out."""
         return self._paths[direction].recording
 
     def start(self, now_ns: int) -> None:
@@ -364,8 +366,8 @@ class Radio:
         return self._paths[direction].counts
 
 
-def _undelivered(datagram: bytes, now_ns: int, outcome: str) -> Fate:
-    return Fate(now_ns, len(datagram), outcome, -1, -1, -1)
+def _undelivered(datagram: bytes, now_ns: int, outcome: str) -> Delivery:
+    return Delivery(now_ns, len(datagram), outcome, -1, -1, -1)
 
 
 def _flip(datagram: bytes, bit: int) -> bytes:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.geometry import Vector3
 
 PositiveVector3 = tuple[
@@ -13,7 +13,7 @@ PositiveVector3 = tuple[
 UnitVector3 = tuple[Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)]]
 
 
-class BodyConfig(Record):
+class BodyConfig(ConfigRecord):
     """Mass and geometry. The inertia is about the centre of mass, along the body's axes."""
 
     mass_kg: float = Field(gt=0.0, description="kg")
@@ -25,7 +25,7 @@ class BodyConfig(Record):
     rotor_radius_m: float = Field(gt=0.0, description="m")
 
 
-class MotorConfig(Record):
+class MotorConfig(ConfigRecord):
     """Motors and rotors; thrust is linear in the command fraction."""
 
     max_thrust_n: float = Field(gt=0.0, description="N per motor at full command and rated voltage")
@@ -39,7 +39,7 @@ class MotorConfig(Record):
     command_timeout_s: float = Field(gt=0.0, description="s without a command after which the motors stop")
 
 
-class BatteryConfig(Record):
+class BatteryConfig(ConfigRecord):
     """A single lithium-polymer cell with an immediate and a slow resistance."""
 
     rated_v: float = Field(gt=0.0, description="V, at which a motor gives max_thrust_n; thrust grows with V^2")
@@ -54,14 +54,14 @@ class BatteryConfig(Record):
     idle_a: float = Field(ge=0.0, description="A, electronics")
 
 
-class DragConfig(Record):
+class DragConfig(ConfigRecord):
     """Airframe drag, at the rotor plane, against the air: (linear + quadratic |u|) u."""
 
     linear_n_s_m: float = Field(ge=0.0, description="N/(m/s)")
     quadratic_n_s2_m2: float = Field(ge=0.0, description="N/(m/s)^2")
 
 
-class FloorConfig(Record):
+class FloorConfig(ConfigRecord):
     """The floor at d = 0: contact at four feet and four rotor rims, and ground effect."""
 
     stiffness_n_m: float = Field(gt=0.0, description="N/m per contact point")
@@ -74,7 +74,7 @@ class FloorConfig(Record):
     ground_effect: float = Field(ge=0.0, description="k of thrust factor 1 + k (R/4z)^2; 0 switches it off")
 
 
-class NominalConfig(Record):
+class NominalConfig(ConfigRecord):
     """What a designer without measurements would believe: the reference of the truth's disturbance force and torque.
 
     The onboard side has its own configuration; this one should agree with it.
@@ -90,7 +90,7 @@ class NominalConfig(Record):
     lag_down_s: float = Field(gt=0.0, description="s")
 
 
-class ImuConfig(Record):
+class ImuConfig(ConfigRecord):
     """Accelerometer, gyro and barometer, which share HIL_SENSOR.
 
     Noise sigmas are per sample at the IMU's rate. Biases are drawn once per flight from the seed: accelerometer normal
@@ -113,7 +113,7 @@ class ImuConfig(Record):
     pressure_at_floor_pa: float = Field(gt=0.0, description="Pa at d = 0")
 
 
-class UltrasonicConfig(Record):
+class UltrasonicConfig(ConfigRecord):
     """Height by ultrasound."""
 
     rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
@@ -124,7 +124,7 @@ class UltrasonicConfig(Record):
     half_cone_rad: float = Field(ge=0.0, description="rad, tilt up to which the nearest floor is straight below")
 
 
-class FlowConfig(Record):
+class FlowConfig(ConfigRecord):
     """Optical flow camera."""
 
     rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
@@ -136,14 +136,14 @@ class FlowConfig(Record):
     rate_limit_rad_s: float = Field(gt=0.0, description="rad/s of flow beyond which quality is 0")
 
 
-class OutageConfig(Record):
+class OutageConfig(ConfigRecord):
     """A time without motion capture."""
 
     start_s: float = Field(ge=0.0, description="s, flight time")
     end_s: float = Field(gt=0.0, description="s, flight time")
 
 
-class MotionCaptureConfig(Record):
+class MotionCaptureConfig(ConfigRecord):
     """Motion capture of the room, which reports to the offboard host."""
 
     rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
@@ -154,7 +154,7 @@ class MotionCaptureConfig(Record):
     outages: tuple[OutageConfig, ...] = Field(default=(), description="no frames at all in these times")
 
 
-class SensorsConfig(Record):
+class SensorsConfig(ConfigRecord):
     """Everything that measures."""
 
     imu: ImuConfig
@@ -164,7 +164,7 @@ class SensorsConfig(Record):
     battery_noise_v: float = Field(ge=0.0, description="V")
 
 
-class LinkConfig(Record):
+class LinkConfig(ConfigRecord):
     """MAVLink identity of the vehicle's sensors and motors."""
 
     system_id: int = Field(ge=1, le=255)
@@ -172,7 +172,7 @@ class LinkConfig(Record):
     clock_offset_s: float = Field(ge=0.0, description="s on the vehicle's clock when the simulation starts")
 
 
-class InitialConfig(Record):
+class InitialConfig(ConfigRecord):
     """State at flight time 0."""
 
     position_ned_m: Vector3 | None = Field(default=None, description="m; left out: at rest on the floor at n = e = 0")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from configs.addresses import RESERVED_PORTS, NetworkConfig, SerialLine, load_network, serial_line
+from configs.addresses import RESERVED_PORTS, Addresses, SerialLine, load_network, serial_line
 from configs.flight_tree import numbered
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, read_tree
 from experiments.flights.scenario import Choices, resolve
@@ -12,8 +12,8 @@ from experiments.flights.scenario import Choices, resolve
 DEFAULTS = read_tree(CONFIG_DIRECTORY / "network.yaml")
 
 
-def changed(**values: object) -> NetworkConfig:
-    return fill(NetworkConfig, {**DEFAULTS, **values}, "test.yaml", "network.")
+def changed(**values: object) -> Addresses:
+    return fill(Addresses, {**DEFAULTS, **values}, "test.yaml", "network.")
 
 
 def test_the_shipped_file_is_valid_and_avoids_the_reserved_ports() -> None:

@@ -5,15 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from configs.loader import ConfigError, Record, fill, load, merge, parse_yaml, read_tree, set_path
+from configs.loader import ConfigError, ConfigRecord, fill, load, merge, parse_yaml, read_tree, set_path
 
 
-class MotorConfig(Record):
+class MotorConfig(ConfigRecord):
     gain: float = Field(gt=0, description="1")
     lags_s: tuple[float, float] = (0.02, 0.04)
 
 
-class VehicleConfig(Record):
+class VehicleConfig(ConfigRecord):
     name: str
     mass_kg: float = Field(gt=0.01, le=1.0, description="kg")
     rotors: int = Field(ge=1)

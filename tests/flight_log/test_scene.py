@@ -91,8 +91,8 @@ def test_losses_are_counted_over_a_second(tmp_path: Path) -> None:
         for i in range(400):
             lost = 100 <= i < 200 or i % 10 == 0
             outcome, delay = ("burst", -1) if lost else ("delivered", 10**7)
-            fate = radio.Fate(i * 10_000_000, 100, outcome, delay, -1, -1)
-            log.write(radio.FATE, i * 10_000_000, radio.fate_vector("down", fate))
+            delivery = radio.Delivery(i * 10_000_000, 100, outcome, delay, -1, -1)
+            log.write(radio.DELIVERY, i * 10_000_000, radio.delivery_vector("down", delivery))
     scene = build_scene(open_flight(tmp_path))
     down = curve(scene, "datagrams lost in 1 s [%]", "down")
     assert down.values[[99, 199, 399]] == pytest.approx([10.0, 100.0, 10.0], abs=1.0)

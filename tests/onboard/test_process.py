@@ -9,7 +9,7 @@ import pytest
 from configs.realtime import RealtimeConfig
 from onboard.core import OnboardOutput
 from onboard.process import FINAL_SAFE_COMMANDS, OnboardProcess
-from onboard.record.input_log import Entry, TapeTick, read_tick
+from onboard.record.datagram_log import Entry, LoggedTick, read_tick
 
 PERIOD_NS = 1_000_000
 REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)
@@ -74,7 +74,7 @@ class Bench:
         self.sockets = SimpleNamespace(**{name: FakeSocket(talks) for name, talks in talking.items()})
         self.logged: list[tuple[str, np.ndarray]] = []
         self.events: list[str] = []
-        self.taped: list[TapeTick] = []
+        self.taped: list[LoggedTick] = []
         log = SimpleNamespace(
             write=lambda kind, time_ns, vector: self.logged.append((kind.topic, vector.copy())),
             event=lambda time_ns, text: self.events.append(text),

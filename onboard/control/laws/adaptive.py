@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
 from onboard.control.features import BiasFeatures, Features, NetworkFeatures, RadialFeatures, random_channel
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
@@ -22,7 +22,7 @@ EPS_1_MEMORY_S = 2.0
 """Time over which eps_1, the misfit of W'Phi against Delta_hat, is averaged."""
 
 
-class InputScaling(Record):
+class InputScaling(ConfigRecord):
     """One input of a feature network."""
 
     signal: str
@@ -38,7 +38,7 @@ class InputScaling(Record):
         return name
 
 
-class AdaptiveConfig(Record):
+class AdaptiveConfig(ConfigRecord):
     """Adaptive augmentation of one channel."""
 
     kind: Literal["adaptive"]

@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from protocol.conventions import Array
 
 
-class IndiConfig(Record):
+class IndiConfig(ConfigRecord):
     """Incremental nonlinear dynamic inversion: the measured acceleration replaces the model (Smeur et al. 2016)."""
 
     kind: Literal["indi"]

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from protocol.conventions import Array
@@ -17,7 +17,7 @@ Gain3 = tuple[
 ]
 
 
-class IntegralConfig(Record):
+class IntegralConfig(ConfigRecord):
     """The integral of a PID controller."""
 
     kind: Literal["integral"]

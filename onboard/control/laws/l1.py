@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from protocol.conventions import Array
 
 
-class L1Config(Record):
+class L1Config(ConfigRecord):
     """L1 adaptive augmentation with the piecewise-constant law (Xargay, Hovakimyan, Cao 2010)."""
 
     kind: Literal["l1"]

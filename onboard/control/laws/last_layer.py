@@ -33,7 +33,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from protocol.conventions import Array
 from protocol.geometry import Vector3
 
@@ -43,7 +43,7 @@ SQUARE_MAX = 1e30
 """No square of a sensible number is this large; a step with larger ones, or with NaN, is left out."""
 
 
-class AdaptationConfig(Record):
+class AdaptationConfig(ConfigRecord):
     """Gains of one channel's last-layer law."""
 
     tracking_gain: Annotated[

@@ -4,13 +4,13 @@ from typing import Literal
 
 import numpy as np
 
-from configs.loader import Record
+from configs.loader import ConfigRecord
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from protocol.conventions import Array
 
 
-class NoneConfig(Record):
+class NoneConfig(ConfigRecord):
     """No augmentation: proportional-derivative with feed-forward."""
 
     kind: Literal["none"]

@@ -90,14 +90,14 @@ def test_unfolds_every_combination_once() -> None:
     assert keys.index("warm/none/1000") > max(i for i, key in enumerate(keys) if key.startswith("source/"))
 
 
-def test_all_controllers_meet_the_same_fate() -> None:
-    fates: dict[int, set[str]] = {}
+def test_all_controllers_meet_the_same_delivery() -> None:
+    deliveries: dict[int, set[str]] = {}
     for job in unfold(campaign(), "test"):
         if job.case == "chip":
             drawn = [item for item in job.assignments if "thrust_factor" not in item]
-            fates.setdefault(job.seed, set()).add(json.dumps(drawn))
-    assert [len(fate) for fate in fates.values()] == [1, 1, 1]
-    assert len(set.union(*fates.values())) == 3
+            deliveries.setdefault(job.seed, set()).add(json.dumps(drawn))
+    assert [len(delivery) for delivery in deliveries.values()] == [1, 1, 1]
+    assert len(set.union(*deliveries.values())) == 3
 
 
 def test_the_command_repeats_the_flight() -> None:

@@ -14,7 +14,8 @@ pytestmark = [pytest.mark.realtime, pytest.mark.full]
 RELATIVE, ABSOLUTE_M = 0.15, 0.003
 """Tolerance of the position RMSE: 15 % and 3 mm.
 
-What differs: the phase between the two clocks, how long a training round takes, and which datagram meets which fate.
+What differs: the phase between the two clocks, how long a training round takes, and which datagram meets which
+delivery.
 """
 
 

@@ -12,14 +12,14 @@ from experiments.flights.scenario import Choices, resolve
 from experiments.link.dropout_flights import HEADINGS, DropoutFlight, fly_one
 from experiments.link.dropout_trace import COLUMNS, FOLDER, load_trace, trace_names, write_csv
 from experiments.replays.link_quality import link_quality
-from sim_vehicle.link.radio import Fate, Radio, RadioConfig
+from sim_vehicle.link.radio import Delivery, Radio, RadioConfig
 
 MS = 1_000_000
 S = 1_000_000_000
 HEAD = ",".join(COLUMNS) + "\n"
 
 
-def fates(count: int = 300) -> Radio:
+def deliveries(count: int = 300) -> Radio:
     config = RadioConfig.model_validate(
         {"up": {"loss": 0.2, "delay_s": 0.01}, "down": {"duplication": 0.2, "corruption": 0.2, "jitter_s": 0.01}}
     )
@@ -34,26 +34,28 @@ def fates(count: int = 300) -> Radio:
 def test_every_shipped_trace_loads_and_does_something(name: str) -> None:
     trace = load_trace(name)
     assert trace.description
-    assert trace.radio != RadioConfig() or any(trace.fates.values())
-    assert (FOLDER / f"{name}.csv").exists() == bool(trace.fates)
+    assert trace.radio != RadioConfig() or any(trace.deliveries.values())
+    assert (FOLDER / f"{name}.csv").exists() == bool(trace.deliveries)
 
 
 def test_recorded_traces_hold_what_their_radio_does() -> None:
-    quality = {name: link_quality(load_trace(f"recorded_{name}").fates["down"], 30.0) for name in ("medium", "bad")}
+    quality = {
+        name: link_quality(load_trace(f"recorded_{name}").deliveries["down"], 30.0) for name in ("medium", "bad")
+    }
     assert 0.02 < quality["medium"].lost_share < 0.09
     assert 0.15 < quality["bad"].lost_share < 0.35
-    bluetooth = link_quality(load_trace("recorded_bluetooth").fates["down"], 30.0)
+    bluetooth = link_quality(load_trace("recorded_bluetooth").deliveries["down"], 30.0)
     assert bluetooth.delay_median_s == pytest.approx(0.0135, abs=0.003), "8 ms, jitter, and waiting for one's turn"
 
 
-def test_fates_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
-    radio = fates()
+def test_deliveries_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
+    radio = deliveries()
     path = tmp_path / "mine.csv"
-    write_csv(path, radio.fates, "Made up.")
+    write_csv(path, radio.deliveries, "Made up.")
     trace = load_trace(str(path))
     assert trace.description == "Made up."
-    for direction, written in radio.fates.items():
-        for before, after in zip(written, trace.fates[direction], strict=True):
+    for direction, written in radio.deliveries.items():
+        for before, after in zip(written, trace.deliveries[direction], strict=True):
             assert (before.outcome, before.flipped_bit) == (after.outcome, after.flipped_bit)
             for name in ("sent_ns", "delay_ns", "copy_delay_ns"):
                 assert getattr(after, name) == pytest.approx(getattr(before, name), abs=501)
@@ -100,8 +102,8 @@ def test_an_unknown_trace_is_told_before_anything_is_flown(capsys: pytest.Captur
 
 
 def test_the_quality_of_a_link() -> None:
-    def sent(at_ms: int, delay_ms: int) -> Fate:
-        return Fate(at_ms * MS, 50, "delivered" if delay_ms >= 0 else "loss", delay_ms * MS, -1, -1)
+    def sent(at_ms: int, delay_ms: int) -> Delivery:
+        return Delivery(at_ms * MS, 50, "delivered" if delay_ms >= 0 else "loss", delay_ms * MS, -1, -1)
 
     quality = link_quality([sent(100, 10), sent(200, -1), sent(300, -1), sent(400, 20), sent(500, -1)], 1.0)
     assert (quality.sent, quality.lost, quality.longest_burst) == (5, 3, 2)

@@ -103,4 +103,4 @@ def test_a_real_flood_costs_no_tick(tmp_path: Path) -> None:
     assert np.quantile(tick["pose_age"][during], 0.99) < 0.1, "and the poses among it were heard"
     assert set(tick["mode"][during].astype(int)) == {FlightMode.FLYING}
     (checked,) = check_flight(flight)
-    assert checked.difference is None, "what was taken in is all on the tape"
+    assert checked.difference is None, "what was taken in is all on the datagram log"

@@ -1,4 +1,4 @@
-"""A lockstep flight recorded, flown again with its fates, checked bit for bit, and what spoils the check."""
+"""A lockstep flight recorded, flown again with its deliveries, checked bit for bit, and what spoils the check."""
 
 import dataclasses
 import shutil
@@ -19,7 +19,7 @@ from experiments.replays.recorded_flight import RecordedFlight, read_recorded
 from experiments.replays.replay import figures, figures_of_recorded, refly, verdict, with_choices
 from experiments.replays.replay_check import CheckResult, check_flight, check_log
 from offboard.training.network import InputPlan, feature_set, initial_state
-from onboard.record.input_log import HEAD, TOPIC, Entry, TapeWriter, read_tick
+from onboard.record.datagram_log import HEAD, TOPIC, DatagramLogWriter, Entry, read_tick
 from onboard.record.tick import OFFSET, TICK
 
 SETTINGS = (
@@ -67,17 +67,17 @@ def test_what_was_recorded(flight: RecordedFlight) -> None:
     sent = {
         direction: counts["sent"] for direction, counts in flight.summary["link"].items() if direction != "rejected"
     }
-    assert sent == {direction: len(fates) for direction, fates in flight.fates.items()}
+    assert sent == {direction: len(deliveries) for direction, deliveries in flight.deliveries.items()}
 
 
 def test_the_same_controller_flies_the_same_flight(flight: RecordedFlight, tmp_path: Path) -> None:
     outcome = refly(flight, flight.config, tmp_path)
     assert outcome.trace_sha256 == flight.summary["trace_sha256"]
-    assert outcome.fates == flight.fates
+    assert outcome.deliveries == flight.deliveries
     lines = verdict(flight, flight.config, outcome)
-    assert lines[0].endswith("recorded fates met"), "one by one, none skipped and none shared"
+    assert lines[0].endswith("recorded deliveries met"), "one by one, none skipped and none shared"
     assert "equal bit for bit" in lines[-1]
-    assert read_recorded(tmp_path).fates == flight.fates
+    assert read_recorded(tmp_path).deliveries == flight.deliveries
 
 
 def test_another_controller_meets_the_same_weather(flight: RecordedFlight, tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_another_controller_meets_the_same_weather(flight: RecordedFlight, tmp_p
     assert config.controller == "pid"
     assert config.radio == flight.config.radio
     outcome = refly(flight, config, tmp_path)
-    again = figures(config, outcome.trace, outcome.crash_reason, outcome.fates)
+    again = figures(config, outcome.trace, outcome.crash_reason, outcome.deliveries)
     assert again.survived
     assert again.feature_version == 0
     original = figures_of_recorded(flight)
@@ -120,21 +120,21 @@ def test_a_fresh_core_answers_bit_for_bit(flight: RecordedFlight) -> None:
 
 
 def spoil(flight: RecordedFlight, change: Callable[[list[tuple[int, bytes]], np.ndarray], None]) -> CheckResult:
-    """The check of a log whose tape or rows were changed in memory."""
+    """The check of a log whose datagram log or rows were changed in memory."""
     log = flight.onboard_logs[0]
-    tape, topic = log.raw[TOPIC], log.vectors[TICK.topic]
+    datagram_log, topic = log.raw[TOPIC], log.vectors[TICK.topic]
     rows = topic.values
-    log.raw[TOPIC], topic.values = list(tape), rows.copy()
+    log.raw[TOPIC], topic.values = list(datagram_log), rows.copy()
     try:
         change(log.raw[TOPIC], topic.values)
         return check_log(flight, log, None)
     finally:
-        log.raw[TOPIC], topic.values = tape, rows
+        log.raw[TOPIC], topic.values = datagram_log, rows
 
 
 def with_entries(record: bytes, change: Callable[[Entry, bytes], bytes | None]) -> bytes:
-    """A tape's record with its entries changed, or left out where `change` gives None."""
-    tick, writer = read_tick(record), TapeWriter()
+    """A datagram log's record with its entries changed, or left out where `change` gives None."""
+    tick, writer = read_tick(record), DatagramLogWriter()
     for kind, data in tick.entries:
         changed = change(kind, data)
         if changed is not None:
@@ -143,11 +143,11 @@ def with_entries(record: bytes, change: Callable[[Entry, bytes], bytes | None]) 
 
 
 def test_one_bit_of_a_motor_datagram_is_found(flight: RecordedFlight) -> None:
-    def change(tape: list[tuple[int, bytes]], rows: np.ndarray) -> None:
+    def change(datagram_log: list[tuple[int, bytes]], rows: np.ndarray) -> None:
         def flip(kind: Entry, data: bytes) -> bytes:
             return data[:20] + bytes([data[20] ^ 1]) + data[21:] if kind is Entry.TO_VEHICLE else data
 
-        tape[700] = (tape[700][0], with_entries(tape[700][1], flip))
+        datagram_log[700] = (datagram_log[700][0], with_entries(datagram_log[700][1], flip))
 
     difference = spoil(flight, change).difference
     assert difference is not None
@@ -156,7 +156,7 @@ def test_one_bit_of_a_motor_datagram_is_found(flight: RecordedFlight) -> None:
 
 
 def test_the_last_bit_of_a_tick_field_is_found_and_named(flight: RecordedFlight) -> None:
-    def change(tape: list[tuple[int, bytes]], rows: np.ndarray) -> None:
+    def change(datagram_log: list[tuple[int, bytes]], rows: np.ndarray) -> None:
         column = OFFSET["position_adaptive_e"]
         rows[800, column] = np.nextafter(rows[800, column], np.inf)
 
@@ -168,13 +168,13 @@ def test_the_last_bit_of_a_tick_field_is_found_and_named(flight: RecordedFlight)
 
 
 def test_a_sensor_datagram_that_was_not_there_is_found_at_once(flight: RecordedFlight) -> None:
-    def change(tape: list[tuple[int, bytes]], rows: np.ndarray) -> None:
+    def change(datagram_log: list[tuple[int, bytes]], rows: np.ndarray) -> None:
         leave_out = iter([True])
 
         def drop(kind: Entry, data: bytes) -> bytes | None:
             return None if kind is Entry.FROM_VEHICLE and next(leave_out, False) else data
 
-        tape[900] = (tape[900][0], with_entries(tape[900][1], drop))
+        datagram_log[900] = (datagram_log[900][0], with_entries(datagram_log[900][1], drop))
 
     difference = spoil(flight, change).difference
     assert difference is not None
@@ -182,16 +182,16 @@ def test_a_sensor_datagram_that_was_not_there_is_found_at_once(flight: RecordedF
 
 
 def test_a_hole_in_the_log_ends_the_check_and_is_told(flight: RecordedFlight) -> None:
-    result = spoil(flight, lambda tape, rows: tape.pop(500))  # type: ignore[arg-type, return-value]
+    result = spoil(flight, lambda datagram_log, rows: datagram_log.pop(500))  # type: ignore[arg-type, return-value]
     assert result.difference is None
     assert result.ticks == 500
     assert result.incomplete == "the log lost the ticks 500 to 500"
 
 
 def test_a_step_that_failed_in_flight_must_fail_here_too(flight: RecordedFlight) -> None:
-    def change(tape: list[tuple[int, bytes]], rows: np.ndarray) -> None:
-        now, record = tape[600]
-        tape[600] = (now, record[: HEAD.size - 1] + b"\x01" + record[HEAD.size :])
+    def change(datagram_log: list[tuple[int, bytes]], rows: np.ndarray) -> None:
+        now, record = datagram_log[600]
+        datagram_log[600] = (now, record[: HEAD.size - 1] + b"\x01" + record[HEAD.size :])
 
     difference = spoil(flight, change).difference
     assert difference is not None
@@ -231,7 +231,7 @@ def test_what_cannot_be_replayed_is_told_in_one_line(
         (str(tmp_path / "nowhere"),): "no such flight",
         (str(tmp_path),): "holds no flight log",
         (str(bare),): "the logs of onboard and vehicle are needed",
-        (str(bare), "--save-trace", str(tmp_path / "x.csv")): "holds no radio/fate records",
+        (str(bare), "--save-trace", str(tmp_path / "x.csv")): "holds no radio/delivery records",
         (str(folder), "--save-trace", str(tmp_path / "x.txt")): "expected a name that ends in .csv",
         (str(folder), "--check", "--seed", "3"): "it takes no --controller and no --seed",
         (str(folder), "--controller", "nobody"): "unknown controller 'nobody'",

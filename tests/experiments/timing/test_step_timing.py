@@ -21,7 +21,7 @@ from experiments.timing.step_timing import (
 from experiments.timing.vehicle_speed import vehicle_speeds
 from flight_log.reader import open_flight
 from flight_log.writer import FlightLogWriter
-from onboard.record.input_log import TOPIC, Entry, read_tick
+from onboard.record.datagram_log import TOPIC, Entry, read_tick
 
 CONFIG = resolve("hover", Choices(duration_s=5.0))
 
@@ -52,9 +52,9 @@ def test_what_is_logged_of_a_tick_is_timed_and_complete(tmp_path: Path) -> None:
     assert 0.0 < p50 <= p99
     flight = open_flight(tmp_path)
     assert [len(flight[topic]) for topic in ("onboard/tick", "onboard/loop")] == [200, 200]
-    tape = [read_tick(data) for _, data in flight.messages(TOPIC)]
-    assert [tick.of(Entry.FROM_VEHICLE) for tick in tape] == recording.vehicle
-    assert all(tick.of(Entry.TO_VEHICLE) for tick in tape[1:])
+    datagram_log = [read_tick(data) for _, data in flight.messages(TOPIC)]
+    assert [tick.of(Entry.FROM_VEHICLE) for tick in datagram_log] == recording.vehicle
+    assert all(tick.of(Entry.TO_VEHICLE) for tick in datagram_log[1:])
 
 
 def test_the_paced_loop_and_the_bare_loop_take_turns() -> None:

@@ -9,16 +9,16 @@ from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, load
 from protocol.endpoint import Endpoint
 from protocol.messages import TimeSyncRequest
 from sim_vehicle.link.radio import (
+    DELIVERY,
     DIRECTIONS,
-    FATE,
     IN_FLIGHT_MAX,
     Direction,
     DirectionConfig,
     Radio,
     RadioConfig,
-    Recording,
-    fate_from_vector,
-    fate_vector,
+    RecordedDeliveries,
+    delivery_from_vector,
+    delivery_vector,
 )
 
 MS = 1_000_000
@@ -78,7 +78,7 @@ def test_gilbert_elliott_has_the_stated_loss_and_bursts(profile: str, loss: floa
     for index in range(40_000):
         radio.send("up", b"x" * 50, index * 10 * MS)
         radio.due("up", index * 10 * MS)
-    lost = np.array([fate.outcome == "burst" for fate in radio.fates["up"]])
+    lost = np.array([delivery.outcome == "burst" for delivery in radio.deliveries["up"]])
     starts = np.count_nonzero(lost[1:] & ~lost[:-1])
     assert lost.mean() == pytest.approx(loss, rel=0.15)
     assert lost.sum() / starts == pytest.approx(burst, rel=0.15)
@@ -93,7 +93,7 @@ def test_independent_loss() -> None:
 def test_delay_jitter_and_tail() -> None:
     radio = radio_of(delay_s=0.008, jitter_s=0.005, tail_probability=0.01)
     carry(radio, 4000, 300 * MS)  # far apart, so that none waits behind another
-    delays_s = np.array([fate.delay_ns for fate in radio.fates["down"]]) * 1e-9
+    delays_s = np.array([delivery.delay_ns for delivery in radio.deliveries["down"]]) * 1e-9
     assert delays_s.min() == pytest.approx(0.008, abs=1e-4)
     assert np.median(delays_s) == pytest.approx(0.008 + 0.005 * np.log(2), rel=0.05)
     assert 0.005 < (delays_s > 0.047).mean() < 0.02
@@ -166,7 +166,7 @@ def test_the_directions_have_luck_of_their_own() -> None:
     down = carry(alone, 500)
     carry(both, 300, direction="up")
     assert carry(both, 500) == down
-    assert [f.outcome for f in both.fates["up"][:300]] != [f.outcome for f in both.fates["down"][:300]]
+    assert [f.outcome for f in both.deliveries["up"][:300]] != [f.outcome for f in both.deliveries["down"][:300]]
 
 
 def test_more_loss_loses_the_same_datagrams_and_others() -> None:
@@ -175,13 +175,13 @@ def test_more_loss_loses_the_same_datagrams_and_others() -> None:
     assert arrived[1] < arrived[0]
 
 
-def test_recorded_fates_fly_again() -> None:
+def test_recorded_deliveries_fly_again() -> None:
     config = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "bad.yaml")
     first = Radio(config, np.random.default_rng(7))
     arrivals = {direction: carry(first, 800, direction=direction) for direction in DIRECTIONS}
-    again = Radio(RadioConfig(), np.random.default_rng(99), recorded=first.fates)
+    again = Radio(RadioConfig(), np.random.default_rng(99), recorded=first.deliveries)
     assert {direction: carry(again, 800, direction=direction) for direction in DIRECTIONS} == arrivals
-    assert again.fates == first.fates
+    assert again.deliveries == first.deliveries
     assert again.counts("up") == first.counts("up")
     again.send("up", b"one more", 100 * S)
     assert again.due("up", 100 * S) == [b"one more"], "past the record the configuration decides"
@@ -192,37 +192,37 @@ def test_a_flight_that_sends_more_or_less_meets_the_same_silences() -> None:
     first = radio_of(**window)
     carry(first, 400, 10 * MS)
     for period_ns, count in ((3 * MS, 1300), (10 * MS + 7, 400), (50 * MS, 80)):
-        again = Radio(RadioConfig(), np.random.default_rng(1), recorded=first.fates)
+        again = Radio(RadioConfig(), np.random.default_rng(1), recorded=first.deliveries)
         carry(again, count, period_ns)
-        for fate in again.fates["down"]:
-            clear_of_the_edges = min(abs(fate.sent_ns - edge) for edge in (S, 2 * S)) > Recording.SLACK_NS
+        for delivery in again.deliveries["down"]:
+            clear_of_the_edges = min(abs(delivery.sent_ns - edge) for edge in (S, 2 * S)) > RecordedDeliveries.SLACK_NS
             if clear_of_the_edges:
-                assert (fate.outcome == "blackout") == (S < fate.sent_ns < 2 * S), fate
+                assert (delivery.outcome == "blackout") == (S < delivery.sent_ns < 2 * S), delivery
         recording = again.recording("down")
         assert recording.used + recording.repeated == sum(
-            fate.sent_ns <= 3990 * MS + Recording.SLACK_NS for fate in again.fates["down"]
+            delivery.sent_ns <= 3990 * MS + RecordedDeliveries.SLACK_NS for delivery in again.deliveries["down"]
         )
         assert recording.used + recording.skipped <= 400
     assert recording.skipped > 300
-    assert again.fates["down"][0].delay_ns == 10 * MS
+    assert again.deliveries["down"][0].delay_ns == 10 * MS
 
 
 def test_a_recorded_bit_flips_in_a_shorter_datagram_too() -> None:
     first = radio_of(corruption=1.0)
     first.send("down", bytes(1000), 0)
-    again = Radio(RadioConfig(), np.random.default_rng(1), recorded=first.fates)
+    again = Radio(RadioConfig(), np.random.default_rng(1), recorded=first.deliveries)
     again.send("down", bytes(10), 0)
     assert again.due("down", 0) != [bytes(10)]
 
 
-def test_a_fate_survives_the_flight_log() -> None:
+def test_a_delivery_survives_the_flight_log() -> None:
     radio = Radio(load(RadioConfig, CONFIG_DIRECTORY / "radio" / "bad.yaml"), np.random.default_rng(7))
     for direction in DIRECTIONS:
         carry(radio, 300, direction=direction)
-        for fate in radio.fates[direction]:
-            vector = fate_vector(direction, fate)
-            assert vector.shape == (len(FATE.fields),)
-            assert fate_from_vector(vector) == (direction, fate)
+        for delivery in radio.deliveries[direction]:
+            vector = delivery_vector(direction, delivery)
+            assert vector.shape == (len(DELIVERY.fields),)
+            assert delivery_from_vector(vector) == (direction, delivery)
 
 
 def test_what_is_on_its_way_is_bounded() -> None:

@@ -4,16 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.record.input_log import ENTRY_MAX_BYTES, HEAD, TIME, Entry, TapeWriter, read_tick
+from onboard.record.datagram_log import ENTRY_MAX_BYTES, HEAD, TIME, DatagramLogWriter, Entry, read_tick
 
 entries = st.lists(st.tuples(st.sampled_from(Entry), st.binary(max_size=300)), max_size=20)
 
 
 @given(st.lists(entries, max_size=5), st.integers(0, 2**62), st.integers(0, 2**31), st.booleans())
-def test_what_goes_on_the_tape_comes_back(
+def test_what_goes_on_the_datagram_log_comes_back(
     ticks: list[list[tuple[Entry, bytes]]], now_ns: int, missed: int, failed: bool
 ) -> None:
-    writer = TapeWriter()
+    writer = DatagramLogWriter()
     for number, put in enumerate(ticks):
         for kind, data in put:
             writer.put(kind, data)
@@ -23,7 +23,7 @@ def test_what_goes_on_the_tape_comes_back(
 
 
 def test_a_request_to_land_keeps_its_own_time() -> None:
-    writer = TapeWriter()
+    writer = DatagramLogWriter()
     writer.land_request(17)
     tick = read_tick(writer.end_tick(20, 0))
     assert [TIME.unpack(data)[0] for data in tick.of(Entry.LAND_REQUEST)] == [17]
@@ -32,9 +32,9 @@ def test_a_request_to_land_keeps_its_own_time() -> None:
 
 @pytest.mark.parametrize("cut", [1, HEAD.size + 1, HEAD.size + 5])
 def test_a_torn_record_is_refused(cut: int) -> None:
-    writer = TapeWriter()
+    writer = DatagramLogWriter()
     writer.put(Entry.TO_VEHICLE, b"motors")
-    with pytest.raises(ValueError, match="of a tape"):
+    with pytest.raises(ValueError, match="of a datagram log"):
         read_tick(writer.end_tick(1, 0)[:cut])
 
 
@@ -45,6 +45,6 @@ def test_any_bytes_are_a_record_or_a_value_error(data: bytes) -> None:
 
 
 def test_the_longest_datagram_fits() -> None:
-    writer = TapeWriter()
+    writer = DatagramLogWriter()
     writer.put(Entry.FROM_VEHICLE, bytes(ENTRY_MAX_BYTES))
     assert read_tick(writer.end_tick(1, 0)).of(Entry.FROM_VEHICLE) == [bytes(ENTRY_MAX_BYTES)]

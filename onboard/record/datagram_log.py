@@ -1,9 +1,9 @@
-"""The tape: everything that went into and came out of the core in each tick, so that a flight can be run again exactly.
+"""The datagram log: every datagram in and out of the core, tick by tick, so that a flight can be run again exactly.
 
 One record a tick, written after the step: a head (time, number of the tick, missed ticks, whether the step failed),
 then entries in the order in which they happened: the kind (one byte), the length (two bytes) and the bytes. Whoever
-drives a core (the real-time process, lockstep) fills a `TapeWriter`; `experiments.replays.replay_check` feeds what
-is on the tape to a fresh core. A tape holds what was on the wires, and no key.
+drives a core (the real-time process, lockstep) fills a `DatagramLogWriter`; `experiments.replays.replay_check` feeds
+what it holds to a fresh core. A datagram log holds what was on the wires, and no key.
 """
 
 import struct
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-TOPIC: Final = "onboard/tape"
+TOPIC: Final = "onboard/datagrams"
 HEAD: Final = struct.Struct("<qIIB")
 ENTRY: Final = struct.Struct("<BH")
 TIME: Final = struct.Struct("<q")
@@ -31,7 +31,7 @@ class Entry(IntEnum):
     TO_GROUND = 7
 
 
-class TapeTick(NamedTuple):
+class LoggedTick(NamedTuple):
     """One record read back."""
 
     now_ns: int
@@ -47,7 +47,7 @@ class TapeTick(NamedTuple):
         return [data for entry, data in self.entries if entry is kind]
 
 
-class TapeWriter:
+class DatagramLogWriter:
     """Gathers one tick's entries."""
 
     __slots__ = ("_number", "_parts")
@@ -73,7 +73,7 @@ class TapeWriter:
         return record
 
 
-def read_tick(record: bytes) -> TapeTick:
+def read_tick(record: bytes) -> LoggedTick:
     """A record read back.
 
     Raises
@@ -83,9 +83,9 @@ def read_tick(record: bytes) -> TapeTick:
     """
     try:
         now_ns, number, missed, failed = HEAD.unpack_from(record)
-        return TapeTick(now_ns, number, missed, bool(failed), tuple(_entries(record)))
+        return LoggedTick(now_ns, number, missed, bool(failed), tuple(_entries(record)))
     except struct.error as error:
-        raise ValueError(f"not a record of a tape: {error}") from None
+        raise ValueError(f"not a record of a datagram log: {error}") from None
 
 
 def _entries(record: bytes) -> Iterator[tuple[Entry, bytes]]:
@@ -95,5 +95,5 @@ def _entries(record: bytes) -> Iterator[tuple[Entry, bytes]]:
         start = at + ENTRY.size
         at = start + length
         if at > len(record):
-            raise ValueError("a record of a tape that ends too early")
+            raise ValueError("a record of a datagram log that ends too early")
         yield Entry(kind), record[start:at]
