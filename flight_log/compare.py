@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flight_log.html import card, code, image, page, paragraph, section, table
+from flight_log.html import code, image, name_value_table, page, paragraph, section, table
 from flight_log.reader import Flight, FlightError, Table
-from flight_log.report import card_rows, repeat_command, title_of
+from flight_log.report import repeat_command, summary_rows, title_of
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,9 @@ def build_comparison(flights: Sequence[Flight]) -> str:
         [
             section("Flights", table([[n, str(f.path)] for n, f in zip(names, flights, strict=True)])),
             section("Figure", image(draw(flights, names), "comparison")),
-            section("Flight cards", card(card_table(flights), ("", *names)), _without_card(flights, names)),
+            section(
+                "Flight cards", name_value_table(summary_table(flights), ("", *names)), _without_card(flights, names)
+            ),
             section("Again", code("\n".join(repeat_command(flight) for flight in flights if flight.summary))),
         ],
     )
@@ -55,9 +57,9 @@ def labels(flights: Sequence[Flight]) -> list[str]:
     return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
-def card_table(flights: Sequence[Flight]) -> list[list[str]]:
+def summary_table(flights: Sequence[Flight]) -> list[list[str]]:
     """One row for each entry of the flight cards, one column for each flight."""
-    cards = [{row[0]: row[1] for row in card_rows(flight.summary)} for flight in flights]
+    cards = [{row[0]: row[1] for row in summary_rows(flight.summary)} for flight in flights]
     keys = dict.fromkeys(key for card in cards for key in card)
     return [[key, *(card.get(key, "-") for card in cards)] for key in keys]
 

@@ -42,18 +42,18 @@ def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     return f'<div class="scroll"><table>{top}{"".join(map(_row, rows))}</table></div>'
 
 
-def card(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
+def name_value_table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of names with their values, which are of all kinds: they stand to the left, and long ones are broken."""
     body = table(rows, head)
     return f'<div class="card">{body}</div>' if body else ""
 
 
-def folded(title: str, text: str) -> str:
+def collapsible_text(title: str, text: str) -> str:
     """Text that opens on a click."""
-    return opening(title, code(text)) if text else ""
+    return collapsible(title, code(text)) if text else ""
 
 
-def opening(title: str, body: str) -> str:
+def collapsible(title: str, body: str) -> str:
     """Something that opens on a click."""
     return f"<details><summary>{escape(title)}</summary>{body}</details>"
 

@@ -9,7 +9,17 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, parse_yaml
-from flight_log.html import card, code, folded, image, opening, page, paragraph, section, table
+from flight_log.html import (
+    code,
+    collapsible,
+    collapsible_text,
+    image,
+    name_value_table,
+    page,
+    paragraph,
+    section,
+    table,
+)
 from flight_log.inspect import check
 from flight_log.log_file import FlightError
 from flight_log.reader import TICK_TOPIC, Flight, Table, open_flight
@@ -44,7 +54,7 @@ def build_report(flight: Flight) -> str:
         title_of(flight),
         [
             _delivery(summary),
-            section("Flight card", card(card_rows(summary))),
+            section("Flight card", name_value_table(summary_rows(summary))),
             section("Figures", *(image(file.read_bytes(), file.stem) for file in sorted(flight.path.glob("*.png")))),
             section("Training", _training(flight.get("offboard/training"))),
             section("Events", _events(flight)),
@@ -63,7 +73,7 @@ def title_of(flight: Flight) -> str:
     return f"{summary.get('scenario', '?')}, {summary.get('controller', '?')}, seed {summary.get('seed', '?')}"
 
 
-def card_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]]:
+def summary_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]]:
     """Name and value of every entry of the flight card, nested ones by path; the command has a place of its own."""
     rows: list[list[str]] = []
     for key, value in summary.items():
@@ -71,7 +81,7 @@ def card_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]]:
         if name == "command":
             continue
         if isinstance(value, Mapping):
-            rows += card_rows(value, f"{name}.")
+            rows += summary_rows(value, f"{name}.")
         elif isinstance(value, list | tuple) and value:
             rows.append([name, ", ".join(text_of(entry) for entry in value)])
         elif value not in ("", []):
@@ -131,7 +141,7 @@ def _training(training: Table | None) -> str:
     shown = np.unique(np.linspace(0, len(training) - 1, TRAINING_ROUNDS_MAX).astype(int))
     names = [name for name in training.names if np.isfinite(training[name]).any()]
     rows = [[f"{training[name][i]:.4g}" for name in names] for i in shown]
-    return opening(f"{len(shown)} of {len(training)} rounds", table(rows, names))
+    return collapsible(f"{len(shown)} of {len(training)} rounds", table(rows, names))
 
 
 def _events(flight: Flight) -> str:
@@ -152,7 +162,7 @@ def _logs(flight: Flight) -> str:
         f"{process}\n" + "\n".join(f"  {key}: {value}" for key, value in values.items())
         for process, values in flight.metadata.items()
     )
-    return state + table(rows, ("topic", "records", "columns")) + folded("versions and clocks", metadata)
+    return state + table(rows, ("topic", "records", "columns")) + collapsible_text("versions and clocks", metadata)
 
 
 def _configs(flight: Flight) -> list[str]:
@@ -161,4 +171,4 @@ def _configs(flight: Flight) -> list[str]:
     for process, attachments in flight.attachments.items():
         for name, data in attachments.items():
             found.setdefault(data, []).append(f"{process}: {name}")
-    return [folded(", ".join(names), data.decode(errors="replace")) for data, names in found.items()]
+    return [collapsible_text(", ".join(names), data.decode(errors="replace")) for data, names in found.items()]

@@ -13,12 +13,12 @@ from typing import Final
 from configs.addresses import seen_from_offboard
 from configs.loader import ConfigError, fill_section
 from flight_log.writer import FlightLogWriter
+from offboard.background import BackgroundThread
 from offboard.config import OffboardConfig
 from offboard.core import OffboardCore
 from offboard.data.experience import ExperienceError
 from offboard.links.vehicle_service import VehicleService
 from offboard.process import serve
-from offboard.training.worker import Worker
 from protocol.keys import load_key
 from protocol.session import session_number
 from runtime.errors import StartError
@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         vehicles = _vehicles(arguments)
         if any(vehicle.config.experience.mode == "learn" for vehicle in vehicles):
-            import offboard.training.trainer  # noqa: F401  torch takes seconds to load: before poses wait, not between them
+            import offboard.training.round  # noqa: F401  torch takes seconds to load: before poses wait, not between them
         for vehicle in vehicles:
             make_folder(vehicle.out)
     except (ConfigError, StartError) as error:
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     bound = ("offboard_link", "motion_capture")
     link, capture = (f"network.{name}" if arguments.also else OPTIONS[name] for name in bound)
-    worker = Worker()
+    worker = BackgroundThread()
     logs: list[FlightLogWriter] = []
     services: list[VehicleService] = []
     try:
@@ -114,9 +114,9 @@ def run(arguments: argparse.Namespace) -> int:
         for vehicle in vehicles:
             network = vehicle.flight.network
             heard = f"motion capture is heard on {network.motion_capture}"
-            vehicle.status.say(f"onboard {network.radio_offboard}, {heard}")
+            vehicle.status.report(f"onboard {network.radio_offboard}, {heard}")
         for vehicle in vehicles:
-            vehicle.status.say("ready")
+            vehicle.status.report("ready")
         result = serve(services, stop)
     except AddressInUseError as error:
         for service in services:
@@ -164,7 +164,7 @@ def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
         if several and checkpoint is not None:
             checkpoint = checkpoint / folder / "checkpoint.npz"
             if not checkpoint.exists():
-                status.say(f"{checkpoint} is not there: vehicle {number} starts anew")
+                status.report(f"{checkpoint} is not there: vehicle {number} starts anew")
                 checkpoint = None
         resumed |= checkpoint is not None
         _load_experience(core, checkpoint, arguments.warm_start)

@@ -14,10 +14,10 @@ import numpy as np
 
 from offboard.config import OffboardConfig
 from offboard.data.experience import dump_version, load_experience, load_version
-from offboard.data.records import EPOCH, LINK, TRAINING, OffboardOutput
 from offboard.links.pose_relay import PoseRelay
+from offboard.records import EPOCH, LINK, TRAINING, OffboardOutput
 from offboard.training.job import TrainingJob, TrainingResult
-from offboard.training.learner import Learner, Outcome
+from offboard.training.vehicle_learner import Outcome, VehicleLearner
 from protocol.clock import ForwardClock
 from protocol.conventions import Array
 from protocol.endpoint import Endpoint
@@ -54,7 +54,7 @@ class OffboardCore:
         self._endpoint = Endpoint("offboard", session, key, config.vehicle_id)
         self._sender = FeatureSender(config.transfer)
         self._relay = PoseRelay(config.pose_relay)
-        self._learner = Learner(config)
+        self._learner = VehicleLearner(config)
         self._learning = config.experience.mode == "learn"
         self._job_outstanding = False
         self._peer_session: int | None = None
@@ -73,7 +73,7 @@ class OffboardCore:
         self._next_link_record_ns = 0
 
     @property
-    def learner(self) -> Learner:
+    def learner(self) -> VehicleLearner:
         """What was learnt so far."""
         return self._learner
 
@@ -96,7 +96,7 @@ class OffboardCore:
         self._learner.warm_start(load_version(version))
         self._must_offer = True
 
-    def take_in(self, datagram: bytes, now_ns: int) -> None:
+    def receive_onboard(self, datagram: bytes, now_ns: int) -> None:
         """A datagram from onboard."""
         now_ns = self._clock.at(now_ns)
         message = self._endpoint.decode(datagram, now_ns)
@@ -104,7 +104,7 @@ class OffboardCore:
             self._peer_session = self._endpoint.peer_session
             self._status = None
             self._behind_since_ns = None
-            self._learner.new_flight()
+            self._learner.start_flight()
             self._event(now_ns, f"onboard session {self._peer_session}")
         if message is not None:
             self._handle(message, now_ns)
@@ -112,22 +112,22 @@ class OffboardCore:
     def _handle(self, message: Message, now_ns: int) -> None:
         if isinstance(message, SampleBatch):
             if self._learning:
-                self._learner.take_in(message)
+                self._learner.receive(message)
         elif isinstance(message, Status):
-            self._take_in_status(message, now_ns)
+            self._receive_status(message, now_ns)
         elif isinstance(message, TimeSyncRequest):
             self._answers.append((message.origin_ns, now_ns))
 
-    def _take_in_status(self, status: Status, now_ns: int) -> None:
+    def _receive_status(self, status: Status, now_ns: int) -> None:
         self._status = status
-        self._sender.on_status(status, now_ns)
+        self._sender.receive_status(status, now_ns)
         for version in (status.feature_version, status.transfer_version, status.refused_version):
-            self._learner.seen_version(version)
+            self._learner.note_version(version)
         if status.refused_version != self._refused:
             self._refused = status.refused_version
             self._event(now_ns, f"version {self._refused} refused: {REFUSALS[status.refusal]}")
 
-    def take_in_motion_capture(self, datagram: bytes, now_ns: int) -> None:
+    def receive_motion_capture(self, datagram: bytes, now_ns: int) -> None:
         """A datagram from the motion capture; relayed in the next step."""
         now_ns = self._clock.at(now_ns)
         pose = self._relay.receive(datagram, now_ns)
@@ -135,12 +135,12 @@ class OffboardCore:
         if pose is not None:
             self._poses.append(pose)
 
-    def take_in_training(self, result: TrainingResult, now_ns: int) -> None:
+    def receive_training(self, result: TrainingResult, now_ns: int) -> None:
         """The result of the outstanding job."""
         now_ns = self._clock.at(now_ns)
         self._job_outstanding = False
         flying = self.flying_version
-        outcome = self._learner.take_in_training(result, now_ns)
+        outcome = self._learner.receive_result(result, now_ns)
         if outcome.to_send is not None:
             self._offer(outcome.to_send, now_ns)
         self._record_training(result, outcome, flying, now_ns)
@@ -190,7 +190,7 @@ class OffboardCore:
         elif self._behind_since_ns is None:
             self._behind_since_ns = now_ns
         elif now_ns - self._behind_since_ns >= RESEND_PATIENCE_NS:
-            self._offer(self._learner.renumbered(latest), now_ns)
+            self._offer(self._learner.issue(latest), now_ns)
 
     def _offer(self, features: FeatureSet, now_ns: int) -> None:
         self._must_offer = False

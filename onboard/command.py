@@ -19,7 +19,7 @@ from protocol.session import session_number
 from runtime.errors import StartError
 from runtime.files import make_folder, write_json
 from runtime.flight_options import add_flight_options, flight_of
-from runtime.kernel import ask_for_realtime, quiet_interpreter
+from runtime.kernel import prepare_interpreter, request_realtime
 from runtime.signals import StopRequest
 from runtime.status import StatusLines
 
@@ -91,12 +91,12 @@ def run(arguments: argparse.Namespace) -> int:
     about |= {"arming_bar": clearance.bar, "notice": clearance.notice}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
-        status.say("; ".join(map(str, ask_for_realtime(config.realtime.priority))))
-        quiet_interpreter()
-        status.say(f"vehicle {network.vehicle}, offboard {network.radio_onboard}, ground station {network.ground}")
+        status.report("; ".join(map(str, request_realtime(config.realtime.priority))))
+        prepare_interpreter()
+        status.report(f"vehicle {network.vehicle}, offboard {network.radio_onboard}, ground station {network.ground}")
         if clearance.bar:
-            status.say(f"will not arm: {clearance.bar}")
-        status.say("ready")
+            status.report(f"will not arm: {clearance.bar}")
+        status.report("ready")
         process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
         result = process.fly()
     finally:

@@ -152,7 +152,7 @@ class OnboardProcess:
             self._log.write(CLOCK_OFFSET, now, output.clock_offset)
         for time_ns, text in output.events:
             self._log.event(time_ns, text)
-            self._status.say(text)
+            self._status.report(text)
         if self._status.due(now):
             self._status.write({**self._core.status(now), "missed_ticks": self._pace.missed, "escapes": self.escapes})
 
@@ -174,7 +174,7 @@ class OnboardProcess:
             self._latest_report = report
             self._log.event(now, report)
             print(report, file=sys.stderr, flush=True)
-        self._status.say(f"a step failed ({self.escapes} of {self._realtime.escapes_max}): {_last_line(report)}")
+        self._status.report(f"a step failed ({self.escapes} of {self._realtime.escapes_max}): {_last_line(report)}")
         with contextlib.suppress(Exception):
             return self._core.safe_output(now)
         return None

@@ -50,12 +50,12 @@ class ClockEstimate:
         self.round_trip_ns: int | None = None
         self.jumps = 0
 
-    def forget(self) -> None:
+    def restart(self) -> None:
         """Starts anew, as after a restart of the peer; open requests stay open."""
         self._samples.clear()
         self.offset_ns = self.round_trip_ns = None
 
-    def asked(self, origin_ns: int) -> None:
+    def note_request(self, origin_ns: int) -> None:
         """Notes a request that leaves now."""
         self._open.append(origin_ns)
 
@@ -63,7 +63,7 @@ class ClockEstimate:
         """Whether a reply with this origin answers a request of ours, recently made and not yet answered."""
         return origin_ns in self._open and 0 <= now_ns - origin_ns <= REQUEST_LIFE_NS
 
-    def answered(self, origin_ns: int, receive_ns: int, transmit_ns: int, now_ns: int) -> bool:
+    def receive_reply(self, origin_ns: int, receive_ns: int, transmit_ns: int, now_ns: int) -> bool:
         """Takes in a reply; False when its request is not open or its round trip would be negative."""
         round_trip = (now_ns - origin_ns) - (transmit_ns - receive_ns)
         if not self.is_open(origin_ns, now_ns) or round_trip < 0:

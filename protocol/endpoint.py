@@ -49,8 +49,8 @@ class Endpoint:
             raise ValueError(f"session {session} or vehicle id {vehicle_id} out of range")
         onboard = role == "onboard"
         self._send = Authenticator(key, "up" if onboard else "down")
-        self._hear = Authenticator(key, "down" if onboard else "up")
-        self._send_types, self._hear_types = (UP_TYPES, DOWN_TYPES) if onboard else (DOWN_TYPES, UP_TYPES)
+        self._receive = Authenticator(key, "down" if onboard else "up")
+        self._send_types, self._receive_types = (UP_TYPES, DOWN_TYPES) if onboard else (DOWN_TYPES, UP_TYPES)
         self._session = session
         self._vehicle_id = vehicle_id
         self._sequence = 0
@@ -59,7 +59,7 @@ class Endpoint:
         self._fastest_ns: int | None = None
         self._allowance_ns = RATE_BURST * 10**9 // RATE_MAX_HZ
         self._allowance_at_ns: int | None = None
-        self._knocked = False
+        self._challenge_wanted = False
         self._challenged_ns: int | None = None
         self.statistics = LinkStatistics()
 
@@ -103,7 +103,7 @@ class Endpoint:
         header = HEADER.pack(PROTOCOL_VERSION, number, self._vehicle_id, self._session, self._sequence, now_ns)
         signed = header + body
         if type(message) is TimeSyncRequest:
-            self._clock.asked(message.origin_ns)
+            self._clock.note_request(message.origin_ns)
         self._sequence += 1
         self.statistics.sent += 1
         self.statistics.sent_bytes += len(signed) + MAC_BYTES
@@ -126,11 +126,11 @@ class Endpoint:
         version, number, vehicle_id, session, sequence, sent_ns = HEADER.unpack_from(datagram)
         if version != PROTOCOL_VERSION:
             raise ProtocolError("version")
-        if number not in self._hear_types:
+        if number not in self._receive_types:
             raise ProtocolError("type")
         if vehicle_id != self._vehicle_id:
             raise ProtocolError("vehicle")
-        if not self._hear.is_genuine(datagram):
+        if not self._receive.is_genuine(datagram):
             raise ProtocolError("mac")
         body = datagram[HEADER.size : -MAC_BYTES]
         if session == self._peer.current:
@@ -138,12 +138,12 @@ class Endpoint:
         elif self._peer.is_newer(session) or self._answers_us(session, number, body, now_ns):
             self._start_session(session, sequence)
         else:
-            self._knocked = self._peer.may_return(session) and self._is_silent(now_ns)
+            self._challenge_wanted = self._peer.may_return(session) and self._is_silent(now_ns)
             raise ProtocolError("session")
         self._count(sequence, sent_ns, len(datagram), now_ns)
         self._spend_allowance(now_ns)
         message = decode_body(number, body)
-        if type(message) is TimeSyncReply and not self._clock.answered(
+        if type(message) is TimeSyncReply and not self._clock.receive_reply(
             message.origin_ns, message.receive_ns, message.transmit_ns, now_ns
         ):
             raise ProtocolError("time_sync")
@@ -169,8 +169,8 @@ class Endpoint:
 
     def challenge(self, now_ns: int) -> TimeSyncRequest | None:
         """What to ask when an older session of the peer has knocked: only one that lives now can answer. Else None."""
-        knocked, self._knocked = self._knocked, False
-        if not knocked:
+        wanted, self._challenge_wanted = self._challenge_wanted, False
+        if not wanted:
             return None
         if self._challenged_ns is not None and 0 <= now_ns - self._challenged_ns < CHALLENGE_PERIOD_NS:
             return None
@@ -179,7 +179,7 @@ class Endpoint:
 
     def _start_session(self, session: int, sequence: int) -> None:
         self._peer.start(session, sequence)
-        self._clock.forget()
+        self._clock.restart()
         self._fastest_ns = None
         self.statistics.sessions += 1
 

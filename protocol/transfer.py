@@ -90,7 +90,7 @@ class FeatureSender:
         self._interval_ns = round(self._config.resend_after_s * 1e9)
         self._started_ns = now_ns
 
-    def on_status(self, status: Status, now_ns: int) -> None:
+    def receive_status(self, status: Status, now_ns: int) -> None:
         """Takes in what the peer has."""
         self._status_ns = now_ns
         named = max(status.feature_version, status.transfer_version, status.refused_version)

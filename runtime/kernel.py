@@ -33,7 +33,7 @@ class Grant:
         return f"{self.name} {self.detail}" if self.granted else f"{self.name} NOT granted ({self.detail})"
 
 
-def quiet_interpreter() -> None:
+def prepare_interpreter() -> None:
     """No collector pauses and quick thread hand-over. Call when everything long-lived has been built."""
     sys.setswitchinterval(THREAD_SWITCH_S)
     gc.collect()
@@ -41,7 +41,7 @@ def quiet_interpreter() -> None:
     gc.disable()
 
 
-def ask_for_realtime(priority: int) -> list[Grant]:
+def request_realtime(priority: int) -> list[Grant]:
     """Ask for everything that makes waking punctual; whatever is refused is reported and done without.
 
     Parameters

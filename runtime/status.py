@@ -46,7 +46,7 @@ class StatusLines:
             words = "  ".join(f"{name} {_short(value)}" for name, value in values.items())
             self._line(f"{self._process}: {words}")
 
-    def say(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Report something that happened."""
         if self._json:
             self._put({"process": self._process, "kind": "event", "text": text})

@@ -13,7 +13,7 @@ from flight_log.writer import FlightLogWriter
 from protocol.keys import load_key
 from runtime.errors import StartError
 from runtime.files import make_folder, write_json
-from runtime.kernel import ask_for_realtime, quiet_interpreter
+from runtime.kernel import prepare_interpreter, request_realtime
 from runtime.signals import StopRequest
 from runtime.sockets import AddressInUseError
 from runtime.status import StatusLines
@@ -70,9 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
     log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", {"seed": str(seed)}, attachments)
     try:
         process = SimProcess(vehicle, radio, network, duration_s, log, status, stop)
-        ask_for_realtime(PRIORITY)
-        quiet_interpreter()
-        status.say("ready")
+        request_realtime(PRIORITY)
+        prepare_interpreter()
+        status.report("ready")
         result = process.fly()
         process.close()
     except AddressInUseError as error:

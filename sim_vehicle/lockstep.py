@@ -134,12 +134,12 @@ class Lockstep:
         if offboard is None:
             return
         for datagram in motion_capture:
-            offboard.take_in_motion_capture(datagram, now)
+            offboard.receive_motion_capture(datagram, now)
         for datagram in arrived:
-            offboard.take_in(datagram, now)
+            offboard.receive_onboard(datagram, now)
         while self._training and self._training[0][0] <= now:
             outcome = self._training.popleft()[1]
-            offboard.take_in_training(outcome, now)
+            offboard.receive_training(outcome, now)
             self.result.training.append(outcome)
         output = offboard.step(now)
         if output.job is not None:

@@ -168,7 +168,7 @@ class SimProcess:
             self._crash_ns = step_ns
             text = f"vehicle lost at {step_ns * 1e-9:.2f} s: {self._vehicle.crash_reason}"
             self._log.event(at_ns, text)
-            self._status.say(text)
+            self._status.report(text)
         if self._status.due(at_ns):
             self._status.write(self.status(step_ns))
 

@@ -61,7 +61,7 @@ NAMED_SHELLS = {
     "protocol.keys",
     "sim_vehicle.physics.compiled",
     "offboard.links.vehicle_service",
-    "offboard.training.worker",
+    "offboard.background",
 }
 """Modules outside the shells' names that are shells, and why: key files; the compiler's cache; the offboard process's
 part for each vehicle, and its thread."""

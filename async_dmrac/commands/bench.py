@@ -25,7 +25,7 @@ from experiments.timing.learning_speed import BATCH_SIZE, BATCHES, CAPACITY, adm
 from experiments.timing.start_up import start_onboard
 from experiments.timing.step_timing import LAW, Quantiles, measure_step, record_flight
 from experiments.timing.vehicle_speed import vehicle_speeds
-from runtime.kernel import ask_for_realtime, quiet_interpreter
+from runtime.kernel import prepare_interpreter, request_realtime
 
 Report = dict[str, Any]
 
@@ -67,8 +67,8 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
     console.print(f"recording {seconds:g} s of {config.scenario} with {config.controller}, seed {config.seed} ...")
     recording = record_flight(config, seconds)
     start_up = start_onboard(config)
-    console.print("; ".join(f"{grant}" for grant in ask_for_realtime(config.onboard.realtime.priority)))
-    quiet_interpreter()
+    console.print("; ".join(f"{grant}" for grant in request_realtime(config.onboard.realtime.priority)))
+    prepare_interpreter()
     steps, lateness = measure_step(config, recording)
     console.print(step_table(steps, config.onboard.period_ns))
     console.print(lateness_table(lateness))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from flight_log.compare import card_table, labels, write_comparison
+from flight_log.compare import labels, summary_table, write_comparison
 from flight_log.reader import open_flight
 
 DESCRIPTION = "Lays flights over each other: a table on the terminal, an HTML page with figure and table."
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     write_comparison(flights, args.out)
     names = labels(flights)
     width = max(len(name) for name in names)
-    rows = {row[0]: row[1:] for row in card_table(flights) if row[0] in ON_TERMINAL}
+    rows = {row[0]: row[1:] for row in summary_table(flights) if row[0] in ON_TERMINAL}
     print(f"{'':<{width}}  " + "  ".join(f"{key:>17}" for key in rows))
     for i, name in enumerate(names):
         print(f"{name:<{width}}  " + "  ".join(f"{values[i]:>17}" for values in rows.values()))

@@ -59,7 +59,7 @@ def _info(flight: Flight, args: argparse.Namespace) -> int:
 def _check(flight: Flight, args: argparse.Namespace) -> int:
     faults = check(flight)
     records = sum(log.record_count for log in flight.logs)
-    for fault in faults or [f"{flight.path}: whole, {records} records in {len(flight.logs)} logs, no gaps"]:
+    for fault in faults or [f"{flight.path}: complete, {records} records in {len(flight.logs)} logs, no gaps"]:
         print(fault)
     return 1 if faults else 0
 

@@ -28,7 +28,7 @@ from protocol.keys import load_key
 from protocol.mavlink_frames import SigningClock
 from runtime.errors import StartError
 from runtime.files import write_atomically
-from runtime.kernel import ask_for_realtime
+from runtime.kernel import request_realtime
 from runtime.sockets import DatagramSocket
 
 EXAMPLES = """examples:
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.record is not None and not arguments.record.parent.is_dir():  # not after the person's work
         raise ConfigError(f"--record {arguments.record}: there is no folder {arguments.record.parent}")
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
-    ask_for_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
+    request_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
     console = Console()
     recorder = Recorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
     session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)

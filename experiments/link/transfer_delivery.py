@@ -71,7 +71,7 @@ def deliver(loss: float, dtype: FloatName, seed: int) -> Delivery:
         for datagram in radio.due("up", now_ns):
             status = offboard.decode(datagram, now_ns)
             if isinstance(status, Status):
-                sender.on_status(status, now_ns)
+                sender.receive_status(status, now_ns)
         if not sender.outstanding_version:
             break
         if now_ns >= next_status_ns:

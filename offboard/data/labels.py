@@ -91,7 +91,7 @@ class LabelMaker:
         self._newest = -1
         self._period_ns = 0
 
-    def take_in(self, batch: SampleBatch) -> list[LabelledSample]:
+    def receive(self, batch: SampleBatch) -> list[LabelledSample]:
         """Store the samples of a batch and give out the labelled samples that became ready, oldest first."""
         if batch.period_ns != self._period_ns:
             self.restart()

@@ -11,10 +11,10 @@ from typing import Any, Final
 
 from configs.addresses import Addresses
 from flight_log.writer import FlightLogWriter
+from offboard.background import BackgroundThread, Results
 from offboard.core import OffboardCore
-from offboard.data.records import OffboardOutput
+from offboard.records import OffboardOutput
 from offboard.training.job import TrainingResult
-from offboard.training.worker import Results, Worker
 from runtime.files import write_atomically
 from runtime.kernel import resident_mb
 from runtime.sockets import AddressInUseError, DatagramSocket
@@ -50,7 +50,7 @@ class VehicleService:
         log: FlightLogWriter,
         out: Path,
         status: StatusLines,
-        worker: Worker,
+        worker: BackgroundThread,
         named: tuple[str, str] = ("--bind-link", "--bind-motion-capture"),
     ) -> None:
         self._core = core
@@ -64,7 +64,7 @@ class VehicleService:
             self._link.close()
             raise
         self.sockets: Final = (self._link, self._poses)
-        self._worker = worker
+        self._background = worker
         self._trained: Results = queue.SimpleQueue()
         self._unwritten: Results = queue.SimpleQueue()
         """Reports of files: apart from the above, for they say nothing of the training job that is under way."""
@@ -91,8 +91,8 @@ class VehicleService:
         now = time.monotonic_ns()
         self._due_ns = now + STEP_PERIOD_NS
         try:
-            self._take_in(now)
-            self._give_out(self._core.step(now), now)
+            self._receive(now)
+            self._send(self._core.step(now), now)
         except Exception:
             self._note_escape(now)
         self.steps += 1
@@ -114,11 +114,11 @@ class VehicleService:
         for socket in self.sockets:
             socket.close()
 
-    def _take_in(self, now: int) -> None:
+    def _receive(self, now: int) -> None:
         for datagram in self._poses.receive(POSE_DATAGRAMS_PER_STEP):
-            self._core.take_in_motion_capture(datagram, now)
+            self._core.receive_motion_capture(datagram, now)
         for datagram in self._link.receive(LINK_DATAGRAMS_PER_STEP):
-            self._core.take_in(datagram, now)
+            self._core.receive_onboard(datagram, now)
         while isinstance(report := _taken(self._unwritten), str):
             self.failed_writes += 1
             self._report(now, report, f"a file could not be written ({self.failed_writes} times)")
@@ -128,24 +128,24 @@ class VehicleService:
             self._core.training_failed(now)
             self._report(now, result, f"training failed ({self.failed_jobs} times)")
         elif result is not None:
-            self._core.take_in_training(result, now)
+            self._core.receive_training(result, now)
 
-    def _give_out(self, output: OffboardOutput, now: int) -> None:
+    def _send(self, output: OffboardOutput, now: int) -> None:
         for datagram in output.to_onboard:
             self._link.send(datagram)
         if output.job is not None:
-            self._worker.give(output.job.run, self._trained)
+            self._background.submit(output.job.run, self._trained)
         for record_type, time_ns, vector in output.records:
             self._log.write(record_type, time_ns, vector)
         for time_ns, text in output.events:
             self._log.event(time_ns, text)
-            self._status.say(text)
+            self._status.report(text)
         if output.checkpoint is not None:
-            self._worker.give(partial(self._write_checkpoint, output.checkpoint), self._unwritten)
+            self._background.submit(partial(self._write_checkpoint, output.checkpoint), self._unwritten)
         if output.version_file is not None:
             version, content = output.version_file
             file = self._out / f"features_{version}.npz"
-            self._worker.give(partial(write_atomically, file, content), self._unwritten)
+            self._background.submit(partial(write_atomically, file, content), self._unwritten)
         if self._status.due(now):
             self._status.write({**self._core.status(now), "escapes": self.escapes})
 
@@ -169,7 +169,7 @@ class VehicleService:
         if self.given_up:
             text = "given up: neither features nor poses until this process is started again"
             self._log.event(now, text)
-            self._status.say(text)
+            self._status.report(text)
 
     def _report(self, now: int, report: str, what: str) -> None:
         """Tell of a failure: in full when it is not the same as the last one."""
@@ -177,7 +177,7 @@ class VehicleService:
             self._latest_report = report
             self._log.event(now, report)
             print(report, file=sys.stderr, flush=True)
-        self._status.say(f"{what}: {report.strip().splitlines()[-1]}")
+        self._status.report(f"{what}: {report.strip().splitlines()[-1]}")
 
     def summary(self) -> dict[str, Any]:
         """What the flight record keeps of this vehicle's service."""

@@ -90,7 +90,7 @@ class Gate:
                 verdict = Verdict.NOT_BETTER
         return verdict
 
-    def sent(self, now_ns: int) -> None:
+    def note_sent(self, now_ns: int) -> None:
         """A version was let through at `now_ns`."""
         self._last_sent_ns = now_ns
 

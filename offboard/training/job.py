@@ -55,7 +55,7 @@ class TrainingJob:
     """Size of the parameters on the way up: what is judged is what will fly."""
 
     def run(self) -> TrainingResult:
-        """Train (offboard.training.trainer.train). torch is loaded here: a side that learns nothing does without it."""
-        from offboard.training.trainer import train
+        """Train (offboard.training.round.train). torch is loaded here: a side that learns nothing does without it."""
+        from offboard.training.round import train
 
         return train(self)

@@ -8,7 +8,7 @@ import pytest
 
 from flight_log.schema import RecordType, vector_fields
 from flight_log.writer import FlightLogWriter
-from offboard.data import records as offboard_records
+from offboard import records as offboard_records
 from onboard.record import tick as tick_record
 from sim_vehicle import records as sim_records
 

@@ -18,7 +18,7 @@ def test_log_info_check_merge_export(flight_folder: Path, capsys: pytest.Capture
     assert run("log", "info", flight_folder, "--json") == 0
     assert json.loads(capsys.readouterr().out)["duration_s"] == pytest.approx(4.995)
     assert run("log", "check", flight_folder) == 0
-    assert "whole, 1512 records in 2 logs, no gaps" in capsys.readouterr().out
+    assert "complete, 1512 records in 2 logs, no gaps" in capsys.readouterr().out
     assert run("log", "merge", flight_folder) == 0
     assert (flight_folder / "merged.mcap").exists()
     assert run("log", "export", flight_folder, "--csv", "--npz", "--ulog") == 0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flight_log.compare import card_table, draw, labels, path_seconds, smoothed, true_position, write_comparison
+from flight_log.compare import draw, labels, path_seconds, smoothed, summary_table, true_position, write_comparison
 from flight_log.reader import FlightError, open_flight
 from flight_log.report import repeat_command, text_of, write_report
 
@@ -98,7 +98,7 @@ def test_flights_are_laid_over_each_other(full_flight: Path, make_flight: Callab
     other = make_flight("other", error_m=0.3, controller="pid", position_rmse_m=0.3, features={})
     flights = [open_flight(full_flight), open_flight(other)]
     assert labels(flights) == ["figure8_wind, dmrac, seed 7", "figure8_wind, pid, seed 7"]
-    rows = {row[0]: row[1:] for row in card_table(flights)}
+    rows = {row[0]: row[1:] for row in summary_table(flights)}
     assert rows["position_rmse_m"] == ["0.12346", "0.3"]
     assert rows["features.version"] == ["3", "-"]
     write_comparison(flights, tmp_path / "comparison.html")

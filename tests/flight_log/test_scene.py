@@ -10,7 +10,7 @@ from flight_log.reader import FlightError, open_flight
 from flight_log.scene import GROUPS, PLAIN_CURVES, Curve, Scene, build_scene
 from flight_log.schema import RecordType
 from flight_log.writer import FlightLogWriter
-from offboard.data import records as offboard_records
+from offboard import records as offboard_records
 from onboard.record import tick as tick_record
 from sim_vehicle import records as sim_records
 from sim_vehicle.link import radio

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from offboard.data.buffer import VALIDATION
-from offboard.data.records import EPOCH, LINK, TRAINING
 from offboard.links.pose_relay import PoseRelay
+from offboard.records import EPOCH, LINK, TRAINING
 from protocol.endpoint import Endpoint
 from protocol.feature_set import FeatureSet
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
@@ -53,7 +53,7 @@ class Onboard:
         self.endpoint = Endpoint("onboard", self.session, None)
         self.receiver = FeatureReceiver()
 
-    def take_in(self, datagram: bytes, now_ns: int) -> None:
+    def receive(self, datagram: bytes, now_ns: int) -> None:
         message = self.endpoint.decode(datagram, now_ns)
         if isinstance(message, FeatureChunk):
             features = self.receiver.receive(message)
@@ -90,16 +90,16 @@ def fly(
         if step % 5 == 0:
             datagram = onboard.endpoint.encode(pending.pop(0), now_ns)
             if rng.random() >= loss:
-                core.take_in(datagram, now_ns)
+                core.receive_onboard(datagram, now_ns)
         if step % 10 == 0:
-            core.take_in(onboard.endpoint.encode(status(onboard.flying, onboard.receiver), now_ns), now_ns)
+            core.receive_onboard(onboard.endpoint.encode(status(onboard.flying, onboard.receiver), now_ns), now_ns)
         if job is not None:
-            core.take_in_training(job.run(), now_ns)
+            core.receive_training(job.run(), now_ns)
         out = core.step(now_ns)
         job = out.job
         for datagram in out.to_onboard:
             if rng.random() >= loss:
-                onboard.take_in(datagram, now_ns)
+                onboard.receive(datagram, now_ns)
         log.records += out.records
         log.events += out.events
         log.checkpoint = out.checkpoint or log.checkpoint
@@ -128,11 +128,11 @@ def test_learns_a_jet_and_sends_versions_that_explain_it() -> None:
 def test_a_round_without_any_held_out_sample_is_flown_and_sends_nothing() -> None:
     core = OffboardCore(offboard_config(trainer={"minimum_samples": 8}), 7, None)
     for batch in figure8_through_jet(10.0).batches():
-        core.learner.take_in(batch)
+        core.learner.receive(batch)
         job = core.learner.job(0)
         if job is not None:
             assert VALIDATION not in job.newest.split
-            assert core.learner.take_in_training(job.run(), START_NS).to_send is None
+            assert core.learner.receive_result(job.run(), START_NS).to_send is None
             return
     pytest.fail("no round")
 
@@ -147,12 +147,12 @@ def test_same_flight_same_bytes() -> None:
 def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
     relay = {"latency_s": 0.008}
     core, onboard = OffboardCore(offboard_config(pose_relay=relay), 7, None), Onboard()
-    core.take_in(onboard.endpoint.encode(TimeSyncRequest(5 * MS), 5 * MS), 100 * MS)
+    core.receive_onboard(onboard.endpoint.encode(TimeSyncRequest(5 * MS), 5 * MS), 100 * MS)
     codec = mavlink.MAVLink(None, srcSystem=1)
     pose = mavlink.MAVLink_att_pos_mocap_message(80_000, [1.0, 0.0, 0.0, 0.0], 0.5, 0.25, -1.0)
-    core.take_in_motion_capture(bytes(pose.pack(codec)), 100 * MS)
+    core.receive_motion_capture(bytes(pose.pack(codec)), 100 * MS)
     for datagram in core.step(102 * MS).to_onboard:
-        onboard.take_in(datagram, 7 * MS)
+        onboard.receive(datagram, 7 * MS)
     assert [(reply.receive_ns, reply.transmit_ns) for reply in onboard.replies] == [(100 * MS, 102 * MS)]
     assert len(onboard.poses) == 1
     assert onboard.poses[0].time_ns == 92 * MS
@@ -162,7 +162,7 @@ def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
 def test_one_job_at_a_time() -> None:
     core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
     for batch in figure8_through_jet(3.0).batches():
-        core.take_in(onboard.endpoint.encode(batch, batch.time_ns), batch.time_ns)
+        core.receive_onboard(onboard.endpoint.encode(batch, batch.time_ns), batch.time_ns)
     assert core.step(START_NS).job is not None
     assert core.step(START_NS + 10**10).job is None
 

@@ -49,7 +49,7 @@ class Peer:
             return [TimeSyncReply(message.origin_ns, now_ns + CLOCK_NS, now_ns + CLOCK_NS)]
         if isinstance(message, Status):
             self.statuses.append(message)
-            self.sender.on_status(message, now_ns)
+            self.sender.receive_status(message, now_ns)
         elif isinstance(message, SampleBatch):
             self.batches.append(message)
         return []
@@ -131,7 +131,7 @@ def in_flight(controller):
     """A loop with a peer, five seconds into its flight; each caller gets its own."""
     flown = _flown(controller)
     endpoints = (flown.core._offboard_link.endpoint, flown.peer.endpoint)
-    keys = {id(key): key for endpoint in endpoints for key in (endpoint._send, endpoint._hear)}
+    keys = {id(key): key for endpoint in endpoints for key in (endpoint._send, endpoint._receive)}
     return copy.deepcopy(flown, keys)  # key states cannot be copied, and never change
 
 

@@ -81,7 +81,7 @@ class Bench:
             write_bytes=lambda topic, time_ns, data: self.taped.append(read_tick(data)),
         )
         self.said: list[str] = []
-        status = SimpleNamespace(say=self.said.append, due=lambda now: False)
+        status = SimpleNamespace(report=self.said.append, due=lambda now: False)
         make: Any = OnboardProcess
         self.process = make(self.core, REALTIME, PERIOD_NS, self.sockets, log, status, self.stop)
 

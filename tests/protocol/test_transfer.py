@@ -49,7 +49,7 @@ class Wire:
         if self.now_ns % self.status_period_ns == 0:
             self.statuses += 1
             if self.up(self.statuses - 1):
-                self.sender.on_status(status_of(self.receiver), self.now_ns)
+                self.sender.receive_status(status_of(self.receiver), self.now_ns)
         self.now_ns += STEP
 
     def run(self, seconds: float) -> None:
@@ -145,7 +145,7 @@ def test_a_refusal_ends_the_sending(make_features: Make) -> None:
     wire.sender.offer(make_features(3), 0)
     wire.step()
     status = replace(status_of(wire.receiver), refused_version=3, refusal=REFUSALS.index("lipschitz"))
-    wire.sender.on_status(status, wire.now_ns)
+    wire.sender.receive_status(status, wire.now_ns)
     assert wire.sender.outstanding_version == 0
     assert wire.sender.next_version == 4
 

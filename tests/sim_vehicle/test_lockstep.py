@@ -102,13 +102,13 @@ class FakeOffboard:
     def __init__(self, job_at=None):
         self.heard, self.poses, self.trained, self.tick, self.job_at = [], [], [], 0, job_at
 
-    def take_in_motion_capture(self, datagram, now_ns):
+    def receive_motion_capture(self, datagram, now_ns):
         self.poses.append(datagram)
 
-    def take_in(self, datagram, now_ns):
+    def receive_onboard(self, datagram, now_ns):
         self.heard.append((datagram, now_ns // PERIOD_NS))
 
-    def take_in_training(self, result, now_ns):
+    def receive_training(self, result, now_ns):
         self.trained.append((result, now_ns // PERIOD_NS))
 
     def step(self, now_ns):

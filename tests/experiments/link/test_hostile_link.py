@@ -65,14 +65,14 @@ class Shifted:
     def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
         self.core.take_in_offboard(datagram, self.at(now_ns))
 
-    def take_in(self, datagram: bytes, now_ns: int) -> None:
-        self.core.take_in(datagram, self.at(now_ns))
+    def receive_onboard(self, datagram: bytes, now_ns: int) -> None:
+        self.core.receive_onboard(datagram, self.at(now_ns))
 
-    def take_in_motion_capture(self, datagram: bytes, now_ns: int) -> None:
-        self.core.take_in_motion_capture(datagram, self.at(now_ns))
+    def receive_motion_capture(self, datagram: bytes, now_ns: int) -> None:
+        self.core.receive_motion_capture(datagram, self.at(now_ns))
 
-    def take_in_training(self, result: Any, now_ns: int) -> None:
-        self.core.take_in_training(result, self.at(now_ns))
+    def receive_training(self, result: Any, now_ns: int) -> None:
+        self.core.receive_training(result, self.at(now_ns))
 
     def step(self, now_ns: int) -> Any:
         return self.core.step(self.at(now_ns))
@@ -160,7 +160,7 @@ def test_both_sides_restarted_with_the_wall_clock_set_back_find_each_other_again
     assert offboard.core.endpoint.peer_session == yesterday
     received = offboard.core.endpoint.statistics.received
     for datagram in recording:  # and the old one does not come back
-        offboard.core.take_in(datagram, UP_FOR_NS + 60 * S)
+        offboard.core.receive_onboard(datagram, UP_FOR_NS + 60 * S)
     assert offboard.core.endpoint.statistics.received == received
     assert offboard.core.endpoint.peer_session == yesterday
 
@@ -188,7 +188,7 @@ class _Wire:
                 self.onboard.take_in_offboard(datagram, now_ns)
             for datagram in self.onboard.step(now_ns).to_offboard:
                 self.heard_up.append(datagram)
-                self.offboard.core.take_in(datagram, now_ns + UP_FOR_NS)
+                self.offboard.core.receive_onboard(datagram, now_ns + UP_FOR_NS)
             self.down = self.offboard.core.step(now_ns + UP_FOR_NS).to_onboard
 
 
@@ -314,7 +314,7 @@ def test_who_has_the_key_and_lies_is_refused_and_offboard_is_told_why(data: byte
     for now_ns in range(200 * MS, 500 * MS, 5 * MS):
         out = wire.onboard.step(now_ns)
         for datagram in out.to_offboard:
-            offboard.core.take_in(datagram, now_ns + UP_FOR_NS)
+            offboard.core.receive_onboard(datagram, now_ns + UP_FOR_NS)
         told += [text for _, text in offboard.core.step(now_ns + UP_FOR_NS).events]
     assert told[-1] == f"version 1 refused: {reason}"
     assert wire.onboard.summary()["features"]["version"] == 0

@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     experience = tmp_path_factory.mktemp("experience") / "start.npz"
     teacher = build_offboard(config, 1).learner
     teacher.warm_start(features)
-    teacher.renumbered(features)
+    teacher.issue(features)
     experience.write_bytes(teacher.experience())
     config = config.model_copy(update={"experience": str(experience)})
     with LockstepLog(folder, config) as log:

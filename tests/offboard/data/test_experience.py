@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from offboard.data.experience import ExperienceError, dump_version, load_experience, load_version
-from offboard.training.learner import Learner
 from offboard.training.network import InputPlan, feature_set, initial_state
+from offboard.training.vehicle_learner import VehicleLearner
 from tests.offboard.flights import figure8_through_jet, offboard_config
 
 
-def learnt() -> Learner:
-    learner = Learner(offboard_config())
+def learnt() -> VehicleLearner:
+    learner = VehicleLearner(offboard_config())
     for number, batch in enumerate(figure8_through_jet(6.0).batches()):
-        learner.take_in(batch)
+        learner.receive(batch)
         if number % 10 == 9:
             job = learner.job(learner.version)
             if job is not None:
-                learner.take_in_training(job.run(), batch.time_ns)
+                learner.receive_result(job.run(), batch.time_ns)
     assert learner.version > 0
     return learner
 
@@ -29,7 +29,7 @@ def saved() -> bytes:
 
 
 def test_an_experience_survives_the_file_bit_for_bit(saved: bytes) -> None:
-    again = Learner(offboard_config())
+    again = VehicleLearner(offboard_config())
     again.resume(load_experience(saved))
     assert again.experience() == saved
 
@@ -37,10 +37,10 @@ def test_an_experience_survives_the_file_bit_for_bit(saved: bytes) -> None:
 def test_the_next_round_after_a_restart_is_the_one_that_would_have_been(saved: bytes) -> None:
     results = []
     for _ in range(2):
-        learner = Learner(offboard_config())
+        learner = VehicleLearner(offboard_config())
         learner.resume(load_experience(saved))
         for batch in figure8_through_jet(1.0, seed=4).batches(first_index=10**6, time_ns=10**12):
-            learner.take_in(batch)
+            learner.receive(batch)
         job = learner.job(learner.version)
         assert job is not None
         results.append(job.run())
@@ -49,11 +49,11 @@ def test_the_next_round_after_a_restart_is_the_one_that_would_have_been(saved: b
 
 
 def test_another_clock_after_a_restart_does_not_turn_back_time(saved: bytes) -> None:
-    learner = Learner(offboard_config())
+    learner = VehicleLearner(offboard_config())
     learner.resume(load_experience(saved))
     before = load_experience(saved).newest.time_ns.max()
     for batch in figure8_through_jet(1.0, seed=4).batches(first_index=0, time_ns=0):
-        learner.take_in(batch)
+        learner.receive(batch)
     assert load_experience(learner.experience()).newest.time_ns[-1] > before
 
 
@@ -73,7 +73,7 @@ def test_pickled_objects_are_refused() -> None:
 
 
 def test_a_checkpoint_of_other_networks_is_refused(saved: bytes) -> None:
-    narrow = Learner(offboard_config(network={"hidden": [16, 16]}))
+    narrow = VehicleLearner(offboard_config(network={"hidden": [16, 16]}))
     with pytest.raises(ValueError, match="shape"):
         narrow.resume(load_experience(saved))
 

@@ -15,7 +15,7 @@ LABELS = offboard_config(labels={"position_window_s": 0.28, "attitude_window_s":
 
 def label_all(batches: list[SampleBatch], kind: str = "residual") -> list[LabelledSample]:
     maker = LabelMaker(LABELS.model_copy(update={"kind": kind}))
-    return [sample for batch in batches for sample in maker.take_in(batch)]
+    return [sample for batch in batches for sample in maker.receive(batch)]
 
 
 def errors(flight: Flight, samples: list[LabelledSample]) -> np.ndarray:
@@ -107,11 +107,11 @@ def test_a_new_flight_starts_clean_and_far_indices_do_not_stall() -> None:
     maker = LabelMaker(LABELS)
     flight = figure8_through_jet(3.0)
     for batch in flight.batches(first_index=7_000_000_000):
-        maker.take_in(batch)
+        maker.receive(batch)
     maker.restart()
-    ready = [sample for batch in flight.batches(first_index=0) for sample in maker.take_in(batch)]
+    ready = [sample for batch in flight.batches(first_index=0) for sample in maker.receive(batch)]
     assert ready[0].index < 12
-    jumped = [sample for batch in flight.batches(first_index=2**40) for sample in maker.take_in(batch)]
+    jumped = [sample for batch in flight.batches(first_index=2**40) for sample in maker.receive(batch)]
     assert len(jumped) > 120
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from offboard.data.records import OffboardOutput
+from offboard.background import BackgroundThread
 from offboard.links import vehicle_service
 from offboard.links.vehicle_service import ESCAPES_MAX, VehicleService
-from offboard.training.worker import Worker
+from offboard.records import OffboardOutput
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def service(tmp_path: Path):
     made.close()
 
 
-def test_the_last_checkpoint_waits_for_the_worker_and_stays(
+def test_the_last_checkpoint_waits_for_the_background_and_stays(
     service: VehicleService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     under_way, go_on = threading.Event(), threading.Event()
@@ -76,7 +76,7 @@ class Core:
             out.checkpoint = self.name.encode()
         return out
 
-    def take_in_training(self, result: object, now_ns: int) -> None:
+    def receive_training(self, result: object, now_ns: int) -> None:
         self.outstanding -= 1
         self.trained.append(result)
 
@@ -93,7 +93,7 @@ class Told:
     def __init__(self) -> None:
         self.lines: list[str] = []
 
-    def say(self, text: str) -> None:
+    def report(self, text: str) -> None:
         self.lines.append(text)
 
     def event(self, time_ns: int, text: str) -> None:
@@ -112,7 +112,7 @@ def served(core: Any, told: Any, out: Path, worker: Any) -> VehicleService:
 
 def test_failed_writes_are_told_and_leave_training_alone(tmp_path: Path) -> None:
     """One of two vehicles has no folder to write to: each still gets its own results, one job at a time."""
-    worker, cores, told = Worker(), [Core("first"), Core("second")], [Told(), Told()]
+    worker, cores, told = BackgroundThread(), [Core("first"), Core("second")], [Told(), Told()]
     (tmp_path / "first").mkdir()
     services = [served(core, one, tmp_path / core.name, worker) for core, one in zip(cores, told, strict=True)]
     end = time.monotonic() + 20.0

@@ -68,7 +68,7 @@ def test_too_few_samples_and_too_soon() -> None:
     good = evidence((0.1, 0.1), (0.5, 0.5))
     assert judge(evidence((0.1, 0.1), (0.5, 0.5), n=CONFIG.gate.minimum_validation - 1)) is Verdict.TOO_FEW_SAMPLES
     keeper = gate()
-    keeper.sent(10 * S)
+    keeper.note_sent(10 * S)
     assert keeper.judge(candidate(), good, 10 * S + S // 10) is Verdict.TOO_SOON
     assert keeper.judge(candidate(), good, 10 * S + round((CONFIG.gate.interval_s + 0.1) * S)) is Verdict.SEND
 

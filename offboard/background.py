@@ -17,7 +17,7 @@ Results = queue.SimpleQueue[TrainingResult | str]
 """What came of work: results of training, and the reports of what failed."""
 
 
-class Worker:
+class BackgroundThread:
     """Runs training jobs and writes files one after the other, with a low claim on the processor.
 
     Each vehicle has at most one training job here (its core sees to that), so that all are trained for in turn.
@@ -27,7 +27,7 @@ class Worker:
         self._work_left: queue.SimpleQueue[tuple[Work, Results]] = queue.SimpleQueue()
         threading.Thread(target=self._work, name="trainer", daemon=True).start()
 
-    def give(self, work: Work, results: Results) -> None:
+    def submit(self, work: Work, results: Results) -> None:
         """Queue something to be done, and where its result goes."""
         self._work_left.put((work, results))
 

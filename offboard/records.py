@@ -75,7 +75,7 @@ class OffboardOutput:
 
     to_onboard: list[bytes] = field(default_factory=list)
     job: TrainingJob | None = None
-    """To be run (off the loop where there is one) and given back with take_in_training."""
+    """To be run (off the loop where there is one) and given back with receive_training."""
     records: list[Logged] = field(default_factory=list)
     events: list[tuple[int, str]] = field(default_factory=list)
     checkpoint: bytes | None = None

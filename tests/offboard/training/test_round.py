@@ -10,17 +10,17 @@ from offboard.config import OffboardConfig
 from offboard.data.buffer import TRAINING, VALIDATION, SampleTable
 from offboard.training.gate import Gate, Verdict
 from offboard.training.gradient import Optimiser
-from offboard.training.learner import Learner
-from offboard.training.trainer import TrainingJob, TrainingResult, squared_errors
+from offboard.training.round import TrainingJob, TrainingResult, squared_errors
+from offboard.training.vehicle_learner import VehicleLearner
 from tests.offboard.flights import figure8_through_jet, offboard_config
 
 FLIGHT = figure8_through_jet(12.0, gust_m_s2=0.05)
 
 
 def job_after(config: OffboardConfig, batches: int = 120) -> TrainingJob:
-    learner = Learner(config)
+    learner = VehicleLearner(config)
     for batch in FLIGHT.batches()[:batches]:
-        learner.take_in(batch)
+        learner.receive(batch)
     job = learner.job(0)
     assert job is not None
     return job

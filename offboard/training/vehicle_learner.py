@@ -1,6 +1,6 @@
 """What is learnt about one vehicle: its samples, its buffer, its networks, its versions.
 
-A trainer of several vehicles holds one Learner for each. No bytes, no clock and no link here.
+A trainer of several vehicles holds one VehicleLearner for each. No bytes, no clock and no link here.
 """
 
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ class Outcome:
     to_send: FeatureSet | None
 
 
-class Learner:
+class VehicleLearner:
     """Samples in, training jobs and versions out."""
 
     def __init__(self, config: OffboardConfig) -> None:
@@ -72,14 +72,14 @@ class Learner:
         """Rounds of training so far."""
         return self._state.rounds
 
-    def new_flight(self) -> None:
+    def start_flight(self) -> None:
         """The onboard process is another one: its indices and its clock start anew."""
         self._labels.restart()
         self._time_shift_ns = None
 
-    def take_in(self, batch: SampleBatch) -> None:
+    def receive(self, batch: SampleBatch) -> None:
         """Label, split and store."""
-        for sample in self._labels.take_in(batch):
+        for sample in self._labels.receive(batch):
             self._store(self._on_one_clock(sample))
 
     def _on_one_clock(self, sample: LabelledSample) -> LabelledSample:
@@ -124,21 +124,21 @@ class Learner:
             wire_dtype=self._config.transfer.dtype,
         )
 
-    def take_in_training(self, result: TrainingResult, now_ns: int) -> Outcome:
+    def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:
         """Go on from what was trained; the version to send, if the gate lets it through."""
         verdict = self._gate.judge(result.candidate, result.evidence, now_ns)
         self._state = result.state
         self._buffer.set_features(self._feature_function(result.state.network))
         if verdict is not Verdict.SEND:
             return Outcome(verdict, None)
-        self._gate.sent(now_ns)
-        return Outcome(verdict, self.renumbered(result.candidate))
+        self._gate.note_sent(now_ns)
+        return Outcome(verdict, self.issue(result.candidate))
 
-    def seen_version(self, version: int) -> None:
+    def note_version(self, version: int) -> None:
         """Onboard knows this version: the next one must be higher."""
         self.version = max(self.version, version)
 
-    def renumbered(self, features: FeatureSet) -> FeatureSet:
+    def issue(self, features: FeatureSet) -> FeatureSet:
         """A version under the next number, now the latest."""
         self.version += 1
         numbered = replace(features, version=self.version)
