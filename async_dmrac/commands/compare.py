@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Writes the page and prints the numbers of the card side by side; returns 0."""
+    """Writes the page and prints the numbers of the summaries side by side; returns 0."""
     flights = [open_flight(path) for path in args.flights]
     write_comparison(flights, args.out)
     names = labels(flights)

@@ -1,4 +1,4 @@
-"""`dmrac fly`: a whole flight, in real time over UDP or in lockstep, with its record and flight card."""
+"""`dmrac fly`: a whole flight, in real time over UDP or in lockstep, with its record and summary."""
 
 import argparse
 import shlex
@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from configs.loader import ConfigError
-from experiments.flights.flight_card import print_card
 from experiments.flights.flight_folder import clear_folder, make_folder
+from experiments.flights.flight_summary import print_summary
 from experiments.flights.live_view import live_view
 from experiments.flights.logged_flight import fly_logged
 from experiments.flights.realtime_flight import FlightStartError, require_free_ports
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         with live_view(folder, arguments.web) if arguments.view else nullcontext() as watch:
             command = repeat_command(arguments, config)
             summary = fly_logged(config, folder, arguments.lockstep, not arguments.no_offboard, command, console)
-            print_card(summary, folder, console)
+            print_summary(summary, folder, console)
             if watch is not None:
                 watch()
     except (FlightStartError, ConfigError) as error:

@@ -49,8 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def replay(flight: "RecordedFlight", arguments: argparse.Namespace, console: Console) -> int:
     """Flies it again and shows both."""
-    from experiments.flights.flight_card import write_summary
     from experiments.flights.flight_folder import make_folder
+    from experiments.flights.flight_summary import write_summary
     from experiments.flights.logged_flight import lockstep_summary
     from experiments.replays.replay import comparison, figures, figures_of_recorded, refly, verdict, with_choices
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from flight_log.report import write_report
 
-DESCRIPTION = "Writes one self-contained HTML page about a flight: card, figures, training, events, config."
+DESCRIPTION = "Writes one self-contained HTML page about a flight: summary, figures, training, events, config."
 EXAMPLES = """examples:
   dmrac report flights/20260101_120000_figure8_wind
   dmrac report FLIGHT -o /tmp/flight.html

@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.console import Console
 
-from experiments.flights.flight_card import build_summary, write_summary
+from experiments.flights.flight_summary import build_summary, write_summary
 from experiments.flights.lockstep_flight import LockstepOutcome
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace

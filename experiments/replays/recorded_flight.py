@@ -28,7 +28,7 @@ class RecordedFlight:
     trace: FlightTrace | None
     """None if a log is missing or empty."""
     summary: dict[str, Any]
-    """The flight card; empty where there is none."""
+    """Content of summary.json; empty if there is none."""
     onboard_logs: Sequence[LogFile]
     """One for each life of the onboard process, in their order."""
     with_offboard: bool

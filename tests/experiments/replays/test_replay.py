@@ -10,7 +10,7 @@ import pytest
 
 from async_dmrac.command_line import main
 from configs.loader import ConfigError
-from experiments.flights.flight_card import write_summary
+from experiments.flights.flight_summary import write_summary
 from experiments.flights.lockstep_flight import build_offboard, fly_lockstep
 from experiments.flights.lockstep_log import LockstepLog
 from experiments.flights.logged_flight import lockstep_summary

@@ -1,4 +1,4 @@
-"""The flight card: summary.json and the table on the terminal, from a trace and the processes' summaries."""
+"""The summary of a flight: summary.json and a table for the terminal, from the trace and the processes' summaries."""
 
 import math
 from pathlib import Path
@@ -84,12 +84,12 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
     write_json(folder / "summary.json", summary)
 
 
-def print_card(summary: dict[str, Any], folder: Path | None, console: Console | None = None) -> None:
-    """The short table at the end of a flight."""
+def print_summary(summary: dict[str, Any], folder: Path | None, console: Console | None = None) -> None:
+    """Print the summary as a short table."""
     table = Table(title=_title(summary), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
-    for name, text in card_rows(summary):
+    for name, text in summary_rows(summary):
         table.add_row(name, text)
     console = console or Console()
     console.print(table)
@@ -101,10 +101,10 @@ def _title(summary: dict[str, Any]) -> str:
     return f"{summary['scenario']} · {summary['controller']} · seed {summary['seed']} · {summary['mode']}"
 
 
-def card_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """The card line by line: name and text."""
-    delivery = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
-    rows = [("flight", f"{summary['duration_s']:.1f} s, {delivery}")]
+def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the lines of the table: name and text."""
+    outcome = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
+    rows = [("flight", f"{summary['duration_s']:.1f} s, {outcome}")]
     rows.append(("position RMSE", _metres(summary["position_rmse_m"]) + _laps(summary)))
     attitude = summary["attitude_rmse_rad"]
     rows.append(("attitude RMSE", "-" if attitude is None else f"{math.degrees(attitude):.2f} deg"))
