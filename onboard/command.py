@@ -12,7 +12,7 @@ from configs.loader import ConfigError, fill_section
 from flight_log.writer import FlightLogWriter
 from onboard.config import OnboardConfig
 from onboard.core import OnboardCore
-from onboard.preflight.certificate import Clearance, objection, read_record, record_name, vehicle_url
+from onboard.preflight.certificate import Clearance, arming_refusal, certificate_name, read_certificate, vehicle_url
 from onboard.process import OnboardProcess, Sockets
 from protocol.keys import load_keys
 from protocol.session import session_number
@@ -51,10 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preflight",
         type=Path,
         metavar="FILE",
-        help="what dmrac preflight wrote of this vehicle (default: here)",
+        help="certificate that dmrac preflight wrote for this vehicle (default: in this folder)",
     )
     parser.add_argument(
-        "--no-preflight", action="store_true", help="arm without that record, as a simulated vehicle elsewhere may be"
+        "--no-preflight",
+        action="store_true",
+        help="arm without a certificate (a simulated vehicle elsewhere)",
     )
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
     parser.add_argument("--vehicle", metavar="URL", help="the vehicle: udp://HOST:PORT or serial:///dev/ttyX?baud=N")
@@ -88,14 +90,14 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     attachments = {"config.yaml": flight.text}
     about = {"seed": str(config.seed), "session": str(session), "keyed": str(keys.any)}
-    about |= {"arming_bar": clearance.bar, "notice": clearance.notice}
+    about |= {"arming_bar": clearance.refusal, "notice": clearance.notice}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:
         status.report("; ".join(map(str, request_realtime(config.realtime.priority))))
         prepare_interpreter()
         status.report(f"vehicle {network.vehicle}, offboard {network.radio_onboard}, ground station {network.ground}")
-        if clearance.bar:
-            status.report(f"will not arm: {clearance.bar}")
+        if clearance.refusal:
+            status.report(f"will not arm: {clearance.refusal}")
         status.report("ready")
         process = OnboardProcess(core, config.realtime, config.period_ns, sockets, log, status, stop)
         result = process.fly()
@@ -107,26 +109,26 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def clearance_of(arguments: argparse.Namespace, vehicle: str, config: OnboardConfig) -> Clearance:
-    """Whether a person has done the preflight check of the vehicle. One on this machine is simulated and needs none.
+    """Whether the vehicle has a valid preflight certificate. A vehicle on this machine is simulated and needs none.
 
     Raises
     ------
     ConfigError
-        If two options contradict each other, or the file is no record.
+        If two options contradict each other, or the file is not a certificate.
     """
     if arguments.no_preflight and arguments.preflight is not None:
-        raise ConfigError("--no-preflight: not beside --preflight")
+        raise ConfigError("--no-preflight: cannot be used with --preflight")
     if arguments.no_preflight:
-        return Clearance(notice="PREFLIGHT OVERRIDDEN (--no-preflight): nobody vouches for this vehicle")
+        return Clearance(notice="PREFLIGHT OVERRIDDEN (--no-preflight): this vehicle was not checked")
     if is_loopback(vehicle) and arguments.preflight is None:
         return Clearance()
     if config.supervisor.auto_arm:
         return Clearance("auto_arm is for simulation: use dmrac config --real")
-    path = arguments.preflight or Path(record_name(vehicle))
+    path = arguments.preflight or Path(certificate_name(vehicle))
     try:
-        record = read_record(path.read_bytes(), str(path))
+        certificate = read_certificate(path.read_bytes(), str(path))
     except FileNotFoundError:
         return Clearance(f"no {path.name}: run dmrac preflight --vehicle {vehicle_url(vehicle)}")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    return Clearance(objection(record, vehicle, config.supervisor.arm_needs_pose, time.time()))
+    return Clearance(arming_refusal(certificate, vehicle, config.supervisor.arm_needs_pose, time.time()))

@@ -128,15 +128,15 @@ class OnboardCore:
             if isinstance(reading, BatteryReading):
                 self._battery = reading
             else:
-                self._estimator.take_in(reading)
+                self._estimator.receive(reading)
 
     def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of offboard; never raises for what is in it."""
         now_ns = self._clock.at(now_ns)
         heard = self._offboard_link.receive(datagram, now_ns)
         if heard is not None:
-            self._estimator.take_in_pose(heard.pose, heard.taken_ns, now_ns, heard.time_sigma_s)
-            self._arming.take_in_pose(heard.pose, now_ns)
+            self._estimator.receive_pose(heard.pose, heard.taken_ns, now_ns, heard.time_sigma_s)
+            self._arming.receive_pose(heard.pose, now_ns)
 
     def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of the ground station; never raises for what is in it."""
@@ -199,8 +199,8 @@ class OnboardCore:
                 imu_age_s=(now_ns - state.last_imu_ns) * 1e-9,
                 pose_age_s=(now_ns - state.last_pose_ns) * 1e-9,
                 velocity_aid_age_s=(now_ns - state.last_velocity_aid_ns) * 1e-9,
-                offboard_age_s=(now_ns - self._offboard_link.last_heard_ns) * 1e-9,
-                ground_age_s=(now_ns - self._ground_link.last_heard_ns) * 1e-9,
+                offboard_age_s=(now_ns - self._offboard_link.last_received_ns) * 1e-9,
+                ground_age_s=(now_ns - self._ground_link.last_received_ns) * 1e-9,
                 battery_age_s=(now_ns - self._battery.time_ns) * 1e-9,
                 battery_v=self._battery.voltage_v,
                 battery_remaining=self._battery.remaining,
@@ -211,7 +211,7 @@ class OnboardCore:
                 position_sigma_m=state.position_sigma_m,
                 thrust_to_weight=self._actuators.wrench()[0] / (self._config.airframe.mass_kg * GRAVITY),
                 initialised=state.initialised,
-                preflight="" if self._mode in AIRBORNE else self._arming.objection(now_ns, self._posed),
+                preflight="" if self._mode in AIRBORNE else self._arming.refusal(now_ns, self._posed),
                 fault=not self._estimator.healthy,
             )
         )
@@ -227,7 +227,7 @@ class OnboardCore:
     def _say(self, when_ns: int, text: str) -> None:
         """An event, on the pilot's screen too."""
         self._events.append((when_ns, text))
-        self._ground_link.say(text)
+        self._ground_link.send_text(text)
 
     def _guide(self, mode: FlightMode) -> Target:
         """Target of this tick. A first pose that comes in flight moves the path along instead of the vehicle."""
@@ -341,7 +341,7 @@ class OnboardCore:
             self._reception.version,
             self._reception.age_s(now_ns),
             _age_s(now_ns, state.last_pose_ns),
-            _age_s(now_ns, self._offboard_link.last_heard_ns),
+            _age_s(now_ns, self._offboard_link.last_received_ns),
             self._battery.voltage_v,
             state.vibration,
             state.position_sigma_m,

@@ -20,9 +20,9 @@ from offboard.config import PoseRelayConfig
 from offboard.links.pose_relay import PoseRelay
 from onboard.config import OnboardConfig
 from onboard.links.vehicle import VehicleLinkConfig
-from onboard.preflight.certificate import objection, read_record, record_name, write_record
+from onboard.preflight.certificate import arming_refusal, certificate_name, read_certificate, write_certificate
 from onboard.preflight.checks import Check, MotorAnswer, PreflightConfig, Result, Step, skipped
-from onboard.preflight.recorder import PoseSample, Recorder
+from onboard.preflight.recorder import PoseSample, StepRecorder
 from onboard.process import open_vehicle
 from protocol.keys import load_key
 from protocol.mavlink_frames import SigningClock
@@ -55,7 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink, if it is signed")
     parser.add_argument(
-        "--record", type=Path, metavar="FILE", help="where the result is kept (default: here, named by the vehicle)"
+        "--certificate",
+        type=Path,
+        metavar="FILE",
+        help="file for the results (default: named by the vehicle, in this folder)",
     )
     parser.add_argument("--no-motors", action="store_true", help="leave the motors alone")
     parser.add_argument(
@@ -72,12 +75,12 @@ def run(arguments: argparse.Namespace) -> int:
         link = onboard.vehicle_link
         config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
     key = load_key(key_file)
-    if arguments.record is not None and not arguments.record.parent.is_dir():  # not after the person's work
-        raise ConfigError(f"--record {arguments.record}: there is no folder {arguments.record.parent}")
+    if arguments.certificate is not None and not arguments.certificate.parent.is_dir():  # not after the person's work
+        raise ConfigError(f"--certificate {arguments.certificate}: there is no folder {arguments.certificate.parent}")
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
     request_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
     console = Console()
-    recorder = Recorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
+    recorder = StepRecorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
     session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)
     ended = False
     try:
@@ -87,14 +90,16 @@ def run(arguments: argparse.Namespace) -> int:
         wire.close()
         checks = session.checks if ended else [*session.checks, skipped("the rest", "ended early")]
         console.print(table_of(checks))
-        path = arguments.record or Path(record_name(wire.vehicle))
+        path = arguments.certificate or Path(certificate_name(wire.vehicle))
         partly = arguments.listen_only or arguments.no_motors
-        console.print(keep_record(path, wire.vehicle, arguments.pose is not None, checks, partly), soft_wrap=True)
+        console.print(
+            write_certificate_file(path, wire.vehicle, arguments.pose is not None, checks, partly), soft_wrap=True
+        )
     console.print(verdict(checks))
     return int(any(check.result is Result.FAIL for check in checks))
 
 
-def keep_record(path: Path, vehicle: str, with_pose: bool, checks: list[Check], partly: bool) -> str:
+def write_certificate_file(path: Path, vehicle: str, with_pose: bool, checks: list[Check], partly: bool) -> str:
     """Writes the record for onboard; what was left out as asked, without a failure, does not undo an earlier one.
 
     Raises
@@ -105,13 +110,13 @@ def keep_record(path: Path, vehicle: str, with_pose: bool, checks: list[Check], 
     if partly and path.exists() and all(check.result is not Result.FAIL for check in checks):
         return f"{path}: left as it is, because not all checks were asked for"
     utc_s = int(time.time())
-    content = write_record(vehicle, utc_s, with_pose, checks)
+    content = write_certificate(vehicle, utc_s, with_pose, checks)
     try:
         write_atomically(path, content)
     except OSError as error:
-        raise StartError(f"--record {path}: cannot be written: {error.strerror}") from None
-    bar = objection(read_record(content, str(path)), vehicle, True, utc_s)
-    return f"{path}: written; {f'not enough to be armed on: {bar}' if bar else 'dmrac onboard will arm on it'}"
+        raise StartError(f"--certificate {path}: cannot be written: {error.strerror}") from None
+    reason = arming_refusal(read_certificate(content, str(path)), vehicle, True, utc_s)
+    return f"{path}: written; {f'not enough to be armed on: {reason}' if reason else 'dmrac onboard will arm on it'}"
 
 
 class UdpOrSerialWire:

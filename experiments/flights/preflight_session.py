@@ -18,7 +18,7 @@ from onboard.preflight.checks import (
     skipped,
 )
 from onboard.preflight.motion_checks import check_motion
-from onboard.preflight.recorder import Capture, PoseSample, Recorder
+from onboard.preflight.recorder import PoseSample, StepData, StepRecorder
 
 STILL_S: Final = 6.0
 MOTION_S: Final = 8.0
@@ -68,7 +68,7 @@ class PreflightSession:
     """One run through all steps."""
 
     def __init__(
-        self, wire: Wire, person: Person, recorder: Recorder, config: PreflightConfig, with_pose: bool
+        self, wire: Wire, person: Person, recorder: StepRecorder, config: PreflightConfig, with_pose: bool
     ) -> None:
         self._wire = wire
         self._person = person
@@ -101,7 +101,7 @@ class PreflightSession:
         self.checks += checks
         self._person.tell(checks)
 
-    def _record(self, step: Step, seconds: float) -> Capture:
+    def _record(self, step: Step, seconds: float) -> StepData:
         self._person.ready(step, seconds)
         self._drain()
         self._recorder.begin()
@@ -118,9 +118,9 @@ class PreflightSession:
         datagrams, poses = self._wire.exchange(0.005)
         now_ns = self._wire.now_ns()
         for datagram in datagrams:
-            self._recorder.take_in(datagram, now_ns)
+            self._recorder.receive(datagram, now_ns)
         for pose in poses:
-            self._recorder.take_in_pose(pose)
+            self._recorder.receive_pose(pose)
 
     def _drain(self) -> None:
         """What waited while the person read is old; its arrival times would be wrong."""
@@ -151,7 +151,7 @@ class PreflightSession:
         end_ns = start_ns + round(self._config.spin_s * 1e9)
         try:
             while (now_ns := self._wire.now_ns()) < end_ns:
-                if now_ns - max(start_ns, self._recorder.last_heard_ns) > SILENT_NS:
+                if now_ns - max(start_ns, self._recorder.last_received_ns) > SILENT_NS:
                     return False
                 if now_ns >= next_ns:
                     self._wire.send(self._recorder.motors(command, True, now_ns))

@@ -99,7 +99,7 @@ class Estimator:
         events, self._events = self._events, []
         return events
 
-    def take_in(self, reading: Reading) -> None:
+    def receive(self, reading: Reading) -> None:
         """One reading of a sensor of the vehicle. Battery readings are not the estimator's business."""
         if isinstance(reading, ImuReading):
             self._take_imu(reading)
@@ -123,7 +123,7 @@ class Estimator:
             return
         if first or dt > self._config.gap_s:
             dt = self._bridge_gap(reading.time_ns, dt)
-        state.vibration = self._vibration.take(reading.accelerometer, dt)
+        state.vibration = self._vibration.update(reading.accelerometer, dt)
         config = self._config
         sigma = max(config.accelerometer_sigma, config.vibration_to_sigma * state.vibration)
         noise = (
@@ -146,7 +146,7 @@ class Estimator:
     def _find_start(self, reading: ImuReading) -> None:
         """Waits for a run of still samples, then sets attitude and gyro bias from their means."""
         config = self._config
-        if not self._start.take(reading):
+        if not self._start.add(reading):
             return
         roll, pitch = self._start.level()
         tilt = config.start_tilt_sigma_rad
@@ -271,7 +271,7 @@ class Estimator:
         elif self._refused_long("range", reading.time_ns) and not self._pose_fresh(reading.time_ns):
             self._widen("range", POSITION + 2, 1, 1.0, reading.time_ns)
 
-    def take_in_pose(self, pose: Pose, capture_ns: int, now_ns: int, time_sigma_s: float = 0.0) -> None:
+    def receive_pose(self, pose: Pose, capture_ns: int, now_ns: int, time_sigma_s: float = 0.0) -> None:
         """A pose from motion capture that was true at `capture_ns` (onboard clock) and arrived at `now_ns`.
 
         time_sigma_s: standard deviation of `capture_ns`, s, where it is more than the settings say.

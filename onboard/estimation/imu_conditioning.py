@@ -23,7 +23,7 @@ class StillStart:
         self._sums = [0.0] * 6
         self._count = 0
 
-    def take(self, reading: ImuReading) -> bool:
+    def add(self, reading: ImuReading) -> bool:
         """One sample; True once the run is long enough. A sample that is not still begins a new run."""
         norm = math.sqrt(sum(a * a for a in reading.accelerometer))
         still = max(map(abs, reading.gyroscope)) < self._rate_max and abs(norm - GRAVITY_M_S2) < _FORCE_ERROR_MAX
@@ -53,7 +53,7 @@ class VibrationMeter:
         self._low: Vector3 | None = None
         self._level = 0.0
 
-    def take(self, accelerometer: Vector3, dt: float) -> float:
+    def update(self, accelerometer: Vector3, dt: float) -> float:
         """The level after one more sample."""
         ax, ay, az = accelerometer
         lx, ly, lz = self._low or accelerometer

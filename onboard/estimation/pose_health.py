@@ -47,7 +47,7 @@ class PoseHealth:
             self._fault = self._judge()
         return self._fault
 
-    def take(self, down_m: float, quaternion: tuple[float, ...], now_ns: int, force: Array) -> None:
+    def add(self, down_m: float, quaternion: tuple[float, ...], now_ns: int, force: Array) -> None:
         """One pose.
 
         Parameters

@@ -26,13 +26,13 @@ class ArmingChecks:
         self._last_pose_ns = NEVER_NS
         self._started_ns: int | None = None
 
-    def take_in_pose(self, pose: Pose, now_ns: int) -> None:
+    def receive_pose(self, pose: Pose, now_ns: int) -> None:
         """A pose that came; whether it is fresh is the supervisor's to know."""
         self._last_pose_ns = now_ns
         down_m, quaternion = float(pose.position_ned_m[2]), tuple(pose.quaternion.tolist())
-        self._pose_health.take(down_m, quaternion, now_ns, self._link.health.force)
+        self._pose_health.add(down_m, quaternion, now_ns, self._link.health.force)
 
-    def objection(self, now_ns: int, posed: bool) -> str:
+    def refusal(self, now_ns: int, posed: bool) -> str:
         """The first thing that stands against arming; "" for nothing.
 
         posed: whether a pose has ever been used. A first one is waited for, lest a flight begin with a jump.
@@ -41,8 +41,8 @@ class ArmingChecks:
             self._started_ns = now_ns
         if self._link.conflict:
             return "two vehicles speak with one system id"
-        if self._link.health.fault or self._clearance.bar:
-            return self._link.health.fault or self._clearance.bar
+        if self._link.health.fault or self._clearance.refusal:
+            return self._link.health.fault or self._clearance.refusal
         if self._flow_silent_ns and now_ns - self._link.last_flow_ns > self._flow_silent_ns:
             return "no optical flow"
         if not posed and now_ns - self._started_ns < self._pose_wait_ns:

@@ -164,15 +164,20 @@ class Supervisor:
     def _refusal(self, command: Command) -> str:
         event = COMMAND_EVENTS[command]
         arming = command is Command.ARM
-        if arming and self.mode is M.BOOT and self._inputs is not None and (reason := self.unready(self._inputs)):
+        if (
+            arming
+            and self.mode is M.BOOT
+            and self._inputs is not None
+            and (reason := self.arming_refusal(self._inputs))
+        ):
             return reason
         if all(entry is not event for entry, _ in TRANSITIONS[self.mode]):
             return f"not in mode {self.mode.name}"
         if not arming:
             return ""
-        return "not running yet" if self._inputs is None else self.unready(self._inputs)
+        return "not running yet" if self._inputs is None else self.arming_refusal(self._inputs)
 
-    def unready(self, inputs: SupervisorInputs) -> str:
+    def arming_refusal(self, inputs: SupervisorInputs) -> str:
         """What stands against arming; "" when nothing does."""
         config = self._config
         if inputs.preflight:  # the vehicle's link above all: what is wrong there explains the rest
@@ -212,9 +217,9 @@ class Supervisor:
             elif self._has_lasted(event, inputs.now_ns):
                 self._enter(target, event, inputs)
                 break
-        self._watch_offboard(inputs)
+        self._report_offboard(inputs)
         if self.mode is M.BOOT:
-            self._watch_readiness(inputs)
+            self._report_readiness(inputs)
         return self.mode
 
     def _next_command(self) -> Command | None:
@@ -232,7 +237,7 @@ class Supervisor:
         return lasting_ns is None or now_ns - self._since_ns.setdefault(event, now_ns) >= lasting_ns
 
     def _enter(self, mode: FlightMode, event: Event, inputs: SupervisorInputs) -> None:
-        why = f": {self.unready(inputs)}" if event is E.UNHEALTHY else ""
+        why = f": {self.arming_refusal(inputs)}" if event is E.UNHEALTHY else ""
         self._events.append((inputs.now_ns, f"{self.mode.name} -> {mode.name}: {event.value}{why}"))
         self.mode = mode
         self._entered_ns = inputs.now_ns
@@ -241,15 +246,15 @@ class Supervisor:
         if mode is M.TAKE_OFF:
             self._flown = True
 
-    def _watch_offboard(self, inputs: SupervisorInputs) -> None:
+    def _report_offboard(self, inputs: SupervisorInputs) -> None:
         silent = inputs.offboard_age_s > self._config.offboard_silent_s
         if silent != self._offboard_silent:
             self._offboard_silent = silent
             self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard heard"))
 
-    def _watch_readiness(self, inputs: SupervisorInputs) -> None:
+    def _report_readiness(self, inputs: SupervisorInputs) -> None:
         """Says what keeps the vehicle from being armed: once a kind (numbers apart), when it has lasted."""
-        reason = self.unready(inputs)
+        reason = self.arming_refusal(inputs)
         kind = "".join(letter for letter in reason if not letter.isdigit())
         if kind != self._unready_kind:
             self._unready_kind, self._unready_since_ns, self._unready_said = kind, inputs.now_ns, False
@@ -260,7 +265,7 @@ class Supervisor:
     # -- conditions ---------------------------------------------------------------------------------------------------
 
     def _healthy(self, inputs: SupervisorInputs) -> bool:
-        return not self.unready(inputs)
+        return not self.arming_refusal(inputs)
 
     def _sensors_lost(self, inputs: SupervisorInputs) -> bool:
         return not inputs.initialised or inputs.imu_age_s > self._config.imu_silent_s or bool(inputs.preflight)

@@ -127,7 +127,7 @@ class GroundLink:
         """Named values to show (names of at most 10 characters); the core writes them whenever it likes."""
         self.rejected: Counter[str] = self._reader.rejected
         """What was dropped, by reason."""
-        self.last_heard_ns = NEVER_NS
+        self.last_received_ns = NEVER_NS
 
     # -- from the ground station --------------------------------------------------------------------------------------
 
@@ -138,7 +138,7 @@ class GroundLink:
             if frame.system == self._config.system:
                 self.rejected["own_echo"] += 1
                 continue
-            self.last_heard_ns = now_ns
+            self.last_received_ns = now_ns
             if frame.message_id == COMMAND_LONG:
                 command = self._command(frame, now_ns)
                 if command is not None:
@@ -154,9 +154,9 @@ class GroundLink:
             self._answered[(command.mavlink_command, command.system, command.component)] = (now_ns, result)
         self._put_ack(command.mavlink_command, result, command.system, command.component)
         if refusal:
-            self.say(f"refused to {command.command.value}: {refusal}", mavlink.MAV_SEVERITY_WARNING)
+            self.send_text(f"refused to {command.command.value}: {refusal}", mavlink.MAV_SEVERITY_WARNING)
 
-    def say(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
+    def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Puts a text on the pilot's screen, in chunks of 50 characters."""
         data = text.encode("ascii", "replace")[: TEXT_BYTES * TEXT_CHUNKS_MAX]
         self._text_id = self._text_id % 0xFFFF + 1

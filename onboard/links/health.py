@@ -74,7 +74,7 @@ class LinkHealth:
         """[3] m/s^2: mean specific force of the newest samples; zero before there is one."""
         self.fault = NOT_JUDGED
 
-    def take(self, stamp_ns: int, delay_ns: int, arrival_ns: int, felt: tuple[float, ...]) -> None:
+    def add(self, stamp_ns: int, delay_ns: int, arrival_ns: int, felt: tuple[float, ...]) -> None:
         """One good sample.
 
         Parameters
@@ -96,7 +96,7 @@ class LinkHealth:
         if len(self._felt) == BLOCK_SAMPLES:
             self._end_block(stamp_ns, arrival_ns)
 
-    def note_backwards(self) -> None:
+    def count_backwards(self) -> None:
         """One sample that was dropped because its time stamp was not newer than the last."""
         self._backwards += 1
 

@@ -17,7 +17,7 @@ SILENT_NS: Final = 5_000_000_000
 """After so long without a datagram nothing is known any more."""
 
 
-class LossWatch:
+class LossRate:
     """The loss of one link, window by window."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from onboard.config import OnboardConfig
 from onboard.control.feature_reception import FeatureReception
 from onboard.flight.modes import FlightMode
-from onboard.links.loss_rate import LossWatch
+from onboard.links.loss_rate import LossRate
 from onboard.sampling.sampler import SampleQueue
 from protocol.conventions import NEVER_NS, Array
 from protocol.endpoint import CHALLENGE_PERIOD_NS, Endpoint
@@ -58,7 +58,7 @@ class OffboardLink:
         self._sync_period_ns = round(config.time_sync_period_s * 1e9)
         self._reception = reception
         self._samples = samples
-        self._loss = LossWatch()
+        self._loss = LossRate()
         self._events: list[tuple[int, str]] = []
         self._peer_session: int | None = None
         self._challenge: tuple[int, int] | None = None
@@ -66,7 +66,7 @@ class OffboardLink:
         self._next_sync_ns = 0
         self._asked_ns = self._answered_ns = NEVER_NS
         self._next_clock_record_ns = 0
-        self.last_heard_ns = NEVER_NS
+        self.last_received_ns = NEVER_NS
 
     @property
     def statistics(self) -> LinkStatistics:
@@ -78,7 +78,7 @@ class OffboardLink:
         message = self.endpoint.decode(datagram, now_ns)
         if message is None:
             return None
-        self.last_heard_ns = now_ns
+        self.last_received_ns = now_ns
         if self.endpoint.peer_session != self._peer_session:
             self._meet_session(now_ns)
         match message:

@@ -201,7 +201,7 @@ class VehicleLink:
         """Whether what comes is good enough to fly on."""
         self.system = config.vehicle_system
         """System id that is listened to; 0 while none was heard."""
-        self.last_heard_ns = NEVER_NS
+        self.last_received_ns = NEVER_NS
         self.last_heartbeat_ns = NEVER_NS
         self.last_flow_ns = NEVER_NS
         """When a sound frame of optical flow came, whatever its quality."""
@@ -229,7 +229,7 @@ class VehicleLink:
         for frame in self._reader.read(datagram, now_ns):
             if frame.system != self.system and not self._is_ours(frame, now_ns):
                 continue
-            self.last_heard_ns = now_ns
+            self.last_received_ns = now_ns
             reading = self._decoders[frame.message_id](frame, now_ns)
             if reading is not None:
                 readings.append(reading)
@@ -255,7 +255,7 @@ class VehicleLink:
     def _is_ours(self, frame: Frame, now_ns: int) -> bool:
         """Settles which vehicle is listened to: the first one heard, until it is silent for long."""
         fixed = self._config.vehicle_system
-        if not fixed and (self.system == 0 or now_ns - self.last_heard_ns > self._release_ns):
+        if not fixed and (self.system == 0 or now_ns - self.last_received_ns > self._release_ns):
             self._say("system", f"listening to vehicle with system id {frame.system}", now_ns)
             self.system = frame.system
             self._clock.reset()
@@ -289,7 +289,7 @@ class VehicleLink:
             return self._refuse_frozen("imu", now_ns)
         pressure_pa = self._pressure(f[10] * 100.0, now_ns) if f[14] & PRESSURE_FIELD else 0.0
         time_ns = self._clock.to_ours(stamp_ns)
-        self.health.take(stamp_ns, now_ns - time_ns, now_ns, felt)
+        self.health.add(stamp_ns, now_ns - time_ns, now_ns, felt)
         return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
 
     def _pressure(self, pressure_pa: float, now_ns: int) -> float:
@@ -310,7 +310,7 @@ class VehicleLink:
             self._say("conflict", "the vehicle's time jumps to and fro: two vehicles with one system id?", now_ns)
         if fault != "restart":
             self.rejected[fault] += 1
-            self.health.note_backwards()
+            self.health.count_backwards()
             return False
         self._restarted_ns = now_ns
         self.health.reset()

@@ -1,8 +1,9 @@
-"""What a preflight check found, as a file: `dmrac preflight` writes it; onboard arms a real vehicle only on a good one.
+"""The preflight certificate: the file with the results of `dmrac preflight`.
 
-Onboard can judge the stream, the sensors at rest and the pose by itself (link_health.py, pose_health.py). Signs in a
-tilt, motor order and the bridge's time-out need a person; for these it asks for the record. Its digest keeps a file
-that was edited or cut from counting; it is no signature.
+Onboard arms a real vehicle only with a complete, good and recent certificate. Onboard can check the IMU stream, the
+sensors at rest and the pose by itself (links/health.py, estimation/pose_health.py). A person has to check the signs in
+a tilt, the motor order and the bridge's time-out. The digest detects a file that was edited or cut; it is not a
+signature.
 """
 
 import hashlib
@@ -15,24 +16,24 @@ from configs.loader import ConfigError, ConfigRecord, fill
 from onboard.preflight.checks import Check, Result
 
 AGE_MAX_S: Final = 24 * 3600
-"""A day of flying; after that, or a change to vehicle or bridge, it has to be done again."""
+"""A certificate is valid for one day of flying."""
 FUTURE_MAX_S: Final = 300
-"""Clocks of two machines may differ by so much."""
+"""Allowed difference between the clocks of two machines."""
 
 
 class Clearance(NamedTuple):
-    """What stands against arming from the beginning on, and what is said of it."""
+    """Whether the vehicle may be armed, as known before the flight."""
 
-    bar: str = ""
-    """Why the vehicle must not be armed; "" for no reason."""
+    refusal: str = ""
+    """Why the vehicle must not be armed; "" if it may be."""
     notice: str = ""
-    """Said at the start, to log and ground station."""
+    """Text that is logged and sent to the ground station at the start."""
 
 
 CLEAR: Final = Clearance()
 
 
-class RecordedCheck(ConfigRecord):
+class CertifiedCheck(ConfigRecord):
     """One row of the table."""
 
     name: str
@@ -40,19 +41,19 @@ class RecordedCheck(ConfigRecord):
     measured: str
 
 
-class PreflightRecord(ConfigRecord):
-    """A preflight check of one vehicle."""
+class Certificate(ConfigRecord):
+    """The results of a preflight check of one vehicle."""
 
     format: Literal[1] = 1
     vehicle: str
     """udp://HOST:PORT or serial:///dev/DEVICE."""
     utc_s: int
-    """When it ended, since 1970."""
+    """End of the check, s since 1970."""
     with_pose: bool
-    """Whether the motion capture's pose was checked too."""
-    checks: tuple[RecordedCheck, ...]
+    """Whether the pose of the motion capture was checked too."""
+    checks: tuple[CertifiedCheck, ...]
     digest: str
-    """SHA-256 of all the rest."""
+    """SHA-256 of all other fields."""
 
     @property
     def failed(self) -> list[str]:
@@ -66,66 +67,66 @@ class PreflightRecord(ConfigRecord):
 
 
 def vehicle_url(address: str) -> str:
-    """A vehicle's name in a record: its plain address as a URL, a serial line without its speed."""
+    """The vehicle's name in a certificate: its address as a URL; for a serial line without the speed."""
     line = serial_line(address)
     return f"udp://{address}" if line is None else f"serial://{line.device}"
 
 
-def record_name(address: str) -> str:
-    """The file that a vehicle's record stands in when nothing else is said."""
+def certificate_name(address: str) -> str:
+    """The default file name of a vehicle's certificate."""
     return f"preflight_{re.sub(r'[^A-Za-z0-9.]+', '_', vehicle_url(address).partition('://')[2]).strip('_')}.json"
 
 
-def write_record(address: str, utc_s: int, with_pose: bool, checks: list[Check]) -> bytes:
-    """The record of a check of the vehicle at `address` as the content of a file."""
-    rows = tuple(RecordedCheck(name=row.name, result=row.result.value, measured=row.measured) for row in checks)
-    record = PreflightRecord(vehicle=vehicle_url(address), utc_s=utc_s, with_pose=with_pose, checks=rows, digest="")
-    record = record.model_copy(update={"digest": _digest(record)})
-    return json.dumps(record.model_dump(mode="json"), indent=1).encode() + b"\n"
+def write_certificate(address: str, utc_s: int, with_pose: bool, checks: list[Check]) -> bytes:
+    """The content of the certificate file for the vehicle at `address`."""
+    rows = tuple(CertifiedCheck(name=row.name, result=row.result.value, measured=row.measured) for row in checks)
+    certificate = Certificate(vehicle=vehicle_url(address), utc_s=utc_s, with_pose=with_pose, checks=rows, digest="")
+    certificate = certificate.model_copy(update={"digest": _digest(certificate)})
+    return json.dumps(certificate.model_dump(mode="json"), indent=1).encode() + b"\n"
 
 
-def read_record(content: bytes, source: str) -> PreflightRecord:
-    """A record from its file.
+def read_certificate(content: bytes, source: str) -> Certificate:
+    """Read a certificate from the content of the file `source`.
 
     Raises
     ------
     ConfigError
-        If it is none, naming `source`.
+        If the content is not a preflight certificate; the message names `source`.
     """
     try:
         tree = json.loads(content)
     except ValueError:
         tree = None
     if not isinstance(tree, dict):
-        raise ConfigError(f"{source}: is no preflight record")
-    return fill(PreflightRecord, tree, source)
+        raise ConfigError(f"{source}: not a preflight certificate")
+    return fill(Certificate, tree, source)
 
 
-def objection(record: PreflightRecord, address: str, needs_pose: bool, utc_s: float) -> str:
-    """Why the vehicle at `address` may not be armed on this record; "" when it may."""
-    if record.digest != _digest(record):
-        return "preflight record was changed after it was written: repeat dmrac preflight"
-    if record.vehicle != vehicle_url(address):
-        return f"preflight was of {record.vehicle}, not of {vehicle_url(address)}"
-    if record.failed:
-        return f"preflight failed: {_listed(record.failed)}"
-    if record.left_out or not record.checks:
-        return f"preflight is not complete: {_listed(record.left_out) or 'no checks'}"
-    if needs_pose and not record.with_pose:
+def arming_refusal(certificate: Certificate, address: str, needs_pose: bool, utc_s: float) -> str:
+    """Why the vehicle at `address` may not be armed with this certificate; "" if it may."""
+    if certificate.digest != _digest(certificate):
+        return "preflight certificate was changed after it was written: repeat dmrac preflight"
+    if certificate.vehicle != vehicle_url(address):
+        return f"preflight was of {certificate.vehicle}, not of {vehicle_url(address)}"
+    if certificate.failed:
+        return f"preflight failed: {_listed(certificate.failed)}"
+    if certificate.left_out or not certificate.checks:
+        return f"preflight is not complete: {_listed(certificate.left_out) or 'no checks'}"
+    if needs_pose and not certificate.with_pose:
         return "preflight was done without the pose: repeat it with --pose"
-    age_s = utc_s - record.utc_s
+    age_s = utc_s - certificate.utc_s
     if age_s > AGE_MAX_S:
-        return f"preflight is {age_s / 3600:.0f} h old, at most {AGE_MAX_S // 3600} h count: repeat it"
+        return f"preflight is {age_s / 3600:.0f} h old, the limit is {AGE_MAX_S // 3600} h: repeat it"
     if age_s < -FUTURE_MAX_S:
         return "preflight has a date in the future: set the clock, or repeat it"
     return ""
 
 
 def _listed(names: list[str]) -> str:
-    """The first of some names, and how many more there are."""
+    """The first name, and how many more there are."""
     return names[0] + (f" and {len(names) - 1} more" if len(names) > 1 else "") if names else ""
 
 
-def _digest(record: PreflightRecord) -> str:
-    tree = record.model_dump(mode="json", exclude={"digest"})
+def _digest(certificate: Certificate) -> str:
+    tree = certificate.model_dump(mode="json", exclude={"digest"})
     return hashlib.sha256(json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

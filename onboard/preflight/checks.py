@@ -13,7 +13,7 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.links.health import STANDARD_GRAVITY
-from onboard.preflight.recorder import Capture
+from onboard.preflight.recorder import StepData
 from protocol.conventions import Array
 
 __all__ = ["Check", "MotorAnswer", "PreflightConfig", "Result", "Step", "check_motors", "check_still", "skipped"]
@@ -97,7 +97,7 @@ def judged(name: str, good: bool, measured: str, wanted: str, hint: str = "") ->
 # -- at rest ----------------------------------------------------------------------------------------------------------
 
 
-def check_still(recording: Capture, config: PreflightConfig, with_pose: bool) -> list[Check]:
+def check_still(recording: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
     """All that can be judged while the vehicle stands on level ground."""
     if len(recording.imu_arrival_s) < 20:
         dropped = ", ".join(f"{count} {reason}" for reason, count in recording.rejected.most_common(3))
@@ -110,7 +110,7 @@ def check_still(recording: Capture, config: PreflightConfig, with_pose: bool) ->
     return checks
 
 
-def _stream(recording: Capture, config: PreflightConfig) -> list[Check]:
+def _stream(recording: StepData, config: PreflightConfig) -> list[Check]:
     """Rate, jitter and time base of HIL_SENSOR."""
     arrival, stamp = recording.imu_arrival_s, recording.imu_stamp_s
     span_s = max(arrival[-1] - arrival[0], 1e-9)
@@ -150,7 +150,7 @@ def _clock_hint(clock: float, backwards: int) -> str:
     return "two senders, or a clock that is set while it runs" if backwards else "the vehicle's clock is off its pace"
 
 
-def _accelerometer(recording: Capture, config: PreflightConfig) -> Check:
+def _accelerometer(recording: StepData, config: PreflightConfig) -> Check:
     """At rest and level: (0, 0, -9.81) m/s^2."""
     mean = recording.accelerometer.mean(axis=0)
     norm = float(np.linalg.norm(mean))
@@ -173,7 +173,7 @@ def _rest_hint(mean: Array, norm: float, tilt: float) -> str:
     return "ground not level, or the accelerometer needs calibration" if tilt > 0.05 else "scale of the accelerometer"
 
 
-def _gyroscope(recording: Capture, config: PreflightConfig) -> Check:
+def _gyroscope(recording: StepData, config: PreflightConfig) -> Check:
     mean, sigma = recording.gyroscope.mean(axis=0), recording.gyroscope.std(axis=0)
     alive = bool((sigma > 0.0).all())
     quiet = np.abs(mean).max() <= config.gyro_bias_max_rad_s and sigma.max() <= config.gyro_sigma_max_rad_s
@@ -187,7 +187,7 @@ def _gyroscope(recording: Capture, config: PreflightConfig) -> Check:
     )
 
 
-def _pressure(recording: Capture) -> Check:
+def _pressure(recording: StepData) -> Check:
     given = recording.pressure_pa[recording.pressure_pa > 0.0]
     refused = recording.rejected["pressure"]
     if not len(given) and not refused:
@@ -197,7 +197,7 @@ def _pressure(recording: Capture) -> Check:
     return judged("pressure", bool(len(given)) and not refused, mean, "300 to 1200 hPa", hint)
 
 
-def _battery(recording: Capture, config: PreflightConfig) -> Check:
+def _battery(recording: StepData, config: PreflightConfig) -> Check:
     wanted = f"{config.battery_min_v} to {config.battery_max_v} V"
     if not len(recording.battery_v):
         hint = "voltages are in mV, unused cells 65535" if recording.rejected["battery"] else "no BATTERY_STATUS came"
@@ -207,11 +207,11 @@ def _battery(recording: Capture, config: PreflightConfig) -> Check:
     return judged("battery", config.battery_min_v <= volt <= config.battery_max_v, f"{volt:.2f} V", wanted, hint)
 
 
-def _heartbeat(recording: Capture) -> Check:
+def _heartbeat(recording: StepData) -> Check:
     return judged("heartbeat", recording.heartbeats > 0, f"{recording.heartbeats}", "about one a second", "none came")
 
 
-def _flow_rate(recording: Capture, config: PreflightConfig) -> Check:
+def _flow_rate(recording: StepData, config: PreflightConfig) -> Check:
     """On the ground a camera may see nothing, but frames must come."""
     rate_hz = frequency(recording.flow_arrival_s)
     hint = "no HIL_OPTICAL_FLOW: without pose the vehicle could then only level and descend"
@@ -222,7 +222,7 @@ def _flow_rate(recording: Capture, config: PreflightConfig) -> Check:
     )
 
 
-def _pose_stream(recording: Capture, config: PreflightConfig) -> list[Check]:
+def _pose_stream(recording: StepData, config: PreflightConfig) -> list[Check]:
     """Rate of the motion capture, and that its upright is the accelerometer's."""
     wanted = f"{config.pose_rate_min_hz:.0f} Hz, no gap beyond {config.pose_gap_max_s * 1e3:.0f} ms"
     if len(recording.pose_s) < 5:

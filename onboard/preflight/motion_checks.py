@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from onboard.preflight.checks import Check, PreflightConfig, Step, absent, frequency, judged, rotation, vector
-from onboard.preflight.recorder import Capture
+from onboard.preflight.recorder import StepData
 from protocol.conventions import Array
 
 WINDOW_S: Final = 0.5
@@ -33,7 +33,7 @@ _NAMES: Final = {
 _LEAST_SAMPLES: Final = 100
 
 
-def check_motion(step: Step, recording: Capture, config: PreflightConfig, with_pose: bool) -> list[Check]:
+def check_motion(step: Step, recording: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
     """The rows of one step."""
     name = _NAMES[step]
     if len(recording.imu_arrival_s) < _LEAST_SAMPLES:
@@ -54,7 +54,7 @@ def check_motion(step: Step, recording: Capture, config: PreflightConfig, with_p
 # -- inertial sensors -------------------------------------------------------------------------------------------------
 
 
-def _check_force(step: Step, recording: Capture, config: PreflightConfig) -> Check:
+def _check_force(step: Step, recording: StepData, config: PreflightConfig) -> Check:
     """The accelerometer's axis and sign in a tilt."""
     before, after = _ends(recording.imu_arrival_s, recording.accelerometer)
     axis, change = _FORCE_AXIS[step], after - before
@@ -76,7 +76,7 @@ def _check_force(step: Step, recording: Capture, config: PreflightConfig) -> Che
     return judged(f"{_NAMES[step]}: accelerometer", good, measured, wanted, hint)
 
 
-def _check_rates(step: Step, recording: Capture, config: PreflightConfig) -> Check:
+def _check_rates(step: Step, recording: StepData, config: PreflightConfig) -> Check:
     """The gyroscope's axis, sign and unit: the angle it sums up, in a tilt against the accelerometer's."""
     axis, sign = _TURN[step]
     angles = _turned(recording)
@@ -103,7 +103,7 @@ def _check_rates(step: Step, recording: Capture, config: PreflightConfig) -> Che
     return judged(f"{_NAMES[step]}: gyroscope", good, f"{sums} deg", wanted, hint)
 
 
-def _check_flow(step: Step, recording: Capture, config: PreflightConfig) -> Check:
+def _check_flow(step: Step, recording: StepData, config: PreflightConfig) -> Check:
     """The flow sensor's own gyro sums must be the IMU's: else the rotation would be taken for motion."""
     name = f"{_NAMES[step]}: flow's gyro"
     if len(recording.flow) < 10:
@@ -119,7 +119,7 @@ def _check_flow(step: Step, recording: Capture, config: PreflightConfig) -> Chec
 # -- pose -------------------------------------------------------------------------------------------------------------
 
 
-def _check_pose_turn(step: Step, recording: Capture, config: PreflightConfig) -> Check:
+def _check_pose_turn(step: Step, recording: StepData, config: PreflightConfig) -> Check:
     """The pose's rotation in the body's axes against what was asked and what the IMU felt."""
     name = f"{_NAMES[step]}: pose"
     if len(recording.pose_s) < 10:
@@ -144,7 +144,7 @@ def _check_pose_turn(step: Step, recording: Capture, config: PreflightConfig) ->
     return judged(name, good, f"{vector(np.degrees(turn))} deg", wanted, hint)
 
 
-def _check_forward(recording: Capture, config: PreflightConfig) -> Check:
+def _check_forward(recording: StepData, config: PreflightConfig) -> Check:
     """The pose's position moves the way its own attitude says the nose points."""
     name, wanted = "forward: pose", "forward in the pose's own heading"
     if len(recording.pose_s) < 10:
@@ -163,14 +163,14 @@ def _check_forward(recording: Capture, config: PreflightConfig) -> Check:
 # -- height -----------------------------------------------------------------------------------------------------------
 
 
-def _check_lift(recording: Capture, config: PreflightConfig, with_pose: bool) -> list[Check]:
+def _check_lift(recording: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
     checks = [_check_range(recording, config), _check_pressure(recording, config)]
     if with_pose:
         checks.append(_check_pose_height(recording, config))
     return checks
 
 
-def _check_range(recording: Capture, config: PreflightConfig) -> Check:
+def _check_range(recording: StepData, config: PreflightConfig) -> Check:
     """The ultrasonic distance grows to what an arm's lift gives, and keeps coming."""
     end_s = recording.imu_arrival_s[-1]
     late = recording.range_m[recording.range_arrival_s > end_s - 2.0 * WINDOW_S]
@@ -194,7 +194,7 @@ def _check_range(recording: Capture, config: PreflightConfig) -> Check:
     return judged("lift: range", good, f"{distance_m:.2f} m at {rate_hz:.0f} Hz", wanted, hint)
 
 
-def _check_pressure(recording: Capture, config: PreflightConfig) -> Check:
+def _check_pressure(recording: StepData, config: PreflightConfig) -> Check:
     """Air pressure falls by 12 Pa a metre."""
     given = recording.pressure_pa > 0.0
     if not given.any():
@@ -206,7 +206,7 @@ def _check_pressure(recording: Capture, config: PreflightConfig) -> Check:
     return judged("lift: pressure", low <= change <= high, f"{change:+.1f} Pa", f"{low:.0f} to {high:.0f} Pa", hint)
 
 
-def _check_pose_height(recording: Capture, config: PreflightConfig) -> Check:
+def _check_pose_height(recording: StepData, config: PreflightConfig) -> Check:
     """The pose's down falls as the vehicle rises, and its zero is the floor."""
     if len(recording.pose_s) < 10:
         return judged("lift: pose", False, f"{len(recording.pose_s)} poses", "poses", "motion capture lost the vehicle")
@@ -237,14 +237,14 @@ def _ends(time_s: Array, values: Array) -> tuple[Array, Array]:
     return values[first].mean(axis=0), values[last].mean(axis=0)
 
 
-def _tilt(recording: Capture) -> float:
+def _tilt(recording: StepData) -> float:
     """Angle between the specific forces before and after, rad."""
     before, after = _ends(recording.imu_arrival_s, recording.accelerometer)
     length = float(np.linalg.norm(before) * np.linalg.norm(after))
     return float(np.arccos(np.clip(float(before @ after) / max(length, 1e-9), -1.0, 1.0)))
 
 
-def _turned(recording: Capture) -> Array:
+def _turned(recording: StepData) -> Array:
     """[3] rad: the gyroscope summed over the step, less its mean at the beginning."""
     time_s = recording.imu_arrival_s
     rates = recording.gyroscope - recording.gyroscope[time_s <= time_s[0] + WINDOW_S].mean(axis=0)
@@ -252,7 +252,7 @@ def _turned(recording: Capture) -> Array:
     return angles
 
 
-def _pose_turn(recording: Capture, order: tuple[int, int, int, int] = (0, 1, 2, 3), inverse: bool = False) -> Array:
+def _pose_turn(recording: StepData, order: tuple[int, int, int, int] = (0, 1, 2, 3), inverse: bool = False) -> Array:
     """[3] rad: rotation vector, in the body before, of the pose's turn.
 
     `order` picks w, x, y, z from the wire, `inverse` takes them as world to body: to try what a bridge may have meant.

@@ -29,7 +29,7 @@ class PoseSample(NamedTuple):
     """wxyz, body to world."""
 
 
-class Capture(NamedTuple):
+class StepData(NamedTuple):
     """One step's readings. All times are our clock's, in seconds, unless the name says otherwise."""
 
     imu_arrival_s: Array
@@ -59,7 +59,7 @@ class Capture(NamedTuple):
     conflict: bool
 
 
-class Recorder:
+class StepRecorder:
     """A vehicle link that remembers. `begin` starts a step, `end` gives what came in it."""
 
     def __init__(
@@ -80,15 +80,15 @@ class Recorder:
         self._restarts_before = self._link.restarts
 
     @property
-    def last_heard_ns(self) -> int:
+    def last_received_ns(self) -> int:
         """When the vehicle was last heard."""
-        return self._link.last_heard_ns
+        return self._link.last_received_ns
 
     def motors(self, fractions: tuple[float, float, float, float], armed: bool, now_ns: int) -> bytes:
         """A motor command to send."""
         return self._link.encode_motors(fractions, armed, now_ns)
 
-    def take_in(self, datagram: bytes, now_ns: int) -> None:
+    def receive(self, datagram: bytes, now_ns: int) -> None:
         """One datagram of the vehicle."""
         now_s = now_ns * 1e-9
         heartbeat_ns = self._link.last_heartbeat_ns
@@ -106,11 +106,11 @@ class Recorder:
                 _keep(self._battery, reading.voltage_v, OTHERS_MAX)
         self._heartbeats += self._link.last_heartbeat_ns != heartbeat_ns
 
-    def take_in_pose(self, pose: PoseSample) -> None:
+    def receive_pose(self, pose: PoseSample) -> None:
         """One pose of the motion capture."""
         _keep(self._poses, (*pose.position, *pose.quaternion, pose.time_ns * 1e-9), OTHERS_MAX)
 
-    def end(self) -> Capture:
+    def end(self) -> StepData:
         """What came since `begin`."""
         imu = np.array(self._imu, dtype=np.float64).reshape(-1, 10)
         flow = np.array(self._flow, dtype=np.float64).reshape(-1, 7)
@@ -118,7 +118,7 @@ class Recorder:
         poses = np.array(self._poses, dtype=np.float64).reshape(-1, 8)
         if len(poses):  # q and -q are one rotation; a mean needs them on one side
             poses[:, 3:7] *= np.where(poses[:, 3:7] @ poses[0, 3:7] < 0.0, -1.0, 1.0)[:, None]
-        return Capture(
+        return StepData(
             imu_arrival_s=imu[:, 0],
             imu_stamp_s=imu[:, 1],
             imu_delay_s=imu[:, 2],

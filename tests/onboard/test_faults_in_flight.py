@@ -99,7 +99,7 @@ def test_with_a_sign_of_the_flow_turned_round_it_is_lost(sign):
     """The ablation that proves the test above: either sign of the flow's convention matters."""
 
     def change(core):
-        take_in = core._estimator.take_in
+        take_in = core._estimator.receive
 
         def turned(reading):
             if isinstance(reading, FlowReading):
@@ -108,7 +108,7 @@ def test_with_a_sign_of_the_flow_turned_round_it_is_lost(sign):
                 reading = reading._replace(flow_x=x, flow_y=y)
             take_in(reading)
 
-        core._estimator.take_in = turned
+        core._estimator.receive = turned
 
     flight = FlightTest("figure8_calm", change=change).fly(16.0)
     assert flight.lockstep.crash_reason or np.abs(flight.errors[1400:]).max() > 0.5

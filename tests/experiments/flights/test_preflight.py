@@ -3,20 +3,20 @@
 import pytest
 
 from async_dmrac import command_line
-from async_dmrac.commands.preflight import PersonAtTerminal, keep_record, table_of, verdict
+from async_dmrac.commands.preflight import PersonAtTerminal, table_of, verdict, write_certificate_file
 from experiments.flights.preflight_session import PreflightSession
 from onboard.links.vehicle import VehicleLinkConfig
-from onboard.preflight.certificate import objection, read_record
+from onboard.preflight.certificate import arming_refusal, read_certificate
 from onboard.preflight.checks import MotorAnswer, PreflightConfig, Result, Step, check_still
 from onboard.preflight.motion_checks import check_motion
-from onboard.preflight.recorder import Recorder
+from onboard.preflight.recorder import StepRecorder
 from runtime.errors import StartError
 from tests.experiments.flights.preflight_vehicle import HeldVehicle
 
 
 def checked(*mistakes, with_pose=True, motion=True, motors=True, consent=True):
     vehicle = HeldVehicle(mistakes, consent)
-    recorder = Recorder(VehicleLinkConfig())
+    recorder = StepRecorder(VehicleLinkConfig())
     session = PreflightSession(vehicle, vehicle, recorder, PreflightConfig(), with_pose)
     return session.run(motion, motors), vehicle
 
@@ -24,7 +24,7 @@ def checked(*mistakes, with_pose=True, motion=True, motors=True, consent=True):
 def rows_of(step, *mistakes):
     """The rows of one step alone."""
     vehicle, config = HeldVehicle(mistakes), PreflightConfig()
-    recording = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), config, True)._record(step, 6.0)
+    recording = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), config, True)._record(step, 6.0)
     return check_still(recording, config, True) if step is Step.STILL else check_motion(step, recording, config, True)
 
 
@@ -35,7 +35,7 @@ def step_of(row):
 
 def motor_rows(*mistakes):
     vehicle = HeldVehicle(mistakes)
-    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     return session._spin_motors()
 
 
@@ -126,7 +126,7 @@ def test_a_vehicle_that_falls_silent_while_a_motor_turns_is_told_to_stop():
     vehicle = HeldVehicle()
     frames = vehicle.frames
     vehicle.frames = lambda: [] if vehicle.commands[-1][1] else frames()
-    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     checks = session.run(motion=False, motors=True)
     assert "fell silent" in checks[-1].hint
     assert sum(armed for _, armed in vehicle.commands) < 60
@@ -142,7 +142,7 @@ def test_whatever_fails_while_a_motor_turns_stops_it():
             raise KeyboardInterrupt
         return []
 
-    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     vehicle.frames = broken
     with pytest.raises(KeyboardInterrupt):
         session._spin(1)
@@ -152,7 +152,7 @@ def test_whatever_fails_while_a_motor_turns_stops_it():
 def test_a_silent_vehicle_ends_it_at_once():
     vehicle = HeldVehicle()
     vehicle.frames = list
-    session = PreflightSession(vehicle, vehicle, Recorder(VehicleLinkConfig()), PreflightConfig(), False)
+    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     checks = session.run(True, True)
     assert [check.name for check in checks] == ["vehicle heard"]
     assert "wrong address" in checks[0].hint
@@ -173,7 +173,7 @@ def test_a_silent_vehicle_ends_it_at_once():
         (("--vehicle", "udp://127.0.0.1:1", "--pose", "14574"), "--pose 14574: expected HOST:PORT"),
         (("--vehicle", "udp://127.0.0.1:1", "--bind", "192.0.2.1:14561"), "with --bind HOST:PORT"),
         (("--vehicle", "udp://127.0.0.1:1", "--vehicle-key-file", "none.key"), "none.key: cannot be read"),
-        (("--vehicle", "udp://127.0.0.1:1", "--record", "nowhere/x.json"), "there is no folder nowhere"),
+        (("--vehicle", "udp://127.0.0.1:1", "--certificate", "nowhere/x.json"), "there is no folder nowhere"),
     ],
 )
 def test_bad_addresses_are_usage(options, said, capsys, tmp_path, monkeypatch):
@@ -223,9 +223,9 @@ def test_without_a_terminal_nothing_is_taken_for_an_answer():
 
 
 def kept(path, checks, partly=False):
-    said = keep_record(path, "192.168.3.1:14560", True, checks, partly)
-    record = read_record(path.read_bytes(), str(path))
-    return said, objection(record, "192.168.3.1:14560", True, record.utc_s)
+    said = write_certificate_file(path, "192.168.3.1:14560", True, checks, partly)
+    record = read_certificate(path.read_bytes(), str(path))
+    return said, arming_refusal(record, "192.168.3.1:14560", True, record.utc_s)
 
 
 def test_what_was_found_is_kept_for_onboard(tmp_path):
@@ -234,7 +234,7 @@ def test_what_was_found_is_kept_for_onboard(tmp_path):
     said, bar = kept(path, checks)
     assert said == f"{path}: written; dmrac onboard will arm on it"
     assert bar == ""
-    assert [row.name for row in read_record(path.read_bytes(), "").checks] == [check.name for check in checks]
+    assert [row.name for row in read_certificate(path.read_bytes(), "").checks] == [check.name for check in checks]
     checks, _ = checked("gyro z turned round")
     said, bar = kept(path, checks)
     assert bar == "preflight failed: turn right: gyroscope"
@@ -260,5 +260,5 @@ def test_a_vehicle_without_a_pressure_sensor_can_pass():
 
 
 def test_a_place_where_nothing_can_be_written_is_named(tmp_path):
-    with pytest.raises(StartError, match=r"--record .*none/x\.json: cannot be written: No such file"):
+    with pytest.raises(StartError, match=r"--certificate .*none/x\.json: cannot be written: No such file"):
         kept(tmp_path / "none" / "x.json", [])

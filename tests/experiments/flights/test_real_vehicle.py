@@ -17,7 +17,7 @@ from configs.addresses import load_network
 from configs.loader import CONFIG_DIRECTORY, read_tree
 from experiments.flights.scenario import Choices, resolve
 from onboard.links.frame_stream import FrameStream
-from onboard.preflight.certificate import AGE_MAX_S, record_name
+from onboard.preflight.certificate import AGE_MAX_S, certificate_name
 from sim_vehicle.vehicle import SimVehicle
 from tests.experiments.processes import ROOT, Processes
 
@@ -71,7 +71,7 @@ def test_the_pages_limits_are_those_of_the_configuration(name, words):
 
 
 def test_the_page_says_what_preflight_leaves_for_onboard():
-    assert record_name("192.168.3.1:14560") in PAGE
+    assert certificate_name("192.168.3.1:14560") in PAGE
     assert f"{AGE_MAX_S // 3600} hours" in PAGE
 
 
@@ -188,5 +188,5 @@ def test_preflight_listens_to_the_simulated_vehicle(tmp_path):
     for row in ("time base", "accelerometer at rest", "battery", "pose upright"):
         assert f"pass {row}" in result.stdout
     assert "not ready to fly" in result.stdout or failed
-    assert (tmp_path / record_name(PORTS["vehicle"])).is_file()
+    assert (tmp_path / certificate_name(PORTS["vehicle"])).is_file()
     assert "not enough to be armed on" in result.stdout

@@ -125,15 +125,15 @@ class Flight:
             imu = ImuReading(now_ns, tuple(accelerometer[k]), tuple(gyroscope[k]), pressure[k])
             imu = imu if imu_fault is None else imu_fault(t, imu)
             if imu is not None:
-                estimator.take_in(imu)
+                estimator.receive(imu)
             if k % 3 == 0 and k > 5 and any(a <= t < b for a, b in self.flow_windows):
-                estimator.take_in(flow_of(truth, rotation, k, flow_noise[k]))
+                estimator.receive(flow_of(truth, rotation, k, flow_noise[k]))
                 self._note("flow", estimator)
             if k % 8 == 0:
                 distance = range_of(truth, rotation, k, noise, rng)
                 if range_fault is not None:
                     distance = range_fault(t, distance)
-                estimator.take_in(RangeReading(now_ns, distance))
+                estimator.receive(RangeReading(now_ns, distance))
                 self._note("range", estimator)
             if k % (RATE // noise.pose_rate) == 0 and any(a <= t < b for a, b in self.pose_windows):
                 queue.append((now_ns + int(noise.pose_delay_s * 1e9), k))
@@ -145,7 +145,7 @@ class Flight:
                 pose = Pose(int(truth.time_ns[i]), position.astype(np.float32), quaternion.astype(np.float32))
                 count = estimator.state.position_reset_count
                 taken_ns = pose.time_ns if stamp_fault is None else stamp_fault(pose, now_ns)
-                estimator.take_in_pose(pose, taken_ns, now_ns, time_sigma_s)
+                estimator.receive_pose(pose, taken_ns, now_ns, time_sigma_s)
                 self._note("pose_position", estimator)
                 self._note("pose_attitude", estimator)
                 if estimator.state.position_reset_count != count:

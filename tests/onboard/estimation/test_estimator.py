@@ -208,10 +208,10 @@ def test_an_attitude_that_a_wrong_capture_time_explains_turns_nothing():
         for k in range(6):
             time_ns = now_ns + (k + 1) * STEP_NS
             force = tuple((state.rotation.T @ (0.0, 0.0, -9.81)).tolist())
-            estimator.take_in(ImuReading(time_ns, force, rates, 101325.0))
+            estimator.receive(ImuReading(time_ns, force, rates, 101325.0))
             turned = Rotation.from_matrix(state.rotation) * Rotation.from_rotvec((angle, 0.0, 0.0))
             pose = Pose(time_ns, state.position.astype(np.float32), turned.as_quat()[[3, 0, 1, 2]].astype(np.float32))
-            estimator.take_in_pose(pose, time_ns, time_ns)
+            estimator.receive_pose(pose, time_ns, time_ns)
         return 2.0 * math.acos(min(1.0, abs(float(before @ state.quaternion))))
 
     turned_rad = poses((6.0, 0.0, 0.0), 0.6)
@@ -239,11 +239,11 @@ def test_poses_at_wrong_times_are_refused():
     estimator.counts.clear()
     pose = Pose(1, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
     for capture_ns in (now_ns - 10**9, now_ns + 10**9, -(10**15), 10**18):
-        estimator.take_in_pose(pose, capture_ns, now_ns)
+        estimator.receive_pose(pose, capture_ns, now_ns)
     assert estimator.counts["pose_wrong_time"] + estimator.counts["pose_out_of_order"] == 4
-    estimator.take_in_pose(pose, now_ns - 10_000_000, now_ns)
-    estimator.take_in_pose(pose, now_ns - 10_000_000, now_ns)
-    estimator.take_in_pose(pose, now_ns - 20_000_000, now_ns)
+    estimator.receive_pose(pose, now_ns - 10_000_000, now_ns)
+    estimator.receive_pose(pose, now_ns - 10_000_000, now_ns)
+    estimator.receive_pose(pose, now_ns - 20_000_000, now_ns)
     assert estimator.counts["pose_out_of_order"] >= 2
 
 

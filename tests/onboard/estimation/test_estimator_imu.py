@@ -18,7 +18,7 @@ def still_imu(estimator, seconds, start_ns=0, roll=0.0, pitch=0.0, gyro=(0.05, -
     for k in range(int(seconds * RATE)):
         acc = force + 0.2 * rng.standard_normal(3)
         rate = np.array(gyro) + 0.01 * rng.standard_normal(3)
-        estimator.take_in(ImuReading(start_ns + (k + 1) * STEP_NS, tuple(acc), tuple(rate), 101325.0))
+        estimator.receive(ImuReading(start_ns + (k + 1) * STEP_NS, tuple(acc), tuple(rate), 101325.0))
     return start_ns + int(seconds * RATE) * STEP_NS
 
 
@@ -47,7 +47,7 @@ def test_carrying_the_vehicle_about_does_not_spoil_the_gyro_bias():
     for k in range(RATE):  # lifted at one end, at 1 rad/s
         angle = (k + 1) / RATE
         force = (0.0, -9.80665 * math.sin(angle), -9.80665 * math.cos(angle))
-        estimator.take_in(ImuReading(now_ns + (k + 1) * STEP_NS, force, (1.05, -0.02, 0.01), 101325.0))
+        estimator.receive(ImuReading(now_ns + (k + 1) * STEP_NS, force, (1.05, -0.02, 0.01), 101325.0))
     np.testing.assert_allclose(estimator.state.gyro_bias, (0.05, -0.02, 0.01), atol=0.01)
     assert estimator.state.euler[0] == pytest.approx(1.0, abs=0.1)
 
@@ -57,7 +57,7 @@ def test_out_of_order_samples_change_nothing():
     now_ns = still_imu(estimator, 1.0)
     before = estimator.state.position.copy(), estimator.covariance.copy()
     for time_ns in (now_ns, now_ns - STEP_NS):
-        estimator.take_in(ImuReading(time_ns, (50.0, 0.0, 0.0), (9.0, 9.0, 9.0)))
+        estimator.receive(ImuReading(time_ns, (50.0, 0.0, 0.0), (9.0, 9.0, 9.0)))
     assert estimator.counts["imu_out_of_order"] == 2
     np.testing.assert_array_equal(estimator.state.position, before[0])
     np.testing.assert_array_equal(estimator.covariance, before[1])
@@ -81,7 +81,7 @@ def test_vibration_measures_white_noise(sigma):
     rng, levels = np.random.default_rng(2), []
     for k in range(800):
         force = np.array([0.0, 0.0, -9.8]) + sigma * rng.standard_normal(3)
-        estimator.take_in(ImuReading(now_ns + (k + 1) * STEP_NS, tuple(force), (0.0, 0.0, 0.0)))
+        estimator.receive(ImuReading(now_ns + (k + 1) * STEP_NS, tuple(force), (0.0, 0.0, 0.0)))
         levels.append(estimator.state.vibration)
     assert np.mean(levels[200:]) == pytest.approx(1.596 * 0.843 * sigma, rel=0.05)
 
@@ -92,7 +92,7 @@ def test_vibration_ignores_manoeuvres_and_hears_a_chipped_rotor():
         now_ns = still_imu(estimator, 0.5)
         for k in range(200):
             t = (k + 1) / RATE
-            estimator.take_in(ImuReading(now_ns + (k + 1) * STEP_NS, (force(t), 0.0, -9.8), (0.0, 0.0, 0.0)))
+            estimator.receive(ImuReading(now_ns + (k + 1) * STEP_NS, (force(t), 0.0, -9.8), (0.0, 0.0, 0.0)))
         return estimator.state.vibration
 
     assert level(lambda t: 2.0 * math.sin(2 * math.pi * 1.0 * t)) < 0.35
@@ -102,7 +102,7 @@ def test_vibration_ignores_manoeuvres_and_hears_a_chipped_rotor():
     now_ns = still_imu(estimator, 0.5)
     for k in range(100):
         force = 5.0 * (-1.0) ** k
-        estimator.take_in(ImuReading(now_ns + (k + 1) * STEP_NS, (force, 0.0, -9.8), (0.0, 0.0, 0.0)))
+        estimator.receive(ImuReading(now_ns + (k + 1) * STEP_NS, (force, 0.0, -9.8), (0.0, 0.0, 0.0)))
         rise.append(estimator.state.vibration)
     settled = rise[-1]
     assert 0.1 < next(k for k, level in enumerate(rise) if level > 0.63 * settled) / RATE < 0.2
@@ -120,7 +120,7 @@ def test_the_delay_of_the_gyro_counts_in_fast_turns():
             t, before = (k + 1) / RATE, max(k / RATE, 0.0)
             angle = 0.4 * (1 - math.cos(20.0 * t))
             force = (0.0, -9.8 * math.sin(angle), -9.8 * math.cos(angle))
-            estimator.take_in(ImuReading(now_ns + (k + 1) * STEP_NS, force, (8.0 * math.sin(20.0 * before), 0.0, 0.0)))
+            estimator.receive(ImuReading(now_ns + (k + 1) * STEP_NS, force, (8.0 * math.sin(20.0 * before), 0.0, 0.0)))
             errors.append(abs(estimator.state.euler[0] - start - angle))
         return max(errors)
 

@@ -13,7 +13,7 @@ def judged(poses=40, period_s=0.01, attitude=None, down=-0.02, force=REST, order
     health = PoseHealth(PoseHealthConfig())
     quaternion = (attitude or Rotation.from_euler("z", 1.2)).as_quat()
     for k in range(poses):
-        health.take(down, tuple(quaternion[list(order)]), round(k * period_s * 1e9), force)
+        health.add(down, tuple(quaternion[list(order)]), round(k * period_s * 1e9), force)
     return health.fault
 
 
@@ -49,7 +49,7 @@ def test_a_pause_counts_until_it_is_forgotten():
     health = PoseHealth(PoseHealthConfig())
     for k in range(200):
         now_ns = k * 10**7 + (3 * 10**9 if k >= 100 else 0)
-        health.take(0.0, (1.0, 0.0, 0.0, 0.0), now_ns, REST)
+        health.add(0.0, (1.0, 0.0, 0.0, 0.0), now_ns, REST)
         if k == 111:
             assert health.fault.startswith("pose at")
     assert health.fault == ""

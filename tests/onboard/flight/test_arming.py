@@ -35,7 +35,7 @@ def judged(samples=200, period_s=0.005, clock=1.0, force=REST, rates=(0.02, 0.0,
         due_s = k * period_s
         arrival_ns = round((due_s + late(k)) * 1e9)
         felt = tuple(np.array([*force, *rates]) + rng.normal(0.0, 1.0, 6) * noise)
-        health.take(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, felt)
+        health.add(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, felt)
     return health.fault
 
 

@@ -148,8 +148,8 @@ def test_numbers_that_are_not_finite_stay_on_board(station, bad):
 
 
 def test_texts_come_whole_and_in_chunks(station):
-    station.link.say("short", mavlink.MAV_SEVERITY_WARNING)
-    station.link.say("0123456789" * 12)
+    station.link.send_text("short", mavlink.MAV_SEVERITY_WARNING)
+    station.link.send_text("0123456789" * 12)
     heard = station.listen(4)
     assert [m.get_type() for m in heard] == ["STATUSTEXT"] * 4
     assert (heard[0].text, heard[0].severity, heard[0].id) == ("short", mavlink.MAV_SEVERITY_WARNING, 0)
@@ -160,7 +160,7 @@ def test_texts_come_whole_and_in_chunks(station):
 
 def test_texts_that_pile_up_are_bounded(station):
     for _ in range(1000):
-        station.link.say("ü" * 60)
+        station.link.send_text("ü" * 60)
     assert Counter(m.get_type() for m in station.listen(64))["STATUSTEXT"] == 32
 
 
@@ -268,7 +268,7 @@ def test_parameter_and_mission_lists_have_an_end(station):
 
 def test_heartbeats_are_noted(station):
     assert station.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
-    assert station.link.last_heard_ns == station.now_ns
+    assert station.link.last_received_ns == station.now_ns
 
 
 @given(st.binary(max_size=300))

@@ -1,6 +1,6 @@
 import numpy as np
 
-from onboard.links.loss_rate import SILENT_NS, WINDOW_NS, LossWatch
+from onboard.links.loss_rate import SILENT_NS, WINDOW_NS, LossRate
 from protocol.endpoint import Endpoint
 from protocol.messages import Pose, TimeSyncReply, TimeSyncRequest
 from protocol.statistics import LinkStatistics
@@ -14,7 +14,7 @@ def watch(losses: list[float | None], seed: int = 0) -> list[float]:
 
     As an endpoint does, what was lost is counted when something comes again.
     """
-    rng, watch, statistics, pending = np.random.default_rng(seed), LossWatch(), LinkStatistics(), 0
+    rng, watch, statistics, pending = np.random.default_rng(seed), LossRate(), LinkStatistics(), 0
     watch.step(statistics, 0)
     said, now_ns = [], 0
     for loss in losses:
@@ -52,14 +52,14 @@ def test_little_loss_stays_below_a_fifth() -> None:
 
 
 def test_what_comes_late_after_all_is_no_negative_loss() -> None:
-    watch_, statistics = LossWatch(), LinkStatistics(received=50, lost=50)
+    watch_, statistics = LossRate(), LinkStatistics(received=50, lost=50)
     watch_.step(statistics, 0)
     statistics.received, statistics.lost = 200, 0
     assert watch_.step(statistics, WINDOW_NS) == 0.0
 
 
 def test_what_a_full_queue_drops_does_not_count() -> None:
-    watch_, statistics = LossWatch(), LinkStatistics(delay_mean_ns=80e6)
+    watch_, statistics = LossRate(), LinkStatistics(delay_mean_ns=80e6)
     for window in range(4):
         statistics.received, statistics.lost = 70 * window, 30 * window
         assert watch_.step(statistics, window * WINDOW_NS) == 0.0
@@ -80,7 +80,7 @@ def test_of_a_peer_that_has_been_silent_for_long_nothing_is_known() -> None:
 
 def shares_over_a_real_link(delay_ns: int, sessions: list[int], loss: float = 0.4, seconds: int = 5) -> list[float]:
     """Poses at 100 Hz from one session of the peer after the other; the share at the end of each second."""
-    rng, onboard, watch_ = np.random.default_rng(4), Endpoint("onboard", 1, None), LossWatch()
+    rng, onboard, watch_ = np.random.default_rng(4), Endpoint("onboard", 1, None), LossRate()
     pose = Pose(0, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
     said, now_ns = [], 0
     for session in sessions:

@@ -1,4 +1,4 @@
-"""A preflight record: what it says is what was found, and only a complete, good, fresh one of this vehicle counts."""
+"""Preflight certificate: only a complete, good, recent and unchanged one of this vehicle allows arming."""
 
 import argparse
 import json
@@ -12,11 +12,11 @@ from onboard.command import add_arguments, clearance_of
 from onboard.preflight.certificate import (
     AGE_MAX_S,
     CLEAR,
-    objection,
-    read_record,
-    record_name,
+    arming_refusal,
+    certificate_name,
+    read_certificate,
     vehicle_url,
-    write_record,
+    write_certificate,
 )
 from onboard.preflight.checks import Check, Result
 
@@ -28,13 +28,13 @@ REAL = resolve("hover", Choices("pid", real=True)).onboard
 SIMULATED = resolve("hover", Choices("pid")).onboard
 
 
-def found(checks=GOOD, vehicle=VEHICLE, with_pose=True, needs_pose=True, age_s=60.0, of=VEHICLE):
-    record = read_record(write_record(of, NOW, with_pose, checks), "record")
-    return objection(record, vehicle, needs_pose, NOW + age_s)
+def refusal(checks=GOOD, vehicle=VEHICLE, with_pose=True, needs_pose=True, age_s=60.0, of=VEHICLE):
+    certificate = read_certificate(write_certificate(of, NOW, with_pose, checks), "file")
+    return arming_refusal(certificate, vehicle, needs_pose, NOW + age_s)
 
 
 @pytest.mark.parametrize(
-    ("case", "said"),
+    ("case", "expected"),
     [
         ({}, ""),
         ({"with_pose": False, "needs_pose": False}, ""),
@@ -52,36 +52,36 @@ def found(checks=GOOD, vehicle=VEHICLE, with_pose=True, needs_pose=True, age_s=6
         ({"of": SERIAL, "vehicle": "serial:///dev/ttyUSB1"}, "preflight was of serial:///dev/ttyUSB0"),
     ],
 )
-def test_what_counts(case, said):
-    assert said in found(**case)
-    assert bool(found(**case)) == bool(said)
+def test_reasons_to_refuse_arming(case, expected):
+    assert expected in refusal(**case)
+    assert bool(refusal(**case)) == bool(expected)
 
 
 @pytest.mark.parametrize(
     ("key", "value"), [("vehicle", "udp://10.0.0.1:1"), ("utc_s", NOW + 1), ("with_pose", False), ("checks", [])]
 )
-def test_a_changed_record_does_not_count(key, value):
-    tree = json.loads(write_record(VEHICLE, NOW, True, GOOD))
+def test_a_changed_certificate_is_refused(key, value):
+    tree = json.loads(write_certificate(VEHICLE, NOW, True, GOOD))
     tree[key] = value
-    record = read_record(json.dumps(tree).encode(), "record")
-    assert "changed after it was written" in objection(record, VEHICLE, True, NOW)
+    certificate = read_certificate(json.dumps(tree).encode(), "file")
+    assert "changed after it was written" in arming_refusal(certificate, VEHICLE, True, NOW)
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe", b'{"format": 2}', b'{"vehicle": 3}'])
-def test_what_is_no_record_is_named(content):
+def test_a_file_that_is_not_a_certificate_is_named_in_the_error(content):
     with pytest.raises(ConfigError, match=r"^some\.json: "):
-        read_record(content, "some.json")
+        read_certificate(content, "some.json")
 
 
 def test_names():
-    assert (vehicle_url(VEHICLE), record_name(VEHICLE)) == (
+    assert (vehicle_url(VEHICLE), certificate_name(VEHICLE)) == (
         "udp://192.168.3.1:14560",
         "preflight_192.168.3.1_14560.json",
     )
-    assert record_name(SERIAL) == record_name("serial:///dev/ttyUSB0") == "preflight_dev_ttyUSB0.json"
+    assert certificate_name(SERIAL) == certificate_name("serial:///dev/ttyUSB0") == "preflight_dev_ttyUSB0.json"
 
 
-# -- what onboard makes of it -----------------------------------------------------------------------------------------
+# -- in onboard's command line -----------------------------------------------------------------------------------------
 
 
 def clearance(vehicle, config, *words):
@@ -97,36 +97,38 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_vehicle_on_this_machine_is_simulated_and_needs_none(folder):
+def test_a_vehicle_on_this_machine_needs_no_certificate(folder):
     assert clearance("127.0.0.1:14560", SIMULATED) == clearance("localhost:14560", REAL) == CLEAR
 
 
 @pytest.mark.parametrize("vehicle", [VEHICLE, SERIAL])
-def test_any_other_vehicle_needs_one_by_its_name_in_this_folder(folder, vehicle):
+def test_another_vehicle_needs_a_certificate_with_its_default_name(folder, vehicle):
     missing = clearance(vehicle, REAL)
-    assert missing.bar == f"no {record_name(vehicle)}: run dmrac preflight --vehicle {vehicle_url(vehicle)}"
-    Path(record_name(vehicle)).write_bytes(write_record(vehicle, NOW, True, GOOD))
+    assert missing.refusal == f"no {certificate_name(vehicle)}: run dmrac preflight --vehicle {vehicle_url(vehicle)}"
+    Path(certificate_name(vehicle)).write_bytes(write_certificate(vehicle, NOW, True, GOOD))
     assert clearance(vehicle, REAL) == CLEAR
-    assert "auto_arm" in clearance(vehicle, SIMULATED).bar
+    assert "auto_arm" in clearance(vehicle, SIMULATED).refusal
 
 
-def test_a_record_that_is_named_is_asked_for_even_on_this_machine(folder):
-    assert "no mine.json" in clearance("127.0.0.1:14560", REAL, "--preflight", "mine.json").bar
-    Path("mine.json").write_bytes(write_record("127.0.0.1:14560", NOW, True, [Check("IMU rate", Result.FAIL, "", "")]))
-    assert clearance("127.0.0.1:14560", REAL, "--preflight", "mine.json").bar == "preflight failed: IMU rate"
+def test_a_certificate_given_by_option_is_required_on_this_machine_too(folder):
+    assert "no mine.json" in clearance("127.0.0.1:14560", REAL, "--preflight", "mine.json").refusal
+    Path("mine.json").write_bytes(
+        write_certificate("127.0.0.1:14560", NOW, True, [Check("IMU rate", Result.FAIL, "", "")])
+    )
+    assert clearance("127.0.0.1:14560", REAL, "--preflight", "mine.json").refusal == "preflight failed: IMU rate"
 
 
-def test_it_can_be_overridden_and_that_is_said(folder):
+def test_the_override_is_announced(folder):
     overridden = clearance(VEHICLE, SIMULATED, "--no-preflight")
-    assert overridden.bar == ""
+    assert overridden.refusal == ""
     assert overridden.notice.startswith("PREFLIGHT OVERRIDDEN")
-    with pytest.raises(ConfigError, match="--no-preflight: not beside --preflight"):
+    with pytest.raises(ConfigError, match="--no-preflight: cannot be used with --preflight"):
         clearance(VEHICLE, REAL, "--no-preflight", "--preflight", "mine.json")
 
 
-def test_a_file_that_is_no_record_ends_it_before_the_start(folder):
+def test_a_file_that_is_not_a_certificate_is_a_start_error(folder):
     Path("mine.json").write_text("all fine", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"mine\.json: is no preflight record"):
+    with pytest.raises(ConfigError, match=r"mine\.json: not a preflight certificate"):
         clearance(VEHICLE, REAL, "--preflight", "mine.json")
     with pytest.raises(ConfigError, match=r"cannot be read: Is a directory"):
         clearance(VEHICLE, REAL, "--preflight", str(folder))
