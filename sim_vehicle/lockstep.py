@@ -1,56 +1,124 @@
-"""All cores on one virtual clock in one process: the same steps and the same bytes as in real time, repeatable.
+"""All cores on one virtual clock in one process: the same steps and bytes as in real time, and repeatable.
 
-Theory of operation. One tick is one onboard period. The vehicle advances to the tick's time with the motor command
-computed two ticks ago at the latest (a command computed at tick k acts from tick k+1, as one that has to be computed
-and carried does); its sensors reach onboard in the same tick; what onboard and offboard say passes through the radio
-with the scenario's delivery and delay; a training round takes its modelled time before its result counts. So lockstep
-is not kinder than reality. This file gets built cores and knows only their methods.
+Theory of operation. One tick is one onboard period. A motor command computed at tick k acts from tick k + 1, because a
+real command takes time to compute and to send. Sensor datagrams reach onboard in the tick in which they are sampled.
+Datagrams between onboard and offboard pass through the radio, with the delivery and delay of the scenario. The result
+of a training round becomes known after the modelled training time. Lockstep therefore models the same delays as real
+time. This file receives built cores and knows only their methods.
 
-The trace hash is the SHA-256 of every datagram that any core gave out, in order: two flights with the same hash did
-the same.
+The trace hash is the SHA-256 of every datagram that any core sent, in order: two flights with the same hash did the
+same.
 """
 
 import hashlib
 from collections import deque
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+from flight_log.schema import RecordType
+from protocol.conventions import Array
+from sim_vehicle.link.radio import Radio
+from sim_vehicle.records import VehicleOutput
+
+ResultT = TypeVar("ResultT")
+"""Result of a training round; only offboard reads it."""
+ResultT_co = TypeVar("ResultT_co", covariant=True)
 
 
 class Vehicle(Protocol):
     """sim_vehicle.vehicle.SimVehicle, as lockstep uses it."""
 
-    def take_in(self, datagram: bytes, now_ns: int) -> None:
-        """A motor command."""
+    def receive(self, datagram: bytes, now_ns: int) -> None:
+        """Receive a motor command."""
 
-    def step(self, now_ns: int) -> Any:
-        """Advances to now; answers with to_onboard, to_motion_capture, truth."""
+    def step(self, now_ns: int) -> VehicleOutput:
+        """Advance to `now_ns`."""
 
     @property
     def crash_reason(self) -> str:
-        """Empty while alive."""
+        """Empty until the vehicle crashes."""
 
 
-@dataclass(slots=True)
-class TickResult:
-    """What one tick brought to light, for whoever records it."""
-
-    now_ns: int = 0
-    truth: Any = None
-    onboard: Any = None
+class OnboardOutput(Protocol):
     """onboard.core.OnboardOutput."""
-    offboard: Any = None
-    """offboard.core.OffboardOutput, or None where there is no trainer."""
-    training: list[Any] = field(default_factory=list)
+
+    to_vehicle: list[bytes]
+    to_offboard: list[bytes]
+    to_ground: list[bytes]
+    tick: Array
+    events: list[tuple[int, str]]
+    clock_offset: Array | None
+
+
+class Onboard(Protocol):
+    """onboard.core.OnboardCore."""
+
+    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
+        """Receive a datagram of the vehicle."""
+
+    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
+        """Receive a datagram of offboard."""
+
+    def step(self, now_ns: int) -> OnboardOutput:
+        """One control period."""
+
+
+class TrainingJob(Protocol[ResultT_co]):
+    """offboard.training.job.TrainingJob."""
+
+    def run(self) -> ResultT_co:
+        """Train."""
+
+
+class OffboardOutput(Protocol[ResultT_co]):
+    """offboard.records.OffboardOutput."""
+
+    to_onboard: list[bytes]
+    records: list[tuple[RecordType, int, Array]]
+    events: list[tuple[int, str]]
+
+    @property
+    def job(self) -> TrainingJob[ResultT_co] | None:
+        """A training round to start now."""
+
+
+class Offboard(Protocol[ResultT]):
+    """offboard.core.OffboardCore."""
+
+    def receive_onboard(self, datagram: bytes, now_ns: int) -> None:
+        """Receive a datagram of onboard."""
+
+    def receive_motion_capture(self, datagram: bytes, now_ns: int) -> None:
+        """Receive a datagram of the motion capture."""
+
+    def receive_training(self, result: ResultT, now_ns: int) -> None:
+        """Receive the result of a training round."""
+
+    def step(self, now_ns: int) -> OffboardOutput[ResultT]:
+        """Do everything that is due."""
+
+
+class TickResult(NamedTuple):
+    """What happened in one tick."""
+
+    now_ns: int
+    truth: Array
+    """See sim_vehicle.records.TRUTH."""
+    onboard: OnboardOutput
+    """The next tick overwrites it."""
+    offboard: OffboardOutput[object] | None
+    """None while there is no trainer."""
+    training: Sequence[object]
     """Results of training rounds that became known in this tick."""
-    from_vehicle: list[bytes] = field(default_factory=list)
-    """Datagrams of the vehicle that onboard took in, in their order, all before those of offboard."""
-    from_offboard: list[bytes] = field(default_factory=list)
-    """Datagrams of offboard that onboard took in."""
-    radio: Any = None
-    """sim_vehicle.link.radio.Radio, for what became of each datagram."""
+    from_vehicle: list[bytes]
+    """Datagrams of the vehicle that onboard received, in order. It received them before those of offboard."""
+    from_offboard: list[bytes]
+    """Datagrams of offboard that onboard received, in order."""
+    radio: Radio
+    """For the delivery of each datagram."""
 
 
-class Lockstep:
+class Lockstep(Generic[ResultT]):
     """Vehicle, radio, onboard and, unless absent, offboard.
 
     Parameters
@@ -61,7 +129,13 @@ class Lockstep:
     """
 
     def __init__(
-        self, vehicle: Vehicle, radio: Any, onboard: Any, offboard: Any, period_ns: int, training_time_ns: int
+        self,
+        vehicle: Vehicle,
+        radio: Radio,
+        onboard: Onboard,
+        offboard: Offboard[ResultT] | None,
+        period_ns: int,
+        training_time_ns: int,
     ) -> None:
         self._vehicle = vehicle
         self._radio = radio
@@ -70,10 +144,10 @@ class Lockstep:
         self._period_ns = period_ns
         self._training_time_ns = training_time_ns
         self._commands: deque[list[bytes]] = deque([[]])
-        self._training: deque[tuple[int, Any]] = deque()
+        self._training: deque[tuple[int, ResultT]] = deque()
         self._hash = hashlib.sha256()
-        self._tick = 0
-        self.result = TickResult(radio=radio)
+        self.now_ns = 0
+        """Time of the next tick."""
 
     @property
     def trace_sha256(self) -> str:
@@ -82,35 +156,30 @@ class Lockstep:
 
     @property
     def crash_reason(self) -> str:
-        """Why the vehicle is lost; empty while it is alive."""
+        """Why the vehicle crashed; empty until then."""
         return self._vehicle.crash_reason
 
     def remove_offboard(self) -> None:
-        """The offboard process dies: nothing of it is left but datagrams already in the air."""
+        """End the offboard process. Its datagrams already in the radio still arrive."""
         self._offboard = None
         self._training.clear()
 
-    def attach_offboard(self, offboard: Any) -> None:
-        """A new offboard process starts."""
+    def attach_offboard(self, offboard: Offboard[ResultT]) -> None:
+        """Start a new offboard process."""
         self._offboard = offboard
 
     def step(self) -> TickResult:
-        """One tick of everything."""
-        now = self._tick * self._period_ns
-        result = self.result
-        result.now_ns = now
-        result.training = []
+        """Run one tick of all cores."""
+        now = self.now_ns
         flown = self._vehicle.step(now)
-        self._step_onboard(flown.to_onboard, now)
-        self._step_offboard(flown.to_motion_capture, now)
-        result.truth = flown.truth
-        self._tick += 1
-        return result
-
-    def _step_onboard(self, sensors: list[bytes], now: int) -> None:
-        onboard = self._onboard
         from_offboard = self._radio.due("down", now)
-        self.result.from_vehicle, self.result.from_offboard = sensors, from_offboard
+        onboard = self._step_onboard(flown.to_onboard, from_offboard, now)
+        offboard, training = self._step_offboard(flown.to_motion_capture, now)
+        self.now_ns += self._period_ns
+        return TickResult(now, flown.truth, onboard, offboard, training, flown.to_onboard, from_offboard, self._radio)
+
+    def _step_onboard(self, sensors: list[bytes], from_offboard: list[bytes], now: int) -> OnboardOutput:
+        onboard = self._onboard
         for datagram in sensors:
             self._hash.update(datagram)
             onboard.take_in_vehicle(datagram, now)
@@ -119,32 +188,32 @@ class Lockstep:
         output = onboard.step(now)
         self._commands.append(output.to_vehicle)
         for datagram in self._commands.popleft():
-            self._vehicle.take_in(datagram, now)
+            self._vehicle.receive(datagram, now)
         for datagram in output.to_vehicle:
             self._hash.update(datagram)
         for datagram in output.to_offboard:
             self._hash.update(datagram)
             self._radio.send("up", datagram, now)
-        self.result.onboard = output
+        return output
 
-    def _step_offboard(self, motion_capture: list[bytes], now: int) -> None:
-        offboard = self._offboard
+    def _step_offboard(
+        self, motion_capture: list[bytes], now: int
+    ) -> tuple[OffboardOutput[ResultT] | None, list[ResultT]]:
+        offboard, results = self._offboard, []
         arrived = self._radio.due("up", now)
-        self.result.offboard = None
         if offboard is None:
-            return
+            return None, []
         for datagram in motion_capture:
             offboard.receive_motion_capture(datagram, now)
         for datagram in arrived:
             offboard.receive_onboard(datagram, now)
         while self._training and self._training[0][0] <= now:
-            outcome = self._training.popleft()[1]
-            offboard.receive_training(outcome, now)
-            self.result.training.append(outcome)
+            results.append(self._training.popleft()[1])
+            offboard.receive_training(results[-1], now)
         output = offboard.step(now)
         if output.job is not None:
             self._training.append((now + self._training_time_ns, output.job.run()))
         for datagram in output.to_onboard:
             self._hash.update(datagram)
             self._radio.send("down", datagram, now)
-        self.result.offboard = output
+        return output, results

@@ -94,7 +94,7 @@ class SimProcess:
             now = time.monotonic_ns() - self._start_ns
             self._carry_radio(now)
             for datagram in self._motors.receive(MOTOR_DATAGRAMS_PER_WAKE):
-                self._vehicle.take_in(datagram, now)
+                self._vehicle.receive(datagram, now)
             if now >= self._next_step_ns:
                 self._step(now)
         return 0
@@ -115,7 +115,7 @@ class SimProcess:
             first = self._motors.receive(MOTOR_DATAGRAMS_PER_WAKE)
             if first:
                 self._start_ns = time.monotonic_ns() + START_PHASE_NS
-                self._vehicle.take_in(first[-1], 0)
+                self._vehicle.receive(first[-1], 0)
                 return True
         if self._stop.count == 0:
             print(f"no motor command came within {START_LIMIT_S:.0f} s; is onboard running?", file=sys.stderr)

@@ -95,17 +95,17 @@ class SimVehicle:
         """The IMU, with its biases."""
         return self._imu
 
-    def take_in(self, datagram: bytes, now_ns: int) -> None:
-        """Take a datagram from onboard; its motor command acts from `now_ns` (plus the configured delay) on.
+    def receive(self, datagram: bytes, now_ns: int) -> None:
+        """Receive a datagram from onboard. Its motor command acts from `now_ns` plus the configured delay.
 
-        Anything that is no sound motor command is counted in `rejected` and dropped.
+        A datagram without a valid motor command is counted in `rejected` and dropped.
         """
         if self._wire is None:
-            self._receive(datagram, now_ns)
+            self._queue_command(datagram, now_ns)
         else:
             self._wire.send("down", datagram, now_ns)
 
-    def _receive(self, datagram: bytes, now_ns: int) -> None:
+    def _queue_command(self, datagram: bytes, now_ns: int) -> None:
         command = self._codec.motor_command(datagram)
         if command is not None:
             self._pending.append((now_ns + self._command_delay_ns, command[0], command[1]))
@@ -139,7 +139,7 @@ class SimVehicle:
         arrival_ns = None
         if self._wire is not None:
             for datagram in self._wire.due("down", self._time_ns):
-                self._receive(datagram, self._time_ns)
+                self._queue_command(datagram, self._time_ns)
             arrival_ns = self._wire.next_due_ns("down")
         while self._pending and self._pending[0][0] <= self._time_ns:
             due_ns, fractions, self._armed = self._pending.popleft()

@@ -12,6 +12,7 @@ from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import Columns, FlightTrace
 from flight_log.schema import RecordType
 from offboard.core import OffboardCore
+from offboard.training.job import TrainingResult
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
@@ -58,7 +59,7 @@ class LockstepOutcome:
 
 def build(
     config: FlightConfig, with_offboard: bool = True, recorded: Deliveries | None = None
-) -> tuple[Lockstep, OnboardCore, OffboardCore | None, Radio]:
+) -> tuple[Lockstep[TrainingResult], OnboardCore, OffboardCore | None, Radio]:
     """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio.
 
     recorded: deliveries that the link's datagrams meet instead of the configured radio's.

@@ -17,6 +17,7 @@ from onboard.process import LOOP
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from runtime.pace import PaceKeeper
+from sim_vehicle.lockstep import OnboardOutput as LockstepOutput
 
 STEP: Final = "whole tick"
 BLOCKS: Final = (
@@ -96,7 +97,7 @@ def quantiles_us(durations_ns: Iterable[int]) -> Quantiles:
     return float(p50), float(p99), float(highest)
 
 
-Observer = Callable[[OnboardOutput], None]
+Observer = Callable[[LockstepOutput], None]
 
 
 def record_flight(config: FlightConfig, seconds: float, observe: Observer = lambda output: None) -> RecordedTicks:

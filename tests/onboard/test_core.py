@@ -90,7 +90,7 @@ class Loop:
             self.core.take_in_offboard(self.peer.endpoint.encode(message, now + CLOCK_NS), now)
         out = self.core.step(now)
         for datagram in self.motors:
-            self.vehicle.take_in(datagram, now)
+            self.vehicle.receive(datagram, now)
         self.motors, self.waiting = out.to_vehicle, []
         if self.peer is not None:
             for datagram in out.to_offboard:

@@ -27,8 +27,8 @@ class FaultyVehicle:
     def __init__(self, vehicle, fault):
         self._vehicle, self._fault = vehicle, fault
 
-    def take_in(self, datagram, now_ns):
-        self._vehicle.take_in(datagram, now_ns)
+    def receive(self, datagram, now_ns):
+        self._vehicle.receive(datagram, now_ns)
 
     def step(self, now_ns):
         output = self._vehicle.step(now_ns)

@@ -79,7 +79,7 @@ class FakeVehicle:
     def step(self, now_ns):
         return SimpleNamespace(to_onboard=[b"s%d" % now_ns], to_motion_capture=[b"m%d" % now_ns], truth=now_ns)
 
-    def take_in(self, datagram, now_ns):
+    def receive(self, datagram, now_ns):
         self.heard.append((datagram, now_ns // PERIOD_NS))
 
 

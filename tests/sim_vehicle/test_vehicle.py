@@ -33,7 +33,7 @@ def fly(flying, motors, seconds, fractions=(0.5,) * 4, step_ns=TICK, armed=True)
     """Fly open loop; gives the digest of all that came out, and the last truth."""
     digest, onboard, capture = hashlib.sha256(), [], []
     for k in range(round(seconds * 1e9 / TICK)):
-        flying.take_in(motors(fractions, armed), k * TICK)
+        flying.receive(motors(fractions, armed), k * TICK)
         for now in range(k * TICK + step_ns, (k + 1) * TICK + 1, step_ns):
             output = flying.step(now)
             onboard += output.to_onboard
@@ -66,8 +66,8 @@ def test_a_stall_is_integrated_over(vehicle, frames):
 def test_a_command_acts_from_its_arrival(vehicle, motors):
     flying = vehicle()
     flying.step(TICK)
-    flying.take_in(motors([1.0] * 4), TICK)
-    flying.take_in(motors([0.5] * 4), TICK + 2_000_000)
+    flying.receive(motors([1.0] * 4), TICK)
+    flying.receive(motors([0.5] * 4), TICK + 2_000_000)
     thrust = flying.step(2 * TICK).truth[COLUMN["motor_thrust_1"]]
     full = 0.327 * (4.11 / 3.7) ** 2
     rise = full * (1 - np.exp(-2 / 30))
@@ -76,7 +76,7 @@ def test_a_command_acts_from_its_arrival(vehicle, motors):
 
 def test_command_delay(vehicle, motors):
     flying = vehicle({"motors": {"command_delay_s": 0.0075}})
-    flying.take_in(motors([0.5] * 4), 0)
+    flying.receive(motors([0.5] * 4), 0)
     assert flying.step(7_000_000).truth[COLUMN["motor_thrust_1"]] == 0.0
     assert flying.step(8_000_000).truth[COLUMN["motor_thrust_1"]] == 0.0
     assert flying.step(9_000_000).truth[COLUMN["motor_thrust_1"]] > 0.0
@@ -108,7 +108,7 @@ def test_bad_commands_change_nothing(vehicle, motors):
     flying = vehicle(HIGH)
     fly(flying, motors, 0.05)
     for datagram in (b"x", motors([float("nan")] * 4), motors([2.0] * 4), motors([0.5] * 4)[:-4]):
-        flying.take_in(datagram, 50_000_000)
+        flying.receive(datagram, 50_000_000)
     assert sum(flying.rejected.values()) == 4
     before = vehicle(HIGH)
     fly(before, motors, 0.05)
@@ -126,7 +126,7 @@ def test_take_off_and_landing_are_no_crash(vehicle, motors):
         climb = np.clip(1.5 * (goal - height), -0.5, 0.5)
         thrust = 0.063 * (GRAVITY + 6.0 * (climb + sinking)) / 4
         fraction = thrust / 0.327 * (3.7 / truth[COLUMN["battery_voltage"]]) ** 2
-        flying.take_in(motors([min(1.0, fraction)] * 4, armed=k < 1100), k * TICK)
+        flying.receive(motors([min(1.0, fraction)] * 4, armed=k < 1100), k * TICK)
         truth = flying.step((k + 1) * TICK).truth
         heights.append(height)
     assert flying.crash_reason == ""
@@ -211,7 +211,7 @@ def test_acceleration_is_the_velocity_gained(vehicle, motors):
     flying = vehicle(STORM)
     last = flying.step(0).truth
     for k in range(60):
-        flying.take_in(motors([0.5, 0.51, 0.5, 0.5]), k * TICK)
+        flying.receive(motors([0.5, 0.51, 0.5, 0.5]), k * TICK)
         truth = flying.step((k + 1) * TICK).truth
         gained = truth[3:6] - last[3:6], truth[10:13] - last[10:13]
         np.testing.assert_allclose(named(truth, "acceleration", "ned") * 0.005, gained[0], atol=1e-12)
@@ -273,7 +273,7 @@ def test_whatever_happens_the_numbers_stay_sound(vehicle, motors, seed):
     for k in range(300):
         if k % 10 == 0:
             command = motors(rng.random(4), armed=rng.random() < 0.95)
-        flying.take_in(command, k * TICK)
+        flying.receive(command, k * TICK)
         truth = flying.step((k + 1) * TICK).truth
         assert np.all(np.isfinite(truth))
         assert np.linalg.norm(truth[6:10]) == pytest.approx(1.0, abs=1e-9)

@@ -112,7 +112,7 @@ class SerialVehicle:
             except BlockingIOError:
                 frames = []
             for frame in frames:
-                self.vehicle.take_in(frame, now)
+                self.vehicle.receive(frame, now)
                 self.commands += 1
             flown = self.vehicle.step(now)
             self.height = -float(flown.truth[2])

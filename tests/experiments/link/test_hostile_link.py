@@ -240,7 +240,7 @@ def test_an_onboard_that_starts_anew_in_the_air_leaves_the_motors_off() -> None:
     successor = flight.lockstep._onboard = OnboardCore(flight.config.onboard, 99, None)
     ticks, refusals = 0, set()
     while not flight.lockstep.crash_reason and ticks < 400:
-        refusals.add(successor._supervisor.command(Command.ARM, flight.lockstep.result.now_ns))
+        refusals.add(successor._supervisor.command(Command.ARM, flight.lockstep.now_ns))
         tick = flight.lockstep.step().onboard.tick
         assert tick[OFFSET["mode"]] == FlightMode.BOOT
         assert not tick[OFFSET["motor_1"] : OFFSET["motor_1"] + 4].any()
@@ -342,7 +342,7 @@ def test_a_flood_of_5000_a_second_costs_no_tick_and_no_pose() -> None:
     flood = rubbish(rng, [peer.encode(pose, i) for i in range(50)])
     for _ in range(400):
         for _ in range(25):
-            flight.onboard.take_in_offboard(next(flood), flight.lockstep.result.now_ns)
+            flight.onboard.take_in_offboard(next(flood), flight.lockstep.now_ns)
         flight.fly(0.005)
     assert flight.mode is FlightMode.FLYING
     assert flight.last("pose_age") < 0.1

@@ -128,7 +128,7 @@ class RealFlight:
             self.core.take_in_ground(datagram, now)
         out = self.core.step(now)
         for datagram in self.motors:
-            self.vehicle.take_in(datagram, now)
+            self.vehicle.receive(datagram, now)
         self.motors, self.waiting, self.typed = out.to_vehicle, [], []
         for datagram in out.to_offboard:
             self.waiting += self.peer.take_in(datagram, now)

@@ -142,7 +142,7 @@ def test_rotor_chip_comes_and_goes(vehicle, motors):
     ratio = []
     for k in range(150):
         for each in (chipped, sound):
-            each.take_in(motors([0.5] * 4), k * 5_000_000)
+            each.receive(motors([0.5] * 4), k * 5_000_000)
         truth = [each.step((k + 1) * 5_000_000).truth for each in (chipped, sound)]
         ratio.append(truth[0][COLUMN["motor_thrust_3"]] / truth[1][COLUMN["motor_thrust_3"]])
         assert truth[0][COLUMN["motor_thrust_1"]] == pytest.approx(truth[1][COLUMN["motor_thrust_1"]], rel=0.02)
@@ -224,7 +224,7 @@ def test_battery_sag_takes_thrust(vehicle, motors):
     tired, fresh = vehicle({"disturbances": [sag], "initial": start}), vehicle({"initial": start})
     for k in range(300):
         for each in (tired, fresh):
-            each.take_in(motors([0.4] * 4), k * 5_000_000)
+            each.receive(motors([0.4] * 4), k * 5_000_000)
         truth = [each.step((k + 1) * 5_000_000).truth for each in (tired, fresh)]
         if k == 19:
             assert truth[0][COLUMN["battery_voltage"]] == truth[1][COLUMN["battery_voltage"]]

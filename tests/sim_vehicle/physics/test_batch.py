@@ -25,7 +25,7 @@ def test_batch_equals_single_vehicles(motors):
     for k in range(60):
         batch.step(commands.astype(np.float64))
         for row, single in zip(commands, singles, strict=True):
-            single.take_in(motors(row), k * 5_000_000)
+            single.receive(motors(row), k * 5_000_000)
         truths = [single.step((k + 1) * 5_000_000).truth for single in singles]
     np.testing.assert_allclose(batch.states[:, :13], np.array(truths)[:, :13], rtol=1e-12, atol=1e-12)
     assert batch.time_ns == 300_000_000

@@ -38,10 +38,10 @@ def test_the_cache_follows_the_source(tmp_path):
         shutil.copytree(package.parent / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     first = cache_path(tmp_path, tmp_path)
     assert Path(first).is_relative_to(tmp_path / "sim_vehicle")
-    with (tmp_path / "sim_vehicle" / "radio.py").open("a") as file:
+    with (tmp_path / "sim_vehicle" / "link" / "radio.py").open("a") as file:
         file.write("\n# a comment\n")
     assert cache_path(tmp_path, tmp_path) == first
-    with (tmp_path / "sim_vehicle" / "dynamics.py").open("a") as file:
+    with (tmp_path / "sim_vehicle" / "physics" / "dynamics.py").open("a") as file:
         file.write("\n# a comment\n")
     assert cache_path(tmp_path, tmp_path) != first
 

@@ -23,7 +23,7 @@ def flown(flying, frames, seconds=0.5, motors=None):
     messages = []
     for k in range(round(seconds * 200)):
         if motors is not None:
-            flying.take_in(motors([0.47] * 4), k * TICK)
+            flying.receive(motors([0.47] * 4), k * TICK)
         output = flying.step((k + 1) * TICK)
         messages += frames(output.to_onboard + output.to_motion_capture)
     return messages
@@ -83,7 +83,7 @@ def test_a_restarted_clock_counts_from_nought(vehicle, frames):
 def test_an_impaired_vehicle_link_delays_both_ways(vehicle, frames, motors):
     wire = {"up": {"delay_s": 0.0035}, "down": {"delay_s": 0.0065}}
     flying = vehicle(HIGH | {"impairment": wire})
-    flying.take_in(motors([0.5] * 4), 0)
+    flying.receive(motors([0.5] * 4), 0)
     thrusts, arrivals = [], []
     for k in range(1, 31):
         output = flying.step(k * 1_000_000)
@@ -99,7 +99,7 @@ def test_an_impaired_vehicle_link_loses_and_spoils(vehicle, motors):
     flying = vehicle(HIGH | {"impairment": wire}, seed=4)
     received = 0
     for k in range(200):
-        flying.take_in(motors([0.47] * 4), k * TICK)
+        flying.receive(motors([0.47] * 4), k * TICK)
         received += len(flying.step((k + 1) * TICK).to_onboard)
     assert 140 < received < 225  # of 288
     assert 15 < sum(flying.rejected.values()) < 55

@@ -85,7 +85,7 @@ def test_gyro_lags_one_sample(vehicle, motors, frames):
     flying = vehicle({"sensors": QUIET, "initial": {"position_ned_m": [0, 0, -3]}})
     rates, readings = [], []
     for k in range(40):
-        flying.take_in(motors([0.5, 0.6, 0.6, 0.5]), k * 5_000_000)
+        flying.receive(motors([0.5, 0.6, 0.6, 0.5]), k * 5_000_000)
         output = flying.step((k + 1) * 5_000_000)
         rates.append(output.truth[10])
         readings.append(frames(output.to_onboard, "HIL_SENSOR")[0].xgyro)
@@ -98,7 +98,7 @@ def test_accelerometer_integrates_to_the_velocity(vehicle, motors, frames):
     flying = vehicle({"sensors": QUIET, "initial": {"position_ned_m": [0, 0, -3]}})
     velocity = np.zeros(3)
     for k in range(30):
-        flying.take_in(motors([0.8] * 4), k * 5_000_000)
+        flying.receive(motors([0.8] * 4), k * 5_000_000)
         output = flying.step((k + 1) * 5_000_000)
         imu = frames(output.to_onboard, "HIL_SENSOR")[0]
         velocity += 0.005 * np.array([imu.xacc, imu.yacc, imu.zacc + GRAVITY])
