@@ -44,7 +44,6 @@ def run(arguments: argparse.Namespace) -> int:
         fly,
         take_up,
         write_results,
-        write_targets,
     )
 
     unknown = [name for name in arguments.only or () if name not in CAMPAIGNS]
@@ -69,8 +68,6 @@ def run(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         console.print("interrupted; everything flown is kept, the same command goes on")
         return 130
-    if not arguments.quick and write_targets(page.parent / "control.md", sections, plan.command):
-        console.print(f"written: {page.parent / 'control.md'}, its table of targets", soft_wrap=True, highlight=False)
     console.print(
         f"written: {page}, {(time.monotonic() - started) / 60.0:.1f} minutes", soft_wrap=True, highlight=False
     )

@@ -24,9 +24,6 @@ CAMPAIGNS: Final = (
 )
 """In the order of docs/results.md."""
 
-BEGIN_TARGETS: Final = "<!-- begin targets: written by dmrac reproduce -->"
-END_TARGETS: Final = "<!-- end targets -->"
-
 
 @dataclass(frozen=True)
 class Reproduction:
@@ -163,19 +160,6 @@ def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:
         rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
         parts.append(f"All of these flights, a row each: [{rows}]({rows}). {_flown_on(section.data)}\n")
     write_atomically(plan.page, "\n".join(parts).encode())
-
-
-def write_targets(path: Path, sections: Sequence[Section], command: str) -> bool:
-    """Rewrites the targets' table between its marks in another page; False if the page has no marks."""
-    if not path.exists():
-        return False
-    before, begin, rest = path.read_text(encoding="utf-8").partition(BEGIN_TARGETS)
-    _, end, after = rest.partition(END_TARGETS)
-    if not begin or not end:
-        return False
-    text = f"{before}{begin}\n`{command}`\n\n{_targets(sections).markdown()}\n{end}{after}"
-    write_atomically(path, text.encode())
-    return True
 
 
 def _opening(sections: Sequence[Section]) -> str:

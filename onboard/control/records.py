@@ -75,7 +75,7 @@ class ChannelTelemetry:
         self.eps_2 = 0.0
         self.eps_3 = 0.0
         self.live_bound = 0.0
-        """Bound on norm(e), docs/control.md."""
+        """Bound on norm(e), docs/theory.md."""
 
 
 @dataclass(slots=True)

@@ -1,29 +1,39 @@
-"""The last-layer adaptive law: how W changes at 200 Hz so that nu_ad = W' Phi follows the disturbance Delta.
+"""The last-layer adaptive law: updates W at 200 Hz so that nu_ad = W' Phi follows the disturbance Delta.
 
 Theory of operation
 -------------------
-The channel's error e = x_rm - x against the hedged reference model obeys e_dot = A_rm e + B (nu_ad - Delta)
-exactly, whatever the actuators can deliver. With Delta = W*' Phi, W~ = W - W* and m^2 = eps + Phi' Gamma Phi the law
+The model error e = x_rm - x of the hedged reference model obeys e_dot = A_rm e + B (nu_ad - Delta). The law is
 
-    W_dot = -Gamma Phi (gamma e' P B + lambda (W'Phi - Delta_hat)') / m^2        (tracking, composite)
+    W_dot = Proj(W, -Gamma Phi (gamma e' P B + lambda (W'Phi - Delta_hat)') / m^2) - sigma L (W - theta_n)
+    m^2 = eps + Phi' Gamma Phi,  Gamma = diag(1, ..., 1, kappa),  L = diag(1, ..., 1, 0)
 
-gives, along V = e'P e + (c / gamma) tr(W~' Gamma^-1 W~) with any constant c > 0 and Delta_hat = Delta,
+with a tracking term (gamma), a composite term (lambda) and a leak (sigma) towards the trained last layer theta_n; the
+bias has no leak. The sign of the tracking term follows from e = x_rm - x and u = ... - nu_ad. Joshi, Virdi, Chowdhary
+2020 print the opposite sign, with which V grows.
 
-    V_dot = -e'Q e + 2 (1 - c / m^2) e'P B W~'Phi - 2 c lambda / (gamma m^2) |W~'Phi|^2.
+Stability, in continuous time. With Delta = W*' Phi, constant W* in the ball, Delta_hat = Delta, W~ = W - W*, no leak
+and any constant c > 0, V = e'P e + (c / gamma) tr(W~' Gamma^-1 W~) obeys
 
-The sign of the tracking term follows from e = x_rm - x and u = ... - nu_ad; with the opposite sign (as printed in
-Joshi, Virdi, Chowdhary 2020) V grows. Gains are normalised by m^2 so that the bandwidth of nu_ad is the stated gain
-whatever the number of active features. Normalising leaves the cross term, which vanishes where m^2 is constant (bias
-alone, c = m^2). Elsewhere the composite term dominates it: with c = m_min m_max and rho = m_max / m_min it takes
+    V_dot <= -e'Q e + 2 (1 - c / m^2) e'P B W~'Phi - 2 c lambda / (gamma m^2) |W~'Phi|^2.
 
-    lambda >= gamma norm(B'P Q^-1 P B) (rho - 1)^2 / (2 rho),
+Dividing by m^2 leaves the cross term, which vanishes only if m^2 is constant (bias alone, c = m^2). With
+c = m_min m_max and rho = m_max / m_min the composite term dominates it, and V never grows, if
 
-and the weight of the bias keeps rho near 1. docs/control.md derives this, and a test checks every shipped controller.
+    lambda >= gamma norm(B'P Q^-1 P B) (rho - 1)^2 / (2 rho).
 
-In discrete time the composite and the leak terms are implicit, so they are stable for any step and gain. The tracking
-term is implicit in its own effect on e_2 one step later, which limits its gain to 1 / (p dt^2), p the part of PB that
-weighs e_2. W is kept in the ball norm(W) <= W_max by the smooth projection operator, and by a discrete safeguard at
-W_max sqrt(1 + eps). Inputs that are not finite change nothing.
+The weight of the bias, kappa, keeps rho near 1. A test checks the condition for every shipped controller with a
+composite term; lambda = 0 violates it unless rho = 1. With leak, or with errors in Delta_hat or in the features, e is
+ultimately bounded instead. docs/theory.md has the derivations and what is not proven.
+
+As computed. Both terms are implicit: the composite term in W'Phi, the tracking term in its effect on e_2 one step
+later. Without projection and leak, one step equals W+ = W + dt W_dot of the law above with
+
+    gamma / (1 + gamma p dt^2) for gamma,  p the largest weight of e_2 in PB,
+    eps + (1 + lambda dt) Phi' Gamma Phi for m^2,
+
+so the composite term never overshoots Delta_hat, the tracking gain stays below 1 / (p dt^2), and the condition on
+lambda still holds. The leak is implicit as well. The smooth projection acts on the step before the leak; afterwards a
+safeguard scales W back to norm(W) <= W_max sqrt(1 + PROJECTION_MARGIN). A step that is not finite is skipped.
 """
 
 import math

@@ -23,13 +23,10 @@ from experiments.results.feature_probe import probe_accuracy, regimes_of, signal
 from experiments.results.figure_plan import KINDS, draw_all
 from experiments.results.losses import comparisons, first_paragraph, losses
 from experiments.results.reproduction import (
-    BEGIN_TARGETS,
-    END_TARGETS,
     Reproduction,
     Section,
     publish_rows,
     write_results,
-    write_targets,
 )
 from experiments.results.row_figures import sweep_metric
 from experiments.results.tables import tables, target_ratio
@@ -236,21 +233,6 @@ def test_unknown_figures_and_options_are_named(folder: Path, tmp_path: Path) -> 
         wrong = type(data)(data.folder, data.name, config, data.rows)
         with pytest.raises(ConfigError, match=words):
             draw_all(wrong, tmp_path, lambda text: None)
-
-
-def test_targets_are_written_between_their_marks(folder: Path, tmp_path: Path) -> None:
-    page = tmp_path / "control.md"
-    sections = [Section(load_data(folder), (), ())]
-    assert not write_targets(page, sections, "dmrac reproduce")
-    page.write_text(f"before\n{BEGIN_TARGETS}\nold\n{END_TARGETS}\nafter\n")
-    assert write_targets(page, sections, "dmrac reproduce")
-    first = page.read_text()
-    assert first.startswith("before\n")
-    assert first.endswith("after\n")
-    assert "old" not in first
-    assert "0.40 [0.40, 0.40]" in first
-    write_targets(page, sections, "dmrac reproduce")
-    assert page.read_text() == first
 
 
 def test_results_page_begins_with_the_losses(folder: Path, tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ def m2_range(law, k):
 
 
 def composite_gain_needed(law, PB, Q, k):
-    """The smallest lambda for which V cannot grow, by docs/control.md."""
+    """The smallest lambda for which V cannot grow, by docs/theory.md."""
     low, high = m2_range(law, k)
     rho = (high / low) ** 0.5
     return law.tracking_gain * np.linalg.norm(PB.T @ np.linalg.solve(Q, PB), 2) * (rho - 1.0) ** 2 / (2.0 * rho)
@@ -231,7 +231,7 @@ def test_shipped_gains_satisfy_the_normalisation_condition(gains, augmentation):
     for axis in range(3):
         scale = PB[axis, axis] / P[axis, 3 + axis]
         needed = composite_gain_needed(law, PB[:, [axis]], scale * Q, k)
-        assert law.composite_gain >= needed, "the proof in docs/control.md does not cover these gains: V may grow"
+        assert law.composite_gain >= needed, "the proof in docs/theory.md does not cover these gains: V may grow"
 
 
 def test_the_tracking_weights_solve_the_lyapunov_equation_of_a_scaled_q():
