@@ -4,11 +4,10 @@ A campaign file names scenarios and lays assignments over them by path, as `dmra
 flies the same seeds, and what is drawn at random for a seed (onset, rotor, severity) is the same for all of them.
 """
 
-import hashlib
 import itertools
 import json
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -284,20 +283,3 @@ def _source(campaign: CampaignConfig, case: Case, job: FlightJob) -> str:
     controller = case.experience_controller or job.controller
     point = job.point if other.swept else ()
     return replace(job, case=other.name, controller=controller, point=point).key
-
-
-def flown_keys(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a campaign's tree that changes flights."""
-    return {key: value for key, value in tree.items() if key not in PRESENTATION}
-
-
-def fingerprint(tree: Mapping[str, Any]) -> str:
-    """SHA-256 of what changes a campaign's flights, and of every configuration file it may draw on.
-
-    Flights made under another fingerprint are not the same flights: resuming refuses to mix them.
-    """
-    digest = hashlib.sha256(json.dumps(flown_keys(tree), sort_keys=True).encode())
-    for path in sorted(CONFIG_DIRECTORY.rglob("*.yaml")):
-        if path.parent.name != "campaigns":
-            digest.update(path.read_bytes())
-    return digest.hexdigest()

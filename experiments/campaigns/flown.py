@@ -9,7 +9,8 @@ import pyarrow.parquet as pq
 import yaml
 
 from configs.loader import ConfigError, ConfigRecord, fill, load, parse_mapping
-from experiments.campaigns.campaign import CampaignConfig, fingerprint
+from experiments.campaigns.campaign import CampaignConfig
+from experiments.campaigns.fingerprint import EARLIER, fingerprint
 from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
 from runtime.files import write_atomically
@@ -38,8 +39,8 @@ class About(ConfigRecord):
         return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=110).encode()
 
     def check_settings(self, campaign: CampaignConfig, where: str, advice: str) -> None:
-        """Raises ConfigError, with the advice, if `campaign` with the configuration files of today is another."""
-        if self.fingerprint != fingerprint(campaign.model_dump(mode="json")):
+        """Raises ConfigError, with the advice, if `campaign` has other settings today than those of the flights."""
+        if EARLIER.get(self.fingerprint, self.fingerprint) != fingerprint(campaign):
             raise ConfigError(
                 f"{where}: its flights were made with other settings: campaign or configs have changed since; {advice}"
             )

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from configs.loader import ConfigError
-from experiments.campaigns.campaign import CampaignConfig, FlightJob, fingerprint, unfold
+from experiments.campaigns.campaign import CampaignConfig, FlightJob, unfold
+from experiments.campaigns.fingerprint import fingerprint
 from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.flown import CAMPAIGN_FILE, About, is_campaign, read_about
 from experiments.campaigns.provenance import here
@@ -153,7 +154,7 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
         flown_on = before.flown_on
     about = About(
         name=run.name,
-        fingerprint=fingerprint(tree),
+        fingerprint=fingerprint(run.campaign),
         seeds=run.seeds or run.campaign.seeds.count,
         flown_on=flown_on,
         campaign=tree,

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, load
-from experiments.campaigns.campaign import PRESENTATION, CampaignConfig, flown_keys
+from experiments.campaigns.campaign import PRESENTATION, CampaignConfig
+from experiments.campaigns.fingerprint import fingerprint
 from experiments.campaigns.flight_row import Row, outcomes
 from experiments.campaigns.flown import read_flown
 from experiments.campaigns.provenance import by_place
@@ -179,7 +180,7 @@ def _presented(config: CampaignConfig, name: str) -> CampaignConfig:
     if not path.is_file():
         return config
     now = load(CampaignConfig, path)
-    if flown_keys(now.model_dump(mode="json")) != flown_keys(config.model_dump(mode="json")):
+    if fingerprint(now) != fingerprint(config):
         return config
     return config.model_copy(update={key: getattr(now, key) for key in PRESENTATION if key != "seeds"})
 

@@ -1,0 +1,52 @@
+"""Two campaigns with the same fingerprint fly the same flights, whatever their files look like."""
+
+import hashlib
+import json
+from typing import Final
+
+from configs.loader import ConfigError
+from experiments.campaigns.campaign import CampaignConfig, FlightJob, Seeds, unfold
+from experiments.flights.scenario import Choices, resolve
+
+SEED: Final = 1000
+"""The flights of this seed stand for those of all seeds."""
+CHANGES_NO_FLIGHT: Final = ("scenario", "description", "network")
+"""Sections of a resolved flight that change nothing in lockstep."""
+EARLIER: Final[dict[str, str]] = {
+    "6f57d4315f74d0ce78465b7fec4f1e3a05390480f6b4e3f703d687f9bd6b6700": "ead658480e9a2a0cd592fcb1a018827a",
+    "51e435e99772e03cf5b4995fff2b65809337bd77eaafec1cf57b67539b5f2b75": "5d6e83e0e10e0f7f0e2ea5648510448e",
+    "bc7cabdb937dca917c7fb69ae04dd4175a4c175452eec586baab1cd932cf6ece": "c8c2057dc585aad02fd3c4e20978adda",
+    "dc810a5ecafd84fefec0ed5141a1d1874785e093cfba527ba6d9c08ccec8bc6e": "211040179108751f9610fd70e8f1bb8e",
+    "4ad64298f03a5de11e0feb1e74d44c1b62392cf21bf73e1affd45b26363f073e": "0fed28fc354281e12e066fb26200aaab",
+    "ffc77d1dfb02de53b169db684c41a99660862a9e232d495742c505a908b83f28": "5a0225be4a4e2c5eb38b57f4eee9a3ec",
+    "ae8b1aacbf3d0eccc9f3bda0f298a560c45bc7e0e3608fd8437a0d54d29528b7": "e619af5ffe8e5504cf76cdffbc273742",
+    "023dd4ca958e81d34185ff4484222f82af654fee2e5a3e8c1cfbaa5ed565c67f": "4f5dbac8036f0e7d318758d7d55e0c22",
+    "378a603306f67604ff9165a1d8b4067be2991a8a3281de16a706a4307cff21f7": "1be328a7c705a86424ff67a9951e3f8d",
+    "6e142f3bac8738b1de1dfc4739405955ca6ee0ebf54f8d23e3177a7f8b1a86f6": "1b9cc9874cd6a264c9d7dd2dea4e340e",
+    "ee1db3d77086d401a80538ba01d3b729c3e53faed07e0d1e133dc52d6aa7b6cf": "675fa960af87a01c551c19f0f7a713a2",
+    "f8b5b3e4d0682ab823f6867de46c53dcc6aea93ffba4970765d8e2a0ea1c907d": "e593c86c1dc8ab6b63f90615fbaa3831",
+    "0ebf3dd0a54231e98fa9206b308c17ae9cf617799e1bed71e3bf1cba2bfafa29": "503aff38dde49b24346b45fa39815142",
+}
+"""Today's fingerprint of the campaigns in docs/data, by the one they were flown under: the files that hold the settings
+were arranged differently then. `dmrac refly docs/data/*.parquet` shows that the flights are the same.
+"""
+
+
+def fingerprint(campaign: CampaignConfig) -> str:
+    """Half a SHA-256 of the resolved settings of a campaign's flights, those of one seed.
+
+    A flight that cannot be resolved counts by its assignments.
+    """
+    one_seed = campaign.model_copy(update={"seeds": Seeds(first=SEED, count=1)})
+    digest = hashlib.sha256()
+    for job in unfold(one_seed, ""):
+        digest.update(json.dumps([job.key, job.source, _settings(job)], sort_keys=True).encode())
+    return digest.hexdigest()[:32]
+
+
+def _settings(job: FlightJob) -> object:
+    try:
+        flight = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
+    except ConfigError:
+        return [job.scenario, job.controller, job.duration_s, job.assignments]
+    return flight.model_dump(mode="json", by_alias=True, exclude=set(CHANGES_NO_FLIGHT))
