@@ -26,12 +26,16 @@ from sim_vehicle.physics.advance import (
     verdict,
     write_truth,
 )
-from sim_vehicle.physics.draws import Normals, SubstepNormals
+from sim_vehicle.physics.draws import SubstepNormals
 from sim_vehicle.physics.limits import flight_limits
-from sim_vehicle.physics.packing import GRAVITY, SUBSTEP_NS
+from sim_vehicle.physics.packing import COULOMB_PER_MAH, GRAVITY, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, Array, VehicleOutput
+from sim_vehicle.sensors.battery import Battery
 from sim_vehicle.sensors.faults import SensorFaults
-from sim_vehicle.sensors.sensors import BatterySample, Flow, Imu, MotionCapture, Schedule, Ultrasonic
+from sim_vehicle.sensors.flow import Flow
+from sim_vehicle.sensors.imu import Imu
+from sim_vehicle.sensors.motion_capture import MotionCapture
+from sim_vehicle.sensors.ultrasonic import Ultrasonic
 
 SAMPLE_NS: Final = 5 * SUBSTEP_NS
 """ns, IMU period."""
@@ -61,8 +65,7 @@ class SimVehicle:
         self._ultrasonic = Ultrasonic(sensors.ultrasonic, seed, ULTRASONIC_STREAM)
         self._flow = Flow(sensors.flow, seed, FLOW_STREAM)
         self._capture = MotionCapture(sensors.motion_capture, seed, CAPTURE_STREAM)
-        self._battery_noise = Normals(np.random.default_rng([seed, BATTERY_STREAM]))
-        self._each_second = Schedule(1.0)
+        self._battery = Battery(sensors.battery_noise_v, config.battery.capacity_mah, seed, BATTERY_STREAM)
         self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key)
         self._faults = SensorFaults(self._world)
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
@@ -206,9 +209,9 @@ class SimVehicle:
             distance_m = passed("ultrasonic", self._ultrasonic.sample(state))
             if distance_m is not None:
                 to_onboard.append(codec.distance(distance_m, time_us))
-        if self._each_second.is_due(now_ns):
+        if self._battery.schedule.is_due(now_ns):
             to_onboard.append(codec.heartbeat(self._armed))
-            battery = passed("battery", self._read_battery())
+            battery = passed("battery", self._battery.sample(state, sums))
             if battery is not None:
                 to_onboard.append(codec.battery(battery))
         if self._capture.schedule.is_due(now_ns):
@@ -216,13 +219,6 @@ class SimVehicle:
             if pose is not None:
                 due_ns = now_ns + round(self._capture.config.latency_s * 1e9)
                 self._poses.append((due_ns, codec.pose(pose, capture_us)))
-
-    def _read_battery(self) -> BatterySample:
-        state = self._state
-        used_mah = float(state[at.CHARGE_USED]) / 3.6
-        voltage = float(state[at.VOLTAGE]) + self._config.sensors.battery_noise_v * self._battery_noise.take()
-        remaining = 1.0 - used_mah / self._config.battery.capacity_mah
-        return BatterySample(voltage, float(self._sums[at.CURRENT]), used_mah, remaining)
 
 
 def substep_normals(config: SimVehicleConfig, seed: int) -> SubstepNormals:
@@ -243,7 +239,7 @@ def initial_state(config: SimVehicleConfig) -> Array:
     state[at.QUATERNION + 3] = sin(initial.yaw_rad / 2)
     if initial.hovering:
         state[at.THRUST : at.ROTOR_PHASE] = weight_n / 4
-    state[at.CHARGE_USED] = config.battery.charge_used * config.battery.capacity_mah * 3.6
+    state[at.CHARGE_USED] = config.battery.charge_used * config.battery.capacity_mah * COULOMB_PER_MAH
     span = config.battery.full_v - config.battery.empty_v
     state[at.VOLTAGE] = config.battery.full_v - span * config.battery.charge_used
     state[at.AIRBORNE] = float(state[at.POSITION + 2] < -floor.foot_drop_m - 0.01)

@@ -14,7 +14,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from protocol.mavlink_frames import FrameWriter, SigningClock, checked_fields, layout_of, signature
 from sim_vehicle.physics.parameters import LinkConfig, MotionCaptureConfig, UltrasonicConfig
-from sim_vehicle.sensors.sensors import BatterySample, FlowSample, ImuSample, PoseSample
+from sim_vehicle.sensors.battery import BatterySample
+from sim_vehicle.sensors.flow import FlowSample
+from sim_vehicle.sensors.imu import ImuSample
+from sim_vehicle.sensors.motion_capture import PoseSample
 
 MOTORS: Final = layout_of(mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS)
 HEADER: Final = 10

@@ -12,6 +12,7 @@ GRAVITY = 9.80665
 """m/s^2, standard."""
 SUBSTEP_NS = 1_000_000
 """ns, Runge-Kutta step."""
+COULOMB_PER_MAH = 3.6
 
 
 def pack_parameters(config: SimVehicleConfig, step_s: float = SUBSTEP_NS * 1e-9) -> Array:
@@ -67,7 +68,7 @@ def _pack_battery(P: Array, config: SimVehicleConfig) -> None:
         battery.rated_v,
         battery.full_v,
         battery.empty_v,
-        battery.capacity_mah * 3.6,
+        battery.capacity_mah * COULOMB_PER_MAH,
         battery.resistance_ohm,
         battery.polarisation_ohm,
         exp(-P[at.STEP] / battery.polarisation_s),

@@ -1,23 +1,28 @@
-"""What the IMU reads of a state: one compiled function, since it runs at every 200 Hz tick."""
+"""Accelerometer, gyro and barometer. The reading is one compiled function, because it runs in every 200 Hz tick."""
 
+from collections import deque
 from math import cos, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 import sim_vehicle.physics.layout as at
 from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.physics.draws import NormalRows
 from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.physics.parameters import ImuConfig
 from sim_vehicle.records import Array
 
 AIR_DENSITY = 1.184
-"""kg/m^3, as in the thrust map."""
+"""kg/m^3, the value of the thrust map."""
+PRESSURE_RANGE = 2.0e5
+"""Pa, full scale."""
 ACCELEROMETER_NOISE, VIBRATION, HOVER_THRUST, GYROSCOPE_NOISE, PRESSURE_NOISE, FLOOR_PRESSURE = 0, 1, 2, 3, 4, 5
 ACCELEROMETER_STEP, ACCELEROMETER_RANGE, GYROSCOPE_STEP, GYROSCOPE_RANGE, PRESSURE_STEP = 6, 7, 8, 9, 10
 
 
 def imu_settings(config: ImuConfig, hover_thrust_n: float) -> Array:
-    """[11] the flat settings of `read_imu`. hover_thrust_n: of one motor."""
+    """[11] settings of `read_imu`. hover_thrust_n: of one motor."""
     return np.array(
         [
             config.accelerometer_noise_m_s2,
@@ -45,11 +50,11 @@ def quantised(value: float, step: float, full: float) -> float:
 def read_imu(
     state: Array, sums: Array, shaking: Array, bias: Array, noise: Array, settings: Array, reading: Array
 ) -> None:
-    """Write accelerometer (m/s^2), gyro (rad/s), both body FRD, and pressure (Pa) into reading[7]; zeroes the sums.
+    """Write accelerometer (m/s^2) and gyro (rad/s), both body FRD, and pressure (Pa) into reading[7]; zero the sums.
 
     shaking: [4, 2] amplitude of each rotor's imbalance at hover speed, m/s^2 and rad/s. It turns with the rotor's
-    phase, so that 200 Hz sampling aliases it as in a real IMU without filter, and grows with the squared rotor speed.
-    bias, noise: [7], noise of unit normal draws. settings: see imu_settings.
+    phase, so that 200 Hz sampling aliases it as in a real IMU without a filter. It grows with the squared rotor speed.
+    bias: [7]. noise: [7] unit normal draws. settings: see imu_settings.
     """
     time = max(sums[at.IMU_TIME], 1.0e-9)
     for i in range(3):
@@ -75,4 +80,42 @@ def read_imu(
         reading[3 + i] = quantised(value, settings[GYROSCOPE_STEP], settings[GYROSCOPE_RANGE])
     pressure = settings[FLOOR_PRESSURE] + AIR_DENSITY * GRAVITY * state[at.POSITION + 2]
     value = pressure + bias[6] + settings[PRESSURE_NOISE] * noise[6]
-    reading[6] = quantised(value, settings[PRESSURE_STEP], 2.0e5)
+    reading[6] = quantised(value, settings[PRESSURE_STEP], PRESSURE_RANGE)
+
+
+class ImuSample(NamedTuple):
+    """One reading, body FRD."""
+
+    accelerometer_m_s2: tuple[float, float, float]
+    gyroscope_rad_s: tuple[float, float, float]
+    pressure_pa: float
+
+
+class Imu:
+    """Accelerometer (mean specific force since the last sample), delayed gyro, barometer.
+
+    The random stream is [seed, stream]. hover_thrust_n: of one motor.
+    """
+
+    def __init__(self, config: ImuConfig, hover_thrust_n: float, seed: int, stream: int) -> None:
+        rng = np.random.default_rng([seed, stream])
+        self.bias: Array = np.concatenate(
+            [
+                rng.standard_normal(3) * config.accelerometer_bias_sigma_m_s2,
+                rng.uniform(-1.0, 1.0, 3) * config.gyroscope_bias_bound_rad_s,
+                rng.standard_normal(1) * config.pressure_bias_sigma_pa,
+            ]
+        )
+        """[7] accelerometer m/s^2, gyro rad/s, pressure Pa."""
+        self._settings = imu_settings(config, hover_thrust_n)
+        self._noise = NormalRows(rng, 7)
+        self._reading = np.zeros(7)
+        self._delayed: deque[list[float]] = deque(maxlen=config.gyroscope_delay_samples + 1)
+
+    def sample(self, state: Array, sums: Array, shaking: Array) -> ImuSample:
+        """Read the sensors and zero the IMU's sums. shaking: [4, 2], see `read_imu`."""
+        read_imu(state, sums, shaking, self.bias, self._noise.take(), self._settings, self._reading)
+        ax, ay, az, *gyroscope, pressure = self._reading.tolist()
+        self._delayed.append(gyroscope)
+        p, q, r = self._delayed[0]
+        return ImuSample((ax, ay, az), (p, q, r), pressure)

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.link.mavlink import VehicleCodec
-from sim_vehicle.sensors.sensors import BatterySample
+from sim_vehicle.sensors.battery import BatterySample
 
 CONFIG = load_vehicle("mambo")
 KEY = bytes(range(32))

@@ -9,8 +9,11 @@ import sim_vehicle.physics.layout as at
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.physics.draws import BLOCK, Normals
 from sim_vehicle.physics.packing import GRAVITY
-from sim_vehicle.sensors.imu import imu_settings, read_imu
-from sim_vehicle.sensors.sensors import Flow, Imu, MotionCapture, Schedule, Ultrasonic
+from sim_vehicle.sensors.flow import Flow
+from sim_vehicle.sensors.imu import Imu, imu_settings, read_imu
+from sim_vehicle.sensors.motion_capture import MotionCapture
+from sim_vehicle.sensors.schedule import Schedule
+from sim_vehicle.sensors.ultrasonic import Ultrasonic
 from sim_vehicle.vehicle import SimVehicle, initial_state
 
 CONFIG = load_vehicle("mambo")
