@@ -1,4 +1,4 @@
-"""The one thread that trains and writes files, so that the relay of poses does not wait for either."""
+"""The background thread: trains and writes files, so that the relay of poses waits for neither."""
 
 import gc
 import os
@@ -12,36 +12,36 @@ from offboard.training.job import TrainingResult
 
 NICENESS: Final = 10
 
-Work = Callable[[], TrainingResult | None]
+Task = Callable[[], TrainingResult | None]
 Results = queue.SimpleQueue[TrainingResult | str]
-"""What came of work: results of training, and the reports of what failed."""
+"""Results of training, and tracebacks of tasks that raised."""
 
 
 class BackgroundThread:
-    """Runs training jobs and writes files one after the other, with a low claim on the processor.
+    """Runs training jobs and file writes one after the other, at low priority, for all vehicles.
 
-    Each vehicle has at most one training job here (its core sees to that), so that all are trained for in turn.
+    Each vehicle has at most one training job queued (its core ensures that), so the vehicles take turns.
     """
 
     def __init__(self) -> None:
-        self._work_left: queue.SimpleQueue[tuple[Work, Results]] = queue.SimpleQueue()
-        threading.Thread(target=self._work, name="trainer", daemon=True).start()
+        self._tasks: queue.SimpleQueue[tuple[Task, Results]] = queue.SimpleQueue()
+        threading.Thread(target=self._run, name="trainer", daemon=True).start()
 
-    def submit(self, work: Work, results: Results) -> None:
-        """Queue something to be done, and where its result goes."""
-        self._work_left.put((work, results))
+    def submit(self, task: Task, results: Results) -> None:
+        """Queue a task; what it returns (unless None), or its traceback, is put into `results`."""
+        self._tasks.put((task, results))
 
-    def _work(self) -> None:
+    def _run(self) -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         first = True
         while True:
-            work, results = self._work_left.get()
+            task, results = self._tasks.get()
             try:
-                result = work()
+                result = task()
                 if result is not None:
                     results.put(result)
             except Exception:
                 results.put(traceback.format_exc())
             if first:
                 first = False
-                gc.freeze()  # torch's own objects: later collections need not look at them
+                gc.freeze()  # later collections skip torch's own objects

@@ -5,10 +5,10 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from configs.addresses import seen_from_offboard
 from configs.loader import ConfigError, fill_section
@@ -43,38 +43,10 @@ OPTIONS: Final = {
     "motion_capture": "--bind-motion-capture",
     "key_file": "--key-file",
 }
-"""What overrules which key of the configuration's network."""
+"""The option that overrules each key of the configuration's `network`."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `python -m offboard` and `dmrac offboard`."""
-    add_flight_options(parser)
-    parser.add_argument(
-        "--also",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="configuration of one more vehicle to train for, beside --config; may be repeated. Each vehicle's files "
-        "then go to a folder vehicle_ID of --out",
-    )
-    parser.add_argument("--out", type=Path, default=Path(), help="folder for log, checkpoints and summary")
-    parser.add_argument("--onboard", metavar="HOST:PORT", help="the onboard process, or the radio towards it")
-    parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards onboard")
-    parser.add_argument("--bind-motion-capture", metavar="HOST:PORT", help="own address for the motion capture")
-    parser.add_argument("--key-file", metavar="FILE", help="key shared with onboard")
-    parser.add_argument(
-        "--resume",
-        type=Path,
-        metavar="FILE",
-        help="go on from a checkpoint, as after a restart; with --also: the --out of the run before",
-    )
-    parser.add_argument("--warm-start", type=Path, metavar="FILE", help="start from the features of a version file")
-    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
-
-
-@dataclass(frozen=True)
-class Vehicle:
+class Vehicle(NamedTuple):
     """One vehicle to train for, before its sockets are open."""
 
     flight: FlightOptions
@@ -84,124 +56,167 @@ class Vehicle:
     status: StatusLines
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `python -m offboard` and `dmrac offboard`."""
+    add_flight_options(parser)
+    parser.add_argument(
+        "--also",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="configuration of another vehicle to train for, in addition to --config; may be repeated. The files of "
+        "each vehicle then go to a folder vehicle_ID in --out",
+    )
+    parser.add_argument("--out", type=Path, default=Path(), help="folder for log, checkpoints and summary")
+    parser.add_argument("--onboard", metavar="HOST:PORT", help="address of the onboard process, or of the radio to it")
+    parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address for the link to onboard")
+    parser.add_argument("--bind-motion-capture", metavar="HOST:PORT", help="own address for the motion capture")
+    parser.add_argument("--key-file", metavar="FILE", help="key shared with onboard")
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="FILE",
+        help="continue from a checkpoint, as after a restart; with --also: the --out folder of the earlier run",
+    )
+    parser.add_argument("--warm-start", type=Path, metavar="FILE", help="start from the features of a version file")
+    parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the process; returns the exit status (0 served, 1 ended by failures, 2 bad configuration or address)."""
     stop = StopRequest()
-    try:
-        vehicles = _vehicles(arguments)
-        if any(vehicle.config.experience.mode == "learn" for vehicle in vehicles):
-            import offboard.training.round  # noqa: F401  torch takes seconds to load: before poses wait, not between them
-        for vehicle in vehicles:
-            make_folder(vehicle.out)
-    except (ConfigError, StartError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    bound = ("offboard_link", "motion_capture")
-    link, capture = (f"network.{name}" if arguments.also else OPTIONS[name] for name in bound)
-    worker = BackgroundThread()
-    logs: list[FlightLogWriter] = []
-    services: list[VehicleService] = []
-    try:
-        for vehicle in vehicles:
-            attachments = {"config.yaml": vehicle.flight.text}
-            seed = {"seed": str(vehicle.config.seed)}
-            logs.append(FlightLogWriter(vehicle.out / "offboard.mcap", "offboard", seed, attachments))
-            network = vehicle.flight.network
-            services.append(
-                VehicleService(vehicle.core, network, logs[-1], vehicle.out, vehicle.status, worker, (link, capture))
-            )
+    with ExitStack() as logs:
+        try:
+            vehicles = _vehicles(arguments)
+            _load_torch(vehicles)
+            services = _open_services(vehicles, logs, several=bool(arguments.also))
+        except (ConfigError, StartError) as error:
+            print(error, file=sys.stderr)
+            return 2
         sys.setswitchinterval(THREAD_SWITCH_S)
         for vehicle in vehicles:
             network = vehicle.flight.network
-            heard = f"motion capture is heard on {network.motion_capture}"
-            vehicle.status.report(f"onboard {network.radio_offboard}, {heard}")
+            vehicle.status.report(f"onboard {network.radio_offboard}, motion capture on {network.motion_capture}")
         for vehicle in vehicles:
             vehicle.status.report("ready")
         result = serve(services, stop)
-    except AddressInUseError as error:
-        for service in services:
-            service.close()
-        print(error, file=sys.stderr)
-        return 2
-    finally:
-        for log in logs:
-            log.close()
-    for vehicle, service in zip(vehicles, services, strict=True):
-        file = vehicle.out / "offboard_summary.json"
-        try:
-            write_json(file, service.summary())
-        except Exception as error:  # whatever it is: the other vehicles' summaries are still to be written
-            print(f"{file}: cannot be written: {error}", file=sys.stderr)
-            result = 1
-    # A round of training may still run; nobody waits for it, and torch must not be torn down under it.
+    written = [_write_summary(vehicle, service) for vehicle, service in zip(vehicles, services, strict=True)]
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(result)
+    os._exit(
+        result if all(written) else 1
+    )  # without waiting for a round of training: torch must not be torn down under it
+
+
+def _load_torch(vehicles: Sequence[Vehicle]) -> None:
+    """Load torch, which takes seconds, before the first pose waits for its relay."""
+    if any(vehicle.config.experience.mode == "learn" for vehicle in vehicles):
+        import offboard.training.round  # noqa: F401
+
+
+def _open_services(vehicles: Sequence[Vehicle], logs: ExitStack, several: bool) -> list[VehicleService]:
+    """Make the folders, and open logs and sockets.
+
+    Raises
+    ------
+    StartError
+        If a folder cannot be made or an address is taken. No socket is left open.
+    """
+    link, capture = (f"network.{name}" if several else OPTIONS[name] for name in ("offboard_link", "motion_capture"))
+    background, services = BackgroundThread(), list[VehicleService]()
+    for vehicle in vehicles:
+        make_folder(vehicle.out)
+    try:
+        for vehicle in vehicles:
+            metadata, attachments = {"seed": str(vehicle.config.seed)}, {"config.yaml": vehicle.flight.text}
+            file = vehicle.out / "offboard.mcap"
+            log = logs.enter_context(FlightLogWriter(file, "offboard", metadata, attachments))
+            core, network, out, status = vehicle.core, vehicle.flight.network, vehicle.out, vehicle.status
+            services.append(VehicleService(core, network, log, out, status, background, (link, capture)))
+    except AddressInUseError:
+        for service in services:
+            service.close()
+        raise
+    return services
+
+
+def _write_summary(vehicle: Vehicle, service: VehicleService) -> bool:
+    """Write the summary of one vehicle; False if that failed."""
+    file = vehicle.out / "offboard_summary.json"
+    try:
+        write_json(file, service.summary())
+    except Exception as error:  # of any kind: the summaries of the other vehicles must still be written
+        print(f"{file}: cannot be written: {error}", file=sys.stderr)
+        return False
+    return True
 
 
 def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
-    """All vehicles that the command line names. Raises ConfigError."""
-    _check_several(arguments)
-    several = bool(arguments.also)
-    resumed = False
-    vehicles: dict[int, Vehicle] = {}
-    for path in (arguments.config, *arguments.also):
-        one = argparse.Namespace(**{**vars(arguments), "config": path})
-        flight = flight_of(one, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
-        config = fill_section(OffboardConfig, flight.tree, flight.source, "offboard")
-        number = config.vehicle_id
-        if number in vehicles:
-            raise ConfigError(
-                f"{path}: offboard.vehicle_id: {number} is that of {vehicles[number].flight.source} already; "
-                "each vehicle needs its own"
-            )
-        key = load_key(flight.network.key_file)
-        core = OffboardCore(config, session_number(time.time_ns(), secrets.randbits(20)), key)
-        folder = f"vehicle_{number}" if several else "."
-        status = StatusLines(f"offboard {number}" if several else "offboard", arguments.json)
-        vehicles[number] = Vehicle(flight, config, core, arguments.out / folder, status)
-        checkpoint = arguments.resume
-        if several and checkpoint is not None:
-            checkpoint = checkpoint / folder / "checkpoint.npz"
-            if not checkpoint.exists():
-                status.report(f"{checkpoint} is not there: vehicle {number} starts anew")
-                checkpoint = None
-        resumed |= checkpoint is not None
-        _load_experience(core, checkpoint, arguments.warm_start)
-    _check_addresses(vehicles.values())
-    if several and arguments.resume is not None and not resumed:
-        raise ConfigError(f"--resume {arguments.resume}: holds no vehicle_N/checkpoint.npz of any of these vehicles")
-    return list(vehicles.values())
+    """The vehicles that the command line names, with what they learnt before. Raises ConfigError."""
+    several, resume = bool(arguments.also), arguments.resume
+    if several:
+        _check_options(arguments)
+    vehicles = [_vehicle(arguments, path, several) for path in (arguments.config, *arguments.also)]
+    _check_distinct(vehicles)
+    checkpoints = [_checkpoint_of(vehicle, resume) if several and resume else resume for vehicle in vehicles]
+    if resume is not None and not any(checkpoints):
+        raise ConfigError(f"--resume {resume}: holds no vehicle_N/checkpoint.npz of any of these vehicles")
+    for vehicle, checkpoint in zip(vehicles, checkpoints, strict=True):
+        _load_experience(vehicle.core, checkpoint, arguments.warm_start)
+    return vehicles
 
 
-def _check_several(arguments: argparse.Namespace) -> None:
-    """Raises ConfigError for options that can be meant for one vehicle only, where there are several."""
-    if not arguments.also:
-        return
+def _vehicle(arguments: argparse.Namespace, config_path: Path | None, several: bool) -> Vehicle:
+    """One vehicle, with nothing learnt yet. Raises ConfigError."""
+    own = argparse.Namespace(**{**vars(arguments), "config": config_path})
+    flight = flight_of(own, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
+    config = fill_section(OffboardConfig, flight.tree, flight.source, "offboard")
+    session = session_number(time.time_ns(), secrets.randbits(20))
+    core = OffboardCore(config, session, load_key(flight.network.key_file))
+    out = arguments.out / f"vehicle_{config.vehicle_id}" if several else arguments.out
+    status = StatusLines(f"offboard {config.vehicle_id}" if several else "offboard", arguments.json)
+    return Vehicle(flight, config, core, out, status)
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Raise ConfigError for options that apply to one vehicle only, when there are several."""
     if arguments.config is None:
-        raise ConfigError("--also: only beside --config FILE, the first vehicle's")
+        raise ConfigError("--also: needs --config FILE, the configuration of the first vehicle")
     for option in OPTIONS.values():
         if getattr(arguments, option.removeprefix("--").replace("-", "_")) is not None:
-            raise ConfigError(f"{option}: not beside --also; each vehicle's file holds its own, under network")
+            raise ConfigError(f"{option}: not allowed with --also; each vehicle's file states its own, under network")
     if arguments.resume is not None and not arguments.resume.is_dir():
-        raise ConfigError(f"--resume {arguments.resume}: beside --also the folder is wanted that was --out before")
+        raise ConfigError(f"--resume {arguments.resume}: with --also, give the --out folder of the earlier run")
 
 
-def _check_addresses(vehicles: Iterable[Vehicle]) -> None:
-    """Raises ConfigError if two vehicles would share a socket."""
-    bound: dict[str, Vehicle] = {}
+def _check_distinct(vehicles: Sequence[Vehicle]) -> None:
+    """Raise ConfigError if two vehicles have the same number or would share a socket."""
+    users: dict[int | str, Vehicle] = {}
     for vehicle in vehicles:
-        for name, address in vehicle.flight.network.bound_by_offboard().items():
-            if address in bound:
+        claims: dict[str, int | str] = {"offboard.vehicle_id": vehicle.config.vehicle_id}
+        bound = vehicle.flight.network.bound_by_offboard()
+        claims |= {f"network.{name}": address for name, address in bound.items()}
+        for key, value in claims.items():
+            if value in users:
+                other = users[value].flight.source
                 raise ConfigError(
-                    f"{vehicle.flight.source}: network.{name}: {address} is taken by {bound[address].flight.source} "
-                    "already; each vehicle needs its own"
+                    f"{vehicle.flight.source}: {key}: {value} is used by {other}; each vehicle needs its own"
                 )
-            bound[address] = vehicle
+            users[value] = vehicle
+
+
+def _checkpoint_of(vehicle: Vehicle, folder: Path) -> Path | None:
+    """The vehicle's checkpoint in the folder of an earlier run; None, and a line of status, if there is none."""
+    checkpoint = folder / vehicle.out.name / "checkpoint.npz"
+    if checkpoint.exists():
+        return checkpoint
+    vehicle.status.report(f"{checkpoint} does not exist: vehicle {vehicle.config.vehicle_id} starts without experience")
+    return None
 
 
 def _load_experience(core: OffboardCore, resume: Path | None, warm_start: Path | None) -> None:
-    """Whatever the core is to start from. Raises ConfigError naming the file."""
+    """Load a checkpoint and a version file into the core, where given. Raises ConfigError naming the file."""
     for path, load in ((resume, core.resume), (warm_start, core.warm_start)):
         if path is None:
             continue

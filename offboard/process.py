@@ -1,7 +1,6 @@
-"""The offboard process: for each vehicle a service, and one worker that trains for all of them.
+"""The loop of the offboard process: one service per vehicle, all in the main thread.
 
-The relay of poses must not wait for training: sockets and cores run in the main thread, a training job in a worker
-with a low claim on the processor.
+Training runs in the background thread (offboard.background), so that the relay of poses does not wait for it.
 """
 
 import select
@@ -13,9 +12,10 @@ from runtime.signals import StopRequest
 
 
 def serve(services: Sequence[VehicleService], stop: StopRequest) -> int:
-    """Serve all vehicles until asked to end; returns the exit status: 0, or 1 if one was given up or ended badly.
+    """Serve all vehicles until asked to stop.
 
-    A vehicle that is given up does not cost the others their teacher.
+    Returns the exit status: 0, or 1 if a service was given up or did not end in order. The others continue when one
+    is given up.
     """
     served = list(services)
     while served and stop.count == 0:

@@ -1,17 +1,23 @@
-"""What the offboard side logs, and what its core gives out in one step."""
+"""The records that the offboard side logs: their fields, and the functions that fill them."""
 
-from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
+
 from flight_log.schema import RecordType
-from offboard.training.job import TrainingJob
+from offboard.training.job import TrainingResult
 from protocol.conventions import Array
+from protocol.statistics import LinkStatistics
+
+Logged = tuple[RecordType, int, Array]
+"""A record: its type, time in ns, and values in the order of the type's fields."""
 
 
-def _per_channel(name: str, squared: bool = True) -> tuple[tuple[str, str], ...]:
-    power = "^2" if squared else ""
-    return ((f"{name}_position", f"(m/s^2){power}"), (f"{name}_attitude", f"(rad/s^2){power}"))
+def _per_channel(name: str) -> tuple[tuple[str, str], ...]:
+    return ((f"{name}_position", "(m/s^2)^2"), (f"{name}_attitude", "(rad/s^2)^2"))
 
+
+_LOSSES: Final = (*_per_channel("training_loss"), *_per_channel("validation_loss"), *_per_channel("test_loss"))
 
 TRAINING: Final = RecordType(
     "offboard/training",
@@ -24,28 +30,17 @@ TRAINING: Final = RecordType(
         ("validation_samples", ""),
         ("buffer_samples", ""),
         ("samples_seen", ""),
-        *_per_channel("training_loss"),
-        *_per_channel("validation_loss"),
-        *_per_channel("test_loss"),
+        *_LOSSES,
         *_per_channel("flying_loss"),
         *_per_channel("label_power"),
         ("lipschitz_position", ""),
         ("lipschitz_attitude", ""),
     ),
 )
-"""One round of training: mean squared errors summed over the axes; NaN where there is nothing to say."""
+"""One round of training. Losses are mean squared errors, summed over the axes; NaN where there is no value."""
 
-EPOCH: Final = RecordType(
-    "offboard/epoch",
-    (
-        ("round", ""),
-        ("epoch", ""),
-        *_per_channel("training_loss"),
-        *_per_channel("validation_loss"),
-        *_per_channel("test_loss"),
-    ),
-)
-"""The losses along a round."""
+EPOCH: Final = RecordType("offboard/epoch", (("round", ""), ("epoch", ""), *_LOSSES))
+"""The losses after each epoch of a round."""
 
 LINK: Final = RecordType(
     "offboard/link",
@@ -62,23 +57,41 @@ LINK: Final = RecordType(
         ("flying_version", ""),
     ),
 )
-"""Once a second: what came and went."""
+"""Once a second: counts of datagrams, poses and samples since start."""
 
 RECORDS: Final = (TRAINING, EPOCH, LINK)
 
-Logged = tuple[RecordType, int, Array]
+
+def training_records(
+    result: TrainingResult,
+    verdict: int,
+    sent_version: int,
+    flying_version: int,
+    buffered: int,
+    labelled: int,
+    now_ns: int,
+) -> list[Logged]:
+    """The TRAINING record of a round, and an EPOCH record for each of its epochs."""
+    evidence, losses, rounds = result.evidence, result.epoch_losses, result.state.rounds
+    held_out = evidence.time_ns.shape[0]
+    channels = (result.candidate.position, result.candidate.attitude)
+    training = np.concatenate(
+        [
+            [rounds, sent_version, flying_version, verdict],
+            [result.training_samples, held_out, buffered, labelled],
+            losses[-1].ravel(),
+            evidence.flying_errors.mean(axis=0) if held_out else np.full(2, np.nan),
+            evidence.label_power,
+            [np.nan if channel is None else channel.lipschitz_bound() for channel in channels],
+        ]
+    )
+    epochs = [(EPOCH, now_ns, np.array([rounds, epoch, *loss.ravel()])) for epoch, loss in enumerate(losses)]
+    return [(TRAINING, now_ns, training), *epochs]
 
 
-@dataclass(slots=True)
-class OffboardOutput:
-    """What one step of the core asks the shell to do."""
-
-    to_onboard: list[bytes] = field(default_factory=list)
-    job: TrainingJob | None = None
-    """To be run (off the loop where there is one) and given back with receive_training."""
-    records: list[Logged] = field(default_factory=list)
-    events: list[tuple[int, str]] = field(default_factory=list)
-    checkpoint: bytes | None = None
-    """To be written to the checkpoint file, atomically."""
-    version_file: tuple[int, bytes] | None = None
-    """A sent version and the bytes to keep of it."""
+def link_record(
+    link: LinkStatistics, poses: tuple[int, int], samples: tuple[int, int], flying_version: int, now_ns: int
+) -> Logged:
+    """The LINK record. `poses`: relayed and rejected; `samples`: received and labelled."""
+    counts = (link.received, link.lost, link.duplicate, link.rejected_total, link.sent)
+    return LINK, now_ns, np.array([*counts, *poses, *samples, flying_version], dtype=np.float64)

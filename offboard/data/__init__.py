@@ -1,1 +1,1 @@
-"""Samples, labels, the buffer, and experience files."""
+"""The data to learn from: labels of samples, the buffer, and experience files."""

@@ -1,11 +1,11 @@
-"""The samples the trainer learns from: a buffer of what was new, and a ring of what is newest.
+"""The stored samples: a buffer of samples that were new when they came, and a ring of the newest samples.
 
-The buffer remembers the whole flight evenly; the ring follows a change at once. After an abrupt fault the two hold
-different labels for the same state: each mini-batch draws from both, and a buffer entry that is resembled by a newer
-sample is replaced by it once it is older than `refresh_age_s`, so that old labels die out where the vehicle flies.
+The buffer covers the whole flight evenly; the ring follows a change at once. After an abrupt fault the two hold
+different labels for the same state. Each mini-batch draws from both, and a sample that is similar to a buffer entry
+older than `refresh_age_s` replaces it, so that outdated labels disappear where the vehicle flies.
 
-Splits are by time block: all samples of a block go to training, validation or test as a whole, since neighbours in
-time are nearly equal and would leak from one to the other.
+Samples are split by time: all samples of a time block go to training, validation or test together, because samples
+that follow each other are nearly equal.
 """
 
 from collections.abc import Callable
@@ -24,18 +24,20 @@ from protocol.signals import CHANNELS, SIGNAL_COUNT, input_indices
 TRAINING: Final = 0
 VALIDATION: Final = 1
 TEST: Final = 2
+COLUMNS: Final = ("time_ns", "signals", "labels", "split")
+"""The fields of SampleTable, in their order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleTable:
-    """Samples as columns, one row each."""
+    """Samples as columns, with one row per sample."""
 
     time_ns: NDArray[np.int64]
     """[n]"""
     signals: NDArray[np.float32]
     """[n, SIGNAL_COUNT]"""
     labels: NDArray[np.float32]
-    """[n, 2, 3]"""
+    """[n, 2, 3]: Delta of each channel, m/s^2 and rad/s^2."""
     split: NDArray[np.int8]
     """[n]: TRAINING, VALIDATION or TEST."""
 
@@ -56,12 +58,10 @@ class SampleTable:
 
     def take(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> "SampleTable":
         """A copy of some rows."""
-        return SampleTable(
-            self.time_ns[rows].copy(), self.signals[rows].copy(), self.labels[rows].copy(), self.split[rows].copy()
-        )
+        return SampleTable(*(getattr(self, column)[rows].copy() for column in COLUMNS))
 
     def released(self, before_ns: int) -> "SampleTable":
-        """The same with validation samples from before a time given to training."""
+        """The same table, with the validation samples older than `before_ns` assigned to training."""
         old = (self.split == VALIDATION) & (self.time_ns < before_ns)
         return replace(self, split=np.where(old, TRAINING, self.split).astype(np.int8))
 
@@ -73,27 +73,21 @@ class SampleTable:
         self.split[row] = split
 
     def put_rows(self, rows: "SampleTable") -> None:
-        """Write all of `rows` over the first ones here."""
-        self.time_ns[: rows.rows] = rows.time_ns
-        self.signals[: rows.rows] = rows.signals
-        self.labels[: rows.rows] = rows.labels
-        self.split[: rows.rows] = rows.split
+        """Overwrite the first rows with `rows`."""
+        for column in COLUMNS:
+            getattr(self, column)[: rows.rows] = getattr(rows, column)
 
     def joined(self, other: "SampleTable") -> "SampleTable":
-        """The rows of both."""
-        return SampleTable(
-            np.concatenate([self.time_ns, other.time_ns]),
-            np.concatenate([self.signals, other.signals]),
-            np.concatenate([self.labels, other.labels]),
-            np.concatenate([self.split, other.split]),
-        )
+        """The rows of this table, followed by those of the other one."""
+        return SampleTable(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in COLUMNS))
 
 
 def split_of_block(block: int, seed: int, blocks_per_group: int, groups_per_test: int) -> int:
-    """Which split a time block belongs to.
+    """The split that a time block belongs to.
 
-    One block of every group is held out for validation, and one of every few groups for testing, at places drawn
-    anew for each group: were they fixed, a lap of just so many blocks would hold out the same stretch for ever.
+    One block of each group is held out for validation, and one in every `groups_per_test` groups for testing. Their
+    places in the group are random: with fixed places, and laps as long as a group, the same stretch of the path would
+    always be held out.
     """
     group, place = divmod(block, blocks_per_group)
     drawn = np.random.default_rng([seed, 11, group]).permutation(blocks_per_group)
@@ -103,11 +97,11 @@ def split_of_block(block: int, seed: int, blocks_per_group: int, groups_per_test
 
 
 FeatureFunction = Callable[[NDArray[np.float32]], Array]
-"""Phi [n, k] of signals [n, SIGNAL_COUNT], of all channels side by side."""
+"""Phi [n, k] of signals [n, SIGNAL_COUNT], the features of all channels side by side."""
 
 
 class NoveltyBuffer:
-    """At most `capacity` samples that are different enough from each other."""
+    """At most `capacity` samples that differ enough from each other."""
 
     def __init__(self, config: BufferConfig, network: NetworkConfig, features: FeatureFunction) -> None:
         self._config = config
@@ -122,13 +116,13 @@ class NoveltyBuffer:
         self._kernel = KernelNovelty(config.capacity, len(self._inputs))
         self._history = HistoryNovelty(config.history_tolerance)
         self._stack: Array | None = None
-        """Phi of every slot, [capacity, k]; None until it is needed with the present features."""
+        """Phi of every slot, [capacity, k]; None until it is needed with the current features."""
         self._gram = np.zeros((0, 0))
         self._asked: tuple[LabelledSample, Array] | None = None
         self.count = 0
 
     def consider(self, sample: LabelledSample, split: int) -> bool:
-        """Admit a sample if it is new, giving up another one if the buffer is full; whether it was admitted."""
+        """Store a sample if it is new, in place of another one if the buffer is full; returns whether it was stored."""
         if self._config.admission == "history":
             self._need_stack()
             phi = self._phi(sample)
@@ -146,22 +140,22 @@ class NoveltyBuffer:
         return True
 
     def rows(self) -> SampleTable:
-        """A copy of what is kept."""
+        """A copy of the stored samples."""
         return self.table.take(slice(0, self.count))
 
     def set_features(self, features: FeatureFunction) -> None:
-        """The features changed. Their stack is built again when it is next needed."""
+        """Use other features. Their stack is computed when it is next needed."""
         self._features = features
         self._stack = None
         self._asked = None
 
     @property
     def order(self) -> NDArray[np.int64]:
-        """When each of `rows` entered, as a running number."""
+        """Running number of each of `rows`, in the order in which they were stored."""
         return self._entered[: self.count].copy()
 
     def load(self, rows: SampleTable, order: NDArray[np.int64]) -> None:
-        """Start from the rows of a checkpoint, with their order of entry."""
+        """Start from the rows of a checkpoint and their `order`."""
         rows = rows.take(slice(0, self._config.capacity))
         self.count = rows.rows
         self._kernel = KernelNovelty(self._config.capacity, len(self._inputs))
@@ -177,7 +171,7 @@ class NoveltyBuffer:
         return point
 
     def _phi(self, sample: LabelledSample) -> Array:
-        """Features of a sample, [k]; remembered, since one admission asks several times."""
+        """Features of a sample, [k]; cached, because one admission needs them several times."""
         if self._asked is None or self._asked[0] is not sample:
             self._asked = (sample, self._features(sample.signals[None].astype(np.float32))[0])
         return self._asked[1]
@@ -226,19 +220,19 @@ class NoveltyBuffer:
 
 
 class NewestRing:
-    """The newest samples, new or not."""
+    """The newest samples, whether new or not."""
 
     def __init__(self, capacity: int) -> None:
         self.table = SampleTable.empty(capacity)
         self._written = 0
 
     def put(self, sample: LabelledSample, split: int) -> None:
-        """Add a sample in place of the oldest."""
+        """Store a sample in place of the oldest one."""
         self.table.put(self._written % self.table.rows, sample, split)
         self._written += 1
 
     def rows(self) -> SampleTable:
-        """A copy of what is there, oldest first."""
+        """A copy of the stored samples, oldest first."""
         capacity = self.table.rows
         if self._written <= capacity:
             return self.table.take(slice(0, self._written))

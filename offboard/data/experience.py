@@ -1,6 +1,6 @@
-"""What was learnt, as the bytes of a file: checkpoints of a trainer, and versions to start from.
+"""Experience files: checkpoints of a learner, and feature versions to start from, as bytes.
 
-A file is a numpy archive (.npz) of plain arrays, with a header of JSON; nothing in it is executed when it is read.
+A file is a numpy archive (.npz) of plain arrays with a JSON header. Reading it executes nothing of its content.
 """
 
 import io
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from offboard.data.buffer import SampleTable
+from offboard.data.buffer import COLUMNS, SampleTable
 from offboard.training.job import TrainerState
 from offboard.training.network import NetworkState
 from protocol.codec import decode_feature_set, encode_feature_set
@@ -20,24 +20,24 @@ from protocol.errors import ProtocolError
 from protocol.feature_set import FeatureSet
 
 FORMAT: Final = 1
-_COLUMNS: Final = ("time_ns", "signals", "labels", "split")
 
 
 class ExperienceError(Exception):
-    """A file that is no experience, or not one that can be used; the message says why."""
+    """A file that is not an experience file, or cannot be used. The message states the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Experience:
-    """Everything a restarted trainer needs."""
+    """Everything that a restarted learner needs to continue."""
 
     state: TrainerState
     buffer: SampleTable
     buffer_order: NDArray[np.int64]
     newest: SampleTable
     versions: tuple[FeatureSet, ...]
-    """Those still remembered, oldest first."""
+    """The stored versions, oldest first."""
     version: int
+    """The highest version number in use."""
     labelled: int
     training_samples: int
 
@@ -68,7 +68,7 @@ def dump_experience(experience: Experience) -> bytes:
         arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
     arrays |= {f"moment_{number}": moment for number, moment in enumerate(state.moments)}
     for name, table in (("buffer", experience.buffer), ("newest", experience.newest)):
-        arrays |= {f"{name}_{column}": getattr(table, column) for column in _COLUMNS}
+        arrays |= {f"{name}_{column}": getattr(table, column) for column in COLUMNS}
     for number, features in enumerate(experience.versions):
         arrays[f"version_{number}"] = np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
     out = io.BytesIO()
@@ -77,12 +77,12 @@ def dump_experience(experience: Experience) -> bytes:
 
 
 def load_experience(data: bytes) -> Experience:
-    """The experience a file holds.
+    """The experience in the bytes of a file.
 
     Raises
     ------
     ExperienceError
-        If it is not one, or damaged.
+        If they are not an experience file, or damaged.
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
@@ -106,7 +106,7 @@ def _from_arrays(arrays: dict[str, NDArray[Any]]) -> Experience:
     )
     moments = tuple(arrays[f"moment_{number}"] for number in range(header["moments"]))
     versions = tuple(decode_feature_set(arrays[f"version_{number}"].tobytes()) for number in range(header["versions"]))
-    tables = [SampleTable(*(arrays[f"{name}_{column}"] for column in _COLUMNS)) for name in ("buffer", "newest")]
+    tables = [SampleTable(*(arrays[f"{name}_{column}"] for column in COLUMNS)) for name in ("buffer", "newest")]
     return Experience(
         state=TrainerState(network, moments, header["steps"], header["rounds"]),
         buffer=tables[0],
@@ -120,7 +120,7 @@ def _from_arrays(arrays: dict[str, NDArray[Any]]) -> Experience:
 
 
 def dump_version(features: FeatureSet) -> bytes:
-    """The bytes of a version's own file, from which another flight can start."""
+    """The bytes of a version file, from which another flight can start."""
     out = io.BytesIO()
     encoded = np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
     np.savez(out, allow_pickle=False, features=encoded)
@@ -128,12 +128,12 @@ def dump_version(features: FeatureSet) -> bytes:
 
 
 def load_version(data: bytes) -> FeatureSet:
-    """The version that a version's file holds, or the newest of an experience file.
+    """The feature version in a version file, or the newest one in an experience file.
 
     Raises
     ------
     ExperienceError
-        If it is neither, or holds no version.
+        If the file is neither, or contains no version.
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:

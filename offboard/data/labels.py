@@ -1,17 +1,19 @@
-"""Labels: what the uncertainty Delta was at each sample, looked at from both sides in time.
+"""Labels: the uncertainty Delta at each sample, estimated from the samples before and after it.
 
 Theory of operation. The plant of a channel is v_dot = u_hat + Delta, where v is the velocity (position channel)
-or the body rates (attitude channel). Onboard averages u_hat over the period that ends at a sample, and the
-difference of v over the same period is the mean of v_dot over it, so that
+or the body rates (attitude channel). Onboard averages u_hat over the period that ends at a sample. The difference of
+v over the same period is the mean of v_dot over it, so that
 
     r_i = (v_i - v_(i-1)) / T - u_hat_i
 
-is the mean of Delta over that period, up to noise: exactly, whatever u_hat did. r_i belongs to the period's middle,
-t_i - T/2. The label of sample i is the value at t_i of a polynomial fitted by least squares to the r_j around it
-(Savitzky-Golay, an even window that is centred on t_i): non-causal, which a trainer can afford.
+is the mean of Delta over that period, plus sensor noise, for any course of u_hat. r_i belongs to the middle of the
+period, t_i - T/2. The label of sample i is the value at t_i of a polynomial fitted by least squares to the r_j around
+it (Savitzky-Golay, with an even window centred on t_i):
 
-A window never reaches across a gap: at the ends of a gapless run it is cut, down to where its value at t_i would be
-too noisy, and there is no label then.
+    Delta_i = sum_j c_j r_j,  j = i - left + 1 ... i + right
+
+This is not causal: a label is ready once the samples after it have arrived. A window never spans a gap. At the ends of
+a run without gaps it is cut; where the cut makes Delta_i too noisy, the sample gets no label.
 """
 
 from dataclasses import dataclass
@@ -26,24 +28,24 @@ from protocol.messages import SAMPLES_PER_BATCH_MAX, SampleBatch
 from protocol.signals import CHANNELS, SIGNAL_COUNT, SIGNAL_INDEX
 
 RING: Final = 512
-"""Samples remembered for smoothing: 10 s at 50 Hz, far more than any window and wait."""
+"""Samples stored for smoothing: 10 s at 50 Hz, far more than the longest window and wait."""
 NOISE_GAIN_LIMIT: Final = 3.0
-"""A cut window may be so many times noisier (in variance) than a whole one."""
+"""Largest ratio of the noise variance of a cut window to that of a full one."""
 PERIOD_TOLERANCE: Final = 0.25
-"""Two neighbours farther from one period apart than this share of it are not neighbours."""
+"""Two samples are neighbours if their distance differs from one period by at most this share of it."""
 VELOCITY: Final = np.array(
     [
         [SIGNAL_INDEX[f"velocity_{axis}"] for axis in "ned"],
         [SIGNAL_INDEX[f"rate_{axis}"] for axis in "pqr"],
     ]
 )
-"""[channel, axis]: the signal whose derivative u and Delta act on."""
+"""[channel, axis]: index of v, the signal on whose derivative u and Delta act."""
 _HEIGHT: Final = SIGNAL_INDEX["position_d"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledSample:
-    """A sample and the uncertainty that acted there."""
+    """A sample with its label."""
 
     index: int
     time_ns: int
@@ -55,9 +57,9 @@ class LabelledSample:
 
 @lru_cache(maxsize=4096)
 def smoothing_weights(left: int, right: int, order: int) -> tuple[Array, float]:
-    """Weights c with Delta(t_i) = sum c_j r_j over r_(i-left+1) .. r_(i+right), and the gain sum c_j^2 of their noise.
+    """Weights c_j of r_(i-left+1) ... r_(i+right) in Delta_i, [left + right], and their noise gain sum_j c_j^2.
 
-    r_j stands at t_j - T/2, so in periods the points lie at -left + 1/2 .. right - 1/2 and the fit is read at 0.
+    With t_i as the origin and T as the unit of time, r_j is at -left + 1/2 ... right - 1/2. The fit is evaluated at 0.
     """
     at = np.arange(-left, right) + 0.5
     V = np.vander(at, min(order, left + right - 1) + 1, increasing=True)
@@ -66,7 +68,7 @@ def smoothing_weights(left: int, right: int, order: int) -> tuple[Array, float]:
 
 
 class LabelMaker:
-    """Puts samples in order and turns them into labelled ones as soon as enough of their future is known."""
+    """Sorts samples and labels each one as soon as enough samples after it have arrived."""
 
     def __init__(self, config: LabelConfig) -> None:
         self._config = config
@@ -75,7 +77,7 @@ class LabelMaker:
         self._signals = np.zeros((RING, SIGNAL_COUNT))
         self._delivered = np.zeros((RING, len(CHANNELS), 3))
         self._adaptive = np.zeros((RING, len(CHANNELS), 3))
-        self._residual = np.zeros((RING, len(CHANNELS), 3))
+        self._r = np.zeros((RING, len(CHANNELS), 3))
         self._time_ns = np.zeros(RING, dtype=np.int64)
         self._index = np.full(RING, -1, dtype=np.int64)
         self._residual_of = np.full(RING, -1, dtype=np.int64)
@@ -84,7 +86,7 @@ class LabelMaker:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all samples: a new flight begins, whose indices have nothing to do with the old ones."""
+        """Discard all samples: a new flight starts, with its own sample indices."""
         self._index[:] = -1
         self._residual_of[:] = -1
         self._next = -1
@@ -92,7 +94,7 @@ class LabelMaker:
         self._period_ns = 0
 
     def receive(self, batch: SampleBatch) -> list[LabelledSample]:
-        """Store the samples of a batch and give out the labelled samples that became ready, oldest first."""
+        """Store the samples of a batch; returns the samples whose labels are now ready, oldest first."""
         if batch.period_ns != self._period_ns:
             self.restart()
             self._period_ns = batch.period_ns
@@ -100,7 +102,7 @@ class LabelMaker:
         if self._newest >= 0 and first + n - 1 <= self._newest - RING // 2:
             return []
         if self._newest < 0:
-            self._next = max(0, first - SAMPLES_PER_BATCH_MAX)  # the batch before may still be on its way
+            self._next = max(0, first - SAMPLES_PER_BATCH_MAX)  # the batch before this one may arrive later
         for offset in range(n):
             self._store(batch, offset)
         self._newest = max(self._newest, first + n - 1)
@@ -123,15 +125,15 @@ class LabelMaker:
         self.samples += 1
 
     def _make_residual(self, index: int) -> None:
-        """r_i, if sample i and its left neighbour are both there."""
+        """r_i = (v_i - v_(i-1)) / T - u_hat_i, if sample i and the one before it are stored."""
         slot, before = index % RING, (index - 1) % RING
         if self._index[slot] != index or self._index[before] != index - 1 or self._residual_of[slot] == index:
             return
         elapsed_ns = int(self._time_ns[slot] - self._time_ns[before])
         if abs(elapsed_ns - self._period_ns) > PERIOD_TOLERANCE * self._period_ns:
             return
-        difference = self._signals[slot][VELOCITY] - self._signals[before][VELOCITY]
-        self._residual[slot] = difference * (1e9 / elapsed_ns) - self._delivered[slot]
+        v_i, v_before, u_hat_i = self._signals[slot][VELOCITY], self._signals[before][VELOCITY], self._delivered[slot]
+        self._r[slot] = (v_i - v_before) * (1e9 / elapsed_ns) - u_hat_i
         self._residual_of[slot] = index
 
     def _ready(self) -> list[LabelledSample]:
@@ -141,7 +143,7 @@ class LabelMaker:
         ready: list[LabelledSample] = []
         while self._next <= self._newest:
             index = self._next
-            right = self._run_right(index, reach)
+            right = self._run(index + 1, 1, reach)
             if right < reach and self._newest < index + wait:
                 break
             labelled = self._label(index, halves, right)
@@ -154,17 +156,11 @@ class LabelMaker:
     def _half_window(self, window_s: float) -> int:
         return max(1, round(window_s * 1e9 / (2 * self._period_ns)))
 
-    def _run_right(self, index: int, reach: int) -> int:
-        """How many of r_(index+1), r_(index+2), ... are there without a gap, up to `reach`."""
+    def _run(self, first: int, step: int, reach: int) -> int:
+        """Number of r_first, r_(first + step), r_(first + 2 step), ... known without a gap, at most `reach`."""
         for count in range(reach):
-            if self._residual_of[(index + 1 + count) % RING] != index + 1 + count:
-                return count
-        return reach
-
-    def _run_left(self, index: int, reach: int) -> int:
-        """How many of r_index, r_(index-1), ... are there without a gap, up to `reach`."""
-        for count in range(reach):
-            if self._residual_of[(index - count) % RING] != index - count:
+            index = first + step * count
+            if self._residual_of[index % RING] != index:
                 return count
         return reach
 
@@ -175,7 +171,7 @@ class LabelMaker:
         if self._config.kind == "mrgen":
             labels = self._adaptive[slot].copy()
         else:
-            left = self._run_left(index, max(halves))
+            left = self._run(index, -1, max(halves))
             rows = [self._smooth(index, channel, half, left, right) for channel, half in enumerate(halves)]
             if any(row is None for row in rows):
                 return None
@@ -185,7 +181,7 @@ class LabelMaker:
         return LabelledSample(index, int(self._time_ns[slot]), self._signals[slot].copy(), labels)
 
     def _smooth(self, index: int, channel: int, half: int, left: int, right: int) -> Array | None:
-        """Delta of one channel at sample `index`, or None where the window is cut too short. [3]"""
+        """Delta_i of one channel, [3]; None where the window is cut too short."""
         left, right = min(left, half), min(right, half)
         if left + right < half:
             return None
@@ -194,5 +190,5 @@ class LabelMaker:
         if gain > NOISE_GAIN_LIMIT * smoothing_weights(half, half, order)[1]:
             return None
         slots = np.arange(index - left + 1, index + right + 1) % RING
-        smooth: Array = c @ self._residual[slots, channel]
-        return smooth
+        Delta: Array = c @ self._r[slots, channel]
+        return Delta

@@ -1,6 +1,6 @@
-"""Is a sample new, and which one should go for it? The two tests and the swap of control.md, section 6.
+"""Whether a sample is new, and which stored sample it replaces: the tests and the swap of control.md, section 6.
 
-Everything here is incremental: no p x p factorisation happens when a sample comes or goes.
+All updates are incremental: no p x p factorisation when a sample is stored or replaced.
 """
 
 import math
@@ -12,19 +12,20 @@ from scipy.linalg import blas
 from protocol.conventions import Array
 
 JITTER: Final = 1e-4
-"""Added to the kernel matrix's diagonal, so that its inverse stays harmless."""
+"""Added to the diagonal of the kernel matrix, so that it stays well conditioned."""
 FIRST_ALLOCATION: Final = 128
 RANK_TOLERANCE: Final = 1e-3
-"""Share of its length by which a vector must leave a span to count as a direction of its own."""
+"""Share of a vector's length that must be outside a span for the vector to add a direction to it."""
 NEWTON_STEPS: Final = 50
 
 
 class KernelNovelty:
-    """gamma = k(x,x) - k_X' K^-1 k_X: the part of a new point that the kept ones do not explain (sparse GP).
+    """gamma = k(x, x) - k_X' K^-1 k_X: the part of a new point that the stored points do not explain (sparse GP).
 
-    k is the Gaussian kernel of unit width over inputs the caller has scaled, K = k(X, X) + JITTER I over the kept
-    points. K^-1 lives in the upper triangle of an array with a row and a column per slot; those of an empty slot
-    are zero, so that adding a point is a symmetric rank-one update and replacing one a rank-two update, in place.
+    k is the Gaussian kernel of unit width on inputs that the caller has scaled, k(x, x) = 1, and
+    K = k(X, X) + JITTER I over the stored points X. K^-1 is held in the upper triangle of an array with a row and a
+    column per slot; those of an empty slot are zero, so that adding a point is a symmetric rank-one update in place,
+    and replacing one a rank-two update.
     """
 
     def __init__(self, capacity: int, inputs: int) -> None:
@@ -43,7 +44,7 @@ class KernelNovelty:
         self._asked = None
 
     def _kernel(self, x: Array) -> Array:
-        """k_X, zero at empty slots."""
+        """k_X = exp(-norm(X - x)^2 / 2), zero at empty slots."""
         size = self._K_inverse.shape[0]
         distance = self._X[:size] - x
         k: Array = np.exp(-0.5 * np.einsum("ij,ij->i", distance, distance))
@@ -51,21 +52,21 @@ class KernelNovelty:
         return k
 
     def gamma(self, x: Array) -> tuple[float, int]:
-        """Novelty of the point x [inputs], and the slot of the kept point most like it (-1 if none is kept)."""
+        """gamma of the point x [inputs], and the slot of the stored point nearest to it (-1 if none is stored)."""
         if self._K_inverse.shape[0] == 0 or not self._used.any():
             return 1.0, -1
         k, a = self._explain(x)
         return float(1.0 - k @ a), int(np.argmax(k))
 
     def _explain(self, x: Array) -> tuple[Array, Array]:
-        """k_X and a = K^-1 k_X, remembered: who admits a point has just asked for its gamma."""
+        """k_X and a = K^-1 k_X, cached: a point that is admitted had its gamma computed just before."""
         if self._asked is None or not np.array_equal(self._asked[0], x):
             k = self._kernel(x)
             self._asked = (x.copy(), k, blas.dsymv(1.0, self._K_inverse, k))
         return self._asked[1], self._asked[2]
 
     def add(self, slot: int, x: Array) -> None:
-        """Keep the point x in an empty slot: K^-1 += u u' / gamma with u = (K^-1 k_X, -1 at the slot)."""
+        """Store the point x in an empty slot: K^-1 += u u' / gamma with u = (K^-1 k_X, -1 at the slot)."""
         if slot >= self._K_inverse.shape[0]:
             self._allocate(slot)
         k, a = self._explain(x)
@@ -75,11 +76,11 @@ class KernelNovelty:
         self._put(slot, x)
 
     def replace(self, slot: int, x: Array) -> None:
-        """Forget the point in a slot and keep x there, both in one sweep over K^-1 (one read, one write).
+        """Replace the point in a slot by x, in one pass over K^-1 (one read, one write).
 
-        Forgetting is K^-1 -= b b' with b the slot's column over the root of its diagonal; keeping is += u u' as in
-        `add`, with u = K^-1 k - b (b'k) and k the kernel without the forgotten point; and
-        u u' - b b' = ((u - b)(u + b)' + (u + b)(u - b)') / 2.
+        Removal:   K^-1 -= b b', b the slot's column of K^-1 divided by the root of its diagonal element
+        Addition:  K^-1 += u u' / gamma as in `add`, u = K^-1 k - b (b' k), k the kernel without the removed point
+        Together:  u u' - b b' = ((u - b)(u + b)' + (u + b)(u - b)') / 2
         """
         column = np.concatenate([self._K_inverse[:slot, slot], self._K_inverse[slot, slot:]])
         k_X, a = self._explain(x)
@@ -88,7 +89,7 @@ class KernelNovelty:
         b = column / np.sqrt(column[slot])
         u = a - column * k_X[slot]
         u -= b * float(b @ k)
-        u[slot] = 0.0  # exactly, as the forgotten row is
+        u[slot] = 0.0  # exactly zero, like the row of the removed point
         gamma = 1.0 + JITTER - float(k @ u)
         u[slot] = -1.0
         u /= np.sqrt(gamma)
@@ -103,7 +104,7 @@ class KernelNovelty:
 
 
 class HistoryNovelty:
-    """Chowdhary and Johnson's test: Phi moved far enough from the last one stored, or adds a new direction."""
+    """The test of Chowdhary and Johnson: phi is far from the last stored one, or adds a direction to the stack."""
 
     def __init__(self, tolerance: float) -> None:
         self._tolerance = tolerance
@@ -111,14 +112,14 @@ class HistoryNovelty:
         self._basis = np.zeros((0, 0))
 
     def is_new(self, phi: Array) -> bool:
-        """norm(Phi - Phi_last)^2 / norm(Phi) >= eps, or rank([stack, Phi]) > rank(stack). phi: [k]."""
+        """Whether norm(phi - phi_last)^2 / norm(phi) >= eps, or rank([stack, phi]) > rank(stack). phi: [k]."""
         if self._last is None:
             return True
         moved = float(np.sum((phi - self._last) ** 2) / np.linalg.norm(phi))
         return moved >= self._tolerance or self._residual(phi) is not None
 
     def _residual(self, phi: Array) -> Array | None:
-        """Unit vector of the part of phi outside the stack's span, None if there is none."""
+        """Unit vector of the part of phi outside the span of the stack; None if it is in the span."""
         if self._basis.shape[0] >= phi.shape[0]:
             return None
         outside = phi - self._basis.T @ (self._basis @ phi) if self._basis.size else phi.copy()
@@ -126,14 +127,14 @@ class HistoryNovelty:
         return outside / size if size > RANK_TOLERANCE * float(np.linalg.norm(phi)) else None
 
     def add(self, phi: Array) -> None:
-        """Phi [k] was stored."""
+        """Add a stored phi [k] to the stack."""
         direction = self._residual(phi)
         if direction is not None:
             self._basis = np.vstack([self._basis.reshape(-1, phi.shape[0]), direction])
         self._last = phi.copy()
 
     def rebuild(self, gram: Array, last: Array) -> None:
-        """The stack is another one (deletion, or new features): its Phi'Phi [k, k], and what was stored last, [k]."""
+        """Start from another stack (row replaced, or new features): its Phi'Phi [k, k] and the last stored phi [k]."""
         sizes, directions = np.linalg.eigh(gram)  # squares of the stack's singular values
         self._basis = directions[:, sizes > RANK_TOLERANCE**2 * max(float(sizes[-1]), 1e-12)].T
         self._last = last.copy()
@@ -142,11 +143,14 @@ class HistoryNovelty:
 def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
     """Row i of the stack Phi [p, k] whose replacement by phi_new [k] gives the largest smallest singular value.
 
-    With A = Phi'Phi + phi_new phi_new' = Q diag(l) Q' and z_i = Q'phi_i, the smallest eigenvalue mu_i of
-    A - phi_i phi_i' is the root of g_i(mu) = sum_j z_ij^2 / (l_j - mu) - 1 in [0, l_1), and g_i(mu) <= 0 exactly
-    when mu <= mu_i. So a row's root found, one sweep drops all rows whose roots are less; the row that then looks
-    best is solved next, until none is left: one k x k decomposition and two or three O(p k) sweeps instead of p
-    decompositions. It begins with the row of the least share in the weakest direction.
+    With A = Phi'Phi + phi_new phi_new' = Q diag(l) Q' and z_i = Q' phi_i, the smallest eigenvalue mu_i of
+    A - phi_i phi_i' is the root in [0, l_1) of
+
+        g_i(mu) = sum_j z_ij^2 / (l_j - mu) - 1,  and g_i(mu) <= 0 exactly when mu <= mu_i.
+
+    The search starts with the row that has the least share in the weakest direction, and finds its root. One pass
+    then drops all rows with a smaller root; the most promising of the rest is solved next, until none is left. This
+    takes one k x k decomposition and two or three passes of O(p k) instead of p decompositions.
 
     Parameters
     ----------
@@ -172,10 +176,11 @@ def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
 
 
 def _root(z_squared: Array, eigenvalues: Array, low: float) -> float:
-    """The root of g, z_squared [k] being one row's, not below `low`.
+    """The root of g for one row's z_squared [k], not below `low`.
 
-    Newton's method from where the pole at l_1 alone would have it: g is convex and rises, so the steps come down on
-    the root from the right. Where the row has no share in the weakest direction that is l_1 itself, but for rounding.
+    Newton's method, mu <- mu - g(mu) / g'(mu), from the root that the pole at l_1 alone would give. g is convex and
+    rising, so the steps approach the root from the right. A row with no share in the weakest direction has the root
+    l_1, apart from rounding.
     """
     smallest = float(eigenvalues[0])
     mu = max(low, min(smallest - float(z_squared[0]), math.nextafter(smallest, 0.0)))

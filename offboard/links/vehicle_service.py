@@ -1,4 +1,4 @@
-"""What the offboard process does for one vehicle: a core between its sockets, the log, its files and the worker."""
+"""One vehicle's part of the offboard process: joins its core to sockets, log, files and background thread."""
 
 import queue
 import sys
@@ -12,8 +12,7 @@ from typing import Any, Final
 from configs.addresses import Addresses
 from flight_log.writer import FlightLogWriter
 from offboard.background import BackgroundThread, Results
-from offboard.core import OffboardCore
-from offboard.records import OffboardOutput
+from offboard.core import OffboardCore, OffboardOutput
 from offboard.training.job import TrainingResult
 from runtime.files import write_atomically
 from runtime.kernel import resident_mb
@@ -21,26 +20,26 @@ from runtime.sockets import AddressInUseError, DatagramSocket
 from runtime.status import StatusLines
 
 STEP_PERIOD_NS: Final = 10_000_000
-"""The core steps about this often, and whenever something arrived."""
+"""The core steps this often, and whenever a datagram has arrived."""
 LINK_DATAGRAMS_PER_STEP: Final = 64
 POSE_DATAGRAMS_PER_STEP: Final = 16
 ESCAPES_MAX: Final = 100
-"""Steps that may fail before a vehicle is given up; it flies on by itself."""
+"""Steps that may raise before the service of a vehicle stops; the vehicle flies on without it."""
 
 
 class VehicleService:
-    """One vehicle's share of the process.
+    """Serves one vehicle.
 
     Parameters
     ----------
     out: folder for checkpoints and versions.
-    worker: trains and writes files, for other vehicles too.
-    named: how messages name the two addresses that are bound, of the link and of the motion capture.
+    background: trains and writes files; other vehicles share it.
+    named: the names of the two bound addresses (link, motion capture) in error messages.
 
     Raises
     ------
     AddressInUseError
-        Naming what settles the address.
+        If an address is taken. The message names the option or key that sets it.
     """
 
     def __init__(
@@ -50,7 +49,7 @@ class VehicleService:
         log: FlightLogWriter,
         out: Path,
         status: StatusLines,
-        worker: BackgroundThread,
+        background: BackgroundThread,
         named: tuple[str, str] = ("--bind-link", "--bind-motion-capture"),
     ) -> None:
         self._core = core
@@ -64,10 +63,10 @@ class VehicleService:
             self._link.close()
             raise
         self.sockets: Final = (self._link, self._poses)
-        self._background = worker
+        self._background = background
         self._trained: Results = queue.SimpleQueue()
         self._unwritten: Results = queue.SimpleQueue()
-        """Reports of files: apart from the above, for they say nothing of the training job that is under way."""
+        """Results of writing files. Not those of training: a failed write does not end the training job."""
         self._checkpoint_lock = threading.Lock()
         self._checkpoint_closed = False
         self._latest_report = ""
@@ -79,15 +78,15 @@ class VehicleService:
 
     @property
     def given_up(self) -> bool:
-        """Whether too many steps failed."""
+        """Whether ESCAPES_MAX steps have raised."""
         return self.escapes >= ESCAPES_MAX
 
     def due(self, now_ns: int) -> bool:
-        """Whether a step is due even if nothing arrived."""
+        """Whether a step is due even if no datagram has arrived."""
         return now_ns >= self._due_ns
 
     def step(self) -> None:
-        """Takes in what arrived, steps the core and gives out what comes of it; what it raises is noted."""
+        """Receive what has arrived, step the core and carry out its output. An exception is logged and counted."""
         now = time.monotonic_ns()
         self._due_ns = now + STEP_PERIOD_NS
         try:
@@ -98,7 +97,7 @@ class VehicleService:
         self.steps += 1
 
     def end(self) -> bool:
-        """Closes the sockets and writes the last checkpoint. False if the core could not give one."""
+        """Close the sockets and write the last checkpoint. Returns False if the core raised instead of giving one."""
         self.close()
         try:
             last = self._core.final_checkpoint()
@@ -110,7 +109,7 @@ class VehicleService:
         return True
 
     def close(self) -> None:
-        """Closes the sockets."""
+        """Close the sockets."""
         for socket in self.sockets:
             socket.close()
 
@@ -150,14 +149,14 @@ class VehicleService:
             self._status.write({**self._core.status(now), "escapes": self.escapes})
 
     def _write_checkpoint(self, content: bytes, last: bool = False) -> None:
-        """Two threads write it, the worker in flight and the loop at its end; nothing comes after the last one."""
+        """Write the checkpoint file: in flight from the background thread, the last one from the main thread."""
         with self._checkpoint_lock:
             if not self._checkpoint_closed:
                 self._checkpoint_closed = last
                 write_atomically(self._out / "checkpoint.npz", content)
 
     def _write_last_checkpoint(self, content: bytes) -> None:
-        """A full disk must not cost the summary."""
+        """Write the last checkpoint; a full disk is reported and does not prevent the summary."""
         try:
             self._write_checkpoint(content, last=True)
         except OSError as error:
@@ -167,12 +166,12 @@ class VehicleService:
         self.escapes += 1
         self._report(now, traceback.format_exc(), f"a step failed ({self.escapes} of {ESCAPES_MAX})")
         if self.given_up:
-            text = "given up: neither features nor poses until this process is started again"
+            text = "given up: no features and no poses until this process is restarted"
             self._log.event(now, text)
             self._status.report(text)
 
     def _report(self, now: int, report: str, what: str) -> None:
-        """Tell of a failure: in full when it is not the same as the last one."""
+        """Report a failure: on stderr and in the log in full, unless it is the same as the one before."""
         if report != self._latest_report:
             self._latest_report = report
             self._log.event(now, report)
@@ -180,7 +179,7 @@ class VehicleService:
         self._status.report(f"{what}: {report.strip().splitlines()[-1]}")
 
     def summary(self) -> dict[str, Any]:
-        """What the flight record keeps of this vehicle's service."""
+        """What the flight summary stores of this vehicle's service."""
         return {
             **self._core.summary(),
             "steps": self.steps,

@@ -1,4 +1,4 @@
-"""Is a trained version worth sending? Every reason not to is a member of Verdict."""
+"""Decides whether to send a trained feature version. `Verdict` lists the reasons for refusing one."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -12,13 +12,13 @@ from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
 
 NUMPY_TOLERANCE: Final = 1e-4
-"""Largest difference of a feature between torch's float32 and numpy's float64 forward pass that is rounding."""
+"""Largest difference between torch's features (float32) and numpy's (float64) that rounding explains."""
 NEIGHBOUR_BLOCK_NS: Final = 200_000_000
-"""Errors closer than a smoothing window are not independent: significance is counted over blocks of this length."""
+"""Errors less than a smoothing window apart are not independent: the standard error is computed over such blocks."""
 
 
 class Verdict(IntEnum):
-    """What becomes of a candidate."""
+    """The decision on a candidate: send it, or the first reason for refusing it."""
 
     SEND = 0
     TOO_FEW_SAMPLES = 1
@@ -33,24 +33,24 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What a round found out about its candidate, on held-out samples."""
+    """What a round measured of its candidate on held-out samples."""
 
     time_ns: NDArray[np.int64]
-    """[n]"""
+    """[n], of the samples."""
     candidate_errors: Array
     """[n, 2]: squared error of each channel, (m/s^2)^2 and (rad/s^2)^2."""
     flying_errors: Array
-    """[n, 2]: the same of the version in the air."""
+    """[n, 2]: the same of the flying version."""
     label_power: Array
     """[2]: mean squared norm of the labels; NaN for a channel that is not learnt."""
     numpy_difference: float
     """Largest difference of a feature between torch and numpy."""
     spectral_norms: tuple[float, ...]
-    """Of every inner layer."""
+    """norm(W_i)_2 of every inner layer."""
 
 
 class Gate:
-    """Decides, and remembers when it last let one through."""
+    """Judges candidates; it stores when the last version was sent."""
 
     def __init__(self, config: GateConfig, spectral_norm_max: float) -> None:
         self._config = config
@@ -58,7 +58,7 @@ class Gate:
         self._last_sent_ns: int | None = None
 
     def judge(self, candidate: FeatureSet, evidence: Evidence, now_ns: int) -> Verdict:
-        """The first reason against sending, or SEND."""
+        """The first reason for refusing the candidate, or SEND."""
         config = self._config
         if evidence.time_ns.shape[0] < config.minimum_validation:
             return Verdict.TOO_FEW_SAMPLES
@@ -73,30 +73,34 @@ class Gate:
         return self._compare(evidence)
 
     def _compare(self, evidence: Evidence) -> Verdict:
-        """Triggered and significantly better in one channel, significantly worse in none."""
+        """SEND if the flying version explains a channel badly, and the candidate is better there and worse nowhere.
+
+        With e_fly, e_new the squared errors and se the standard error of mean(e_fly - e_new), the candidate is
+        better if mean(e_fly - e_new) > max(margin mean(e_fly), significance se), and
+        worse if mean(e_fly - e_new) < -margin mean(e_fly) - significance se.
+        """
         verdict = Verdict.NOT_TRIGGERED
-        learnt = np.flatnonzero(np.isfinite(evidence.label_power))
-        for channel in learnt:
-            flying, new = evidence.flying_errors[:, channel], evidence.candidate_errors[:, channel]
-            gain, doubt = mean_and_error(flying - new, evidence.time_ns)
-            if gain < -self._config.margin * flying.mean() - self._config.significance * doubt:
+        margin, significance = self._config.margin, self._config.significance
+        for channel in np.flatnonzero(np.isfinite(evidence.label_power)):
+            e_fly, e_new = evidence.flying_errors[:, channel], evidence.candidate_errors[:, channel]
+            gain, se = mean_and_error(e_fly - e_new, evidence.time_ns)
+            if gain < -margin * e_fly.mean() - significance * se:
                 return Verdict.WORSE_ELSEWHERE
-            if flying.mean() <= self._config.trigger_unexplained * evidence.label_power[channel]:
+            if e_fly.mean() <= self._config.trigger_unexplained * evidence.label_power[channel]:
                 continue
-            better = gain > max(self._config.margin * float(flying.mean()), self._config.significance * doubt)
-            if better:
+            if gain > max(margin * float(e_fly.mean()), significance * se):
                 verdict = Verdict.SEND
             elif verdict is not Verdict.SEND:
                 verdict = Verdict.NOT_BETTER
         return verdict
 
     def note_sent(self, now_ns: int) -> None:
-        """A version was let through at `now_ns`."""
+        """Store that a version was sent at `now_ns`."""
         self._last_sent_ns = now_ns
 
 
 def mean_and_error(values: Array, time_ns: NDArray[np.int64]) -> tuple[float, float]:
-    """Mean of the values [n] and its standard error, neighbours in time counted as one."""
+    """Mean of the values [n] and its standard error, in which each block of NEIGHBOUR_BLOCK_NS counts as one value."""
     _, block = np.unique(time_ns // NEIGHBOUR_BLOCK_NS, return_inverse=True)
     sums, counts = np.bincount(block, weights=values), np.bincount(block)
     mean = float(values.mean())

@@ -1,8 +1,15 @@
-"""The stack of networks as one flat vector of parameters, its gradient by hand, and the two optimisers on it.
+"""The parameters of all networks as one flat vector, the gradient of the loss, and the optimisers.
 
-A mini-batch through nets this small is all overhead for torch's autograd and optimisers. The same gradient is written
-out here, into views of one flat vector; a test holds it against autograd. Samples lie along the last axis of inputs,
-outputs and errors: products of such narrow matrices take half the time that way than with a row for each sample.
+Forward:     h_0 = z,  h_l = tanh(W_l h_(l-1) + b_l),  Phi = h_L,  y_hat = theta' Phi + theta_0
+Loss:        L = mean((y_hat - y)^2) over channels, axes and samples
+Backward:    delta_y = dL/dy_hat = 2 (y_hat - y) / (3 C M)
+             delta_l = dL/d(W_l h_(l-1) + b_l) = (W_(l+1)' delta_(l+1)) (1 - h_l^2), elementwise; theta' is W_(L+1)
+Gradient:    dL/dW_l' = h_(l-1) delta_l',  dL/db_l = sum of delta_l over the samples; the same for theta and theta_0
+
+C channels are trained at once, on mini-batches of M samples. The gradient is written out, into views of one flat
+vector, because torch's autograd and optimisers take most of the time of a mini-batch with networks this small; a test
+compares it with autograd. Samples are along the last axis of inputs, outputs and errors: products of such narrow
+matrices then take half the time.
 """
 
 from dataclasses import dataclass
@@ -17,13 +24,13 @@ ADAM_FAST: Final = 0.9
 ADAM_SLOW: Final = 0.999
 ADAM_FLOOR: Final = 1e-8
 _tanh_backward: Final = torch.ops.aten.tanh_backward.grad_input
-"""By the overload with an output, which else is looked for at every call."""
+"""delta (1 - h^2). The overload is named, because torch would look for it at every call."""
 MINUS_ONE: Final = torch.tensor(-1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
-    """The parts of a flat vector, or of its gradient, in their shapes (NetworkState says which)."""
+    """The parts of a flat vector of parameters, or of its gradient, in the shapes of NetworkState."""
 
     flat: torch.Tensor
     weights: list[torch.Tensor]
@@ -33,7 +40,7 @@ class Views:
 
     @staticmethod
     def of(flat: torch.Tensor, network: NetworkState) -> "Views":
-        """Views into `flat`, which is as long as the network has parameters."""
+        """Views into `flat`, whose length is the number of parameters of the network."""
         arrays = _arrays(network)
         pieces = flat.split([array.size for array in arrays])
         parts = [piece.view(array.shape) for piece, array in zip(pieces, arrays, strict=True)]
@@ -46,13 +53,13 @@ def _arrays(network: NetworkState) -> list[Array32]:
 
 
 def parameters_of(network: NetworkState) -> Views:
-    """A copy of the network's parameters, one flat vector with views."""
+    """A copy of the network's parameters as one flat vector with views."""
     flat = torch.cat([torch.from_numpy(array.reshape(-1)) for array in _arrays(network)])
     return Views.of(flat, network)
 
 
 def layer_outputs(z: torch.Tensor, parameters: Views) -> list[torch.Tensor]:
-    """Inputs z [C, m, n] and what each inner layer makes of it; the last is Phi without its constant."""
+    """h_0 = z [C, m, n], h_1, ..., h_L; the last is Phi without its constant."""
     outputs = [z]
     for W, b in zip(parameters.weights, parameters.biases, strict=True):
         outputs.append(_tanh_layer(outputs[-1], W.mT, b.mT))
@@ -60,42 +67,43 @@ def layer_outputs(z: torch.Tensor, parameters: Views) -> list[torch.Tensor]:
 
 
 def _tanh_layer(below: torch.Tensor, W: torch.Tensor, b: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
-    """tanh(W below + b), W [C, out, in].
+    """h_l = tanh(W h_(l-1) + b), W [C, out, in].
 
-    tanh(a) = 2 sigmoid(2 a) - 1, because torch's sigmoid is three times as fast as its tanh on a CPU.
+    As tanh(a) = 2 sigmoid(2 a) - 1, because torch's sigmoid is three times as fast as its tanh on a CPU.
     """
     sigmoid = torch.baddbmm(b, W, below, beta=2.0, alpha=2.0, out=out).sigmoid_()
     return torch.add(MINUS_ONE, sigmoid, alpha=2.0, out=sigmoid)
 
 
 def predictions(z: torch.Tensor, parameters: Views) -> torch.Tensor:
-    """The labels [C, 3, n] that inputs z [C, m, n] are thought to have."""
+    """y_hat = theta' Phi + theta_0, [C, 3, n], at inputs z [C, m, n]."""
     return torch.baddbmm(parameters.last_bias.mT, parameters.last_layer.mT, layer_outputs(z, parameters)[-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layer:
-    """A layer's part in a mini-batch of M, with every view and all room that it needs."""
+    """A layer on mini-batches of M samples: its views, and the memory it writes to."""
 
-    back: torch.Tensor
-    """W', which takes delta to the layer below, [C, in, out]."""
+    WT: torch.Tensor
+    """W', [C, in, out]; W' delta is what the layer below gets."""
     W: torch.Tensor
     """[C, out, in]"""
     b: torch.Tensor
     """[C, out, 1]"""
-    gradient_back: torch.Tensor
-    """Where the gradient by W' is written to."""
+    gradient_WT: torch.Tensor
+    """dL/dW', written by every mini-batch."""
     gradient_b: torch.Tensor
+    """dL/db, written by every mini-batch."""
     output: torch.Tensor
     """[C, out, M]"""
     delta: torch.Tensor
-    """Derivative of L by the layer's sum W x + b, [C, out, M]."""
-    delta_back: torch.Tensor
-    """[C, M, out]"""
+    """dL/d(W h + b), [C, out, M]."""
+    deltaT: torch.Tensor
+    """delta', [C, M, out]."""
 
     @staticmethod
     def all_of(parameters: Views, gradient: Views, rows: int) -> list["_Layer"]:
-        """The layers, the last one (theta) last."""
+        """All layers; theta with theta_0 is the last."""
         weights, biases = [*parameters.weights, parameters.last_layer], [*parameters.biases, parameters.last_bias]
         of_weights, of_biases = [*gradient.weights, gradient.last_layer], [*gradient.biases, gradient.last_bias]
         layers = []
@@ -104,48 +112,51 @@ class _Layer:
             layers.append(_Layer(W, W.mT, b.mT, of_W, of_b.mT, output, delta, delta.mT))
         return layers
 
+    def write_gradient(self, below: torch.Tensor) -> None:
+        """dL/dW' = h_(l-1) delta', dL/db = sum of delta over the samples; `below` is h_(l-1), [C, in, M]."""
+        torch.bmm(below, self.deltaT, out=self.gradient_WT)
+        torch.sum(self.delta, 2, keepdim=True, out=self.gradient_b)
+
 
 class LossGradient:
-    """Gradient of L = mean of squared errors over mini-batches of one size.
+    """Gradient of L over mini-batches of one size.
 
-    Views and room are made once: anew for each mini-batch they would take a seventh of its time.
+    Views and memory are made once; making them for each mini-batch would take a seventh of its time.
 
     Parameters
     ----------
     parameters: of the network; read at every mini-batch.
-    gradient: where the gradient is written to.
-    rows: M, samples of a mini-batch.
+    gradient: the gradient is written to it.
+    rows: M, samples per mini-batch.
     """
 
     def __init__(self, parameters: Views, gradient: Views, rows: int) -> None:
         *self._inner, self._last = _Layer.all_of(parameters, gradient, rows)
         self._derivative = 2.0 / self._last.output.numel()
 
-    def at(self, z: torch.Tensor, y: torch.Tensor, kept: torch.Tensor | None) -> torch.Tensor:
-        """Write the gradient at a mini-batch; returns the errors, [C, 3, M], which the next one overwrites.
+    def at(self, z: torch.Tensor, y: torch.Tensor, dropout: torch.Tensor | None) -> torch.Tensor:
+        """Write the gradient at a mini-batch; returns y_hat - y, [C, 3, M], which the next call overwrites.
 
         Parameters
         ----------
         z: scaled inputs, [C, m, M].
         y: labels, [C, 3, M].
-        kept: dropout's factors on the features, [C, k - 1, M]; None for no dropout.
+        dropout: factors on the features, [C, k - 1, M]; None for no dropout.
         """
-        last, inputs = self._last, [z]
-        for layer in self._inner:
-            inputs.append(_tanh_layer(inputs[-1], layer.W, layer.b, layer.output))
-        features = inputs[-1] if kept is None else inputs[-1] * kept
-        errors = torch.baddbmm(last.b, last.W, features, out=last.output).sub_(y)
-        torch.mul(errors, self._derivative, out=last.delta)
-        torch.bmm(features, last.delta_back, out=last.gradient_back)
-        torch.sum(last.delta, 2, keepdim=True, out=last.gradient_b)
+        last, h = self._last, [z]
+        for layer in self._inner:  # h_l = tanh(W_l h_(l-1) + b_l)
+            h.append(_tanh_layer(h[-1], layer.W, layer.b, layer.output))
+        Phi = h[-1] if dropout is None else h[-1] * dropout
+        errors = torch.baddbmm(last.b, last.W, Phi, out=last.output).sub_(y)  # theta' Phi + theta_0 - y
+        torch.mul(errors, self._derivative, out=last.delta)  # delta_y = 2 errors / (3 C M)
+        last.write_gradient(Phi)
         above = last
-        for layer, below in zip(reversed(self._inner), reversed(inputs[:-1]), strict=True):
-            torch.bmm(above.back, above.delta, out=layer.delta)
-            if above is last and kept is not None:
-                layer.delta.mul_(kept)
-            _tanh_backward(layer.delta, layer.output, grad_input=layer.delta)
-            torch.bmm(below, layer.delta_back, out=layer.gradient_back)
-            torch.sum(layer.delta, 2, keepdim=True, out=layer.gradient_b)
+        for layer, below in zip(reversed(self._inner), reversed(h[:-1]), strict=True):
+            torch.bmm(above.WT, above.delta, out=layer.delta)  # W_(l+1)' delta_(l+1)
+            if above is last and dropout is not None:
+                layer.delta.mul_(dropout)
+            _tanh_backward(layer.delta, layer.output, grad_input=layer.delta)  # delta_l = ... (1 - h_l^2)
+            layer.write_gradient(below)
             above = layer
         return errors
 
@@ -155,8 +166,8 @@ class Optimiser:
 
     Parameters
     ----------
-    moments: those of an earlier round, to go on from; empty to begin.
-    steps: steps behind those moments.
+    moments: of the round before, to continue from; empty to start.
+    steps: steps already taken with these moments.
     """
 
     def __init__(self, config: TrainerConfig, size: int, moments: tuple[Array32, ...], steps: int) -> None:
@@ -170,21 +181,28 @@ class Optimiser:
 
     @property
     def moments(self) -> tuple[Array32, ...]:
-        """To be handed to the next round."""
+        """The moments, for the next round."""
         return tuple(moment.numpy().copy() for moment in self._moments)
 
     def step(self, parameters: torch.Tensor, gradient: torch.Tensor) -> None:
-        """One step, in place."""
+        """One step, in place. The gradient is overwritten."""
         self.steps += 1
         if self._config.optimiser == "adam":
             self._adam(parameters, gradient)
         else:
+            # g <- g + decay p,  m <- momentum m + g,  p <- p - rate m
             gradient.add_(parameters, alpha=self._config.weight_decay)
-            momentum = self._moments[0].mul_(self._config.momentum).add_(gradient)
-            parameters.add_(momentum, alpha=-self._config.learning_rate)
+            m = self._moments[0].mul_(self._config.momentum).add_(gradient)
+            parameters.add_(m, alpha=-self._config.learning_rate)
 
     def _adam(self, parameters: torch.Tensor, gradient: torch.Tensor) -> None:
-        """Kingma and Ba 2015, by the kernel behind torch.optim.Adam(fused=True): the class takes 70 us, it takes 5."""
+        """Adam (Kingma and Ba 2015), t-th step.
+
+        g <- g + decay p,  m <- beta1 m + (1 - beta1) g,  v <- beta2 v + (1 - beta2) g^2,
+        p <- p - rate (m / (1 - beta1^t)) / (sqrt(v / (1 - beta2^t)) + eps)
+
+        By the kernel behind torch.optim.Adam(fused=True): the class takes 70 us a step, the kernel 5.
+        """
         self._step.fill_(self.steps)
         torch._fused_adam_(
             [parameters],

@@ -1,4 +1,4 @@
-"""A round of training as it is ordered, and what it gives back: plain records, without torch."""
+"""A round of training as records, without torch: what it needs (TrainingJob) and what it returns (TrainingResult)."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +17,7 @@ class TrainerState:
 
     network: NetworkState
     moments: tuple[Array32, ...]
-    """Of the optimiser, on the flat vector of parameters; empty before the first round."""
+    """The optimiser's moments of the flat parameter vector; empty before the first round."""
     steps: int
     """Mini-batches so far."""
     rounds: int
@@ -25,10 +25,11 @@ class TrainerState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingResult:
-    """What a round found."""
+    """The result of a round."""
 
     state: TrainerState
     candidate: FeatureSet
+    """The trained networks, with their parameters rounded as for sending."""
     evidence: Evidence
     epoch_losses: Array
     """[epochs, 3, 2]: training, validation, test loss per channel after each epoch, (m/s^2)^2 and (rad/s^2)^2."""
@@ -37,7 +38,7 @@ class TrainingResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingJob:
-    """A round to be run: everything it reads is its own copy."""
+    """A round of training to be run. Its tables are copies, which nothing else changes."""
 
     network_config: NetworkConfig
     config: TrainerConfig
@@ -47,15 +48,15 @@ class TrainingJob:
     newest: SampleTable
     buffer_config: BufferConfig
     flying: FeatureSet | None
-    """The version in the air, None for the random start features (whose nu_ad is not known here)."""
+    """The version in flight; None for the random start features (whose nu_ad is not known here)."""
     version: int
-    """Number the result would be sent under."""
+    """Number under which the result would be sent."""
     samples_seen: int
     wire_dtype: Literal["float16", "float32"]
-    """Size of the parameters on the way up: what is judged is what will fly."""
+    """Float size of the parameters on the link: the gate judges the networks as they would fly."""
 
     def run(self) -> TrainingResult:
-        """Train (offboard.training.round.train). torch is loaded here: a side that learns nothing does without it."""
+        """Run the round, by offboard.training.round. torch is loaded here: a process that learns nothing needs none."""
         from offboard.training.round import train
 
         return train(self)

@@ -1,7 +1,7 @@
-"""The feature networks of all channels, side by side in one stack of arrays, and their one numpy reference.
+"""The feature networks of all channels in one stack of arrays, and their features in numpy.
 
 Phi(x) = [tanh(W_L ... tanh(W_1 z + b_1) ... + b_L); 1] with z = (x - offset) / scale. All channels have the same
-widths, so that one batched product serves them all; a channel with fewer inputs is padded with inputs that are zero.
+layer widths, so that one batched product computes them all; a channel with fewer inputs is padded with zeros.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ from protocol.signals import CHANNELS, input_indices
 Array32 = NDArray[np.float32]
 
 SPECTRAL_SLACK: Final = 0.999
-"""The exact projection aims so far below the bound that rounding to float32 cannot lift a norm above it."""
+"""Factor on the bound in the exact projection, so that rounding to float32 cannot lift a norm above the bound."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkState:
-    """Weights of C channels with m (padded) inputs and k features, the constant included."""
+    """Parameters of C channels with m (padded) inputs and k features, the constant included."""
 
     offset: Array32
     """[C, m]"""
@@ -37,20 +37,21 @@ class NetworkState:
     last_layer: Array32
     """theta, [C, k - 1, 3], in units of u."""
     last_bias: Array32
-    """The constant feature's row of theta, [C, 1, 3]."""
+    """theta_0, the row of theta for the constant feature, [C, 1, 3]."""
 
 
 @dataclass(frozen=True, slots=True)
 class InputPlan:
-    """Which signals feed which channel."""
+    """The inputs of each channel's features."""
 
     channels: tuple[int, ...]
     """Indices into protocol.signals.CHANNELS, [C]."""
     names: tuple[tuple[str, ...], ...]
+    """Signal names of each channel's inputs."""
 
     @staticmethod
     def of(config: NetworkConfig) -> "InputPlan":
-        """The plan that the configuration asks for."""
+        """The plan of a configuration."""
         channels = tuple(index for index, name in enumerate(CHANNELS) if name in config.channels)
         return InputPlan(channels, tuple(config.inputs(CHANNELS[index]) for index in channels))
 
@@ -60,7 +61,7 @@ class InputPlan:
         return max(len(names) for names in self.names)
 
     def gather(self, signals: Array32, offset: Array32, scale: Array32) -> Array32:
-        """Scaled inputs z [C, m, n] from signals [n, SIGNAL_COUNT]; the padding is zero."""
+        """z = (x - offset) / scale, [C, m, n], of signals [n, SIGNAL_COUNT]; the padding is zero."""
         z = np.zeros((len(self.channels), self.width, signals.shape[0]), dtype=np.float32)
         for row, names in enumerate(self.names):
             used = len(names)
@@ -69,7 +70,7 @@ class InputPlan:
 
 
 def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkState:
-    """Random inner layers below the spectral bound, last layer zero."""
+    """Random inner layers within the spectral bound, last layer zero."""
     plan = InputPlan.of(config)
     C, m = len(plan.channels), plan.width
     widths = (m, *config.hidden, config.features - 1)
@@ -97,7 +98,7 @@ def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkSta
 
 
 def scales_from_data(config: NetworkConfig, signals: Array32) -> tuple[Array32, Array32]:
-    """Offset and scale [C, m] from mean and spread of signals [n, SIGNAL_COUNT], at least half the fixed scale."""
+    """Mean, and standard deviation but at least half the fixed scale, of signals [n, SIGNAL_COUNT]; [C, m] each."""
     plan = InputPlan.of(config)
     offset = np.zeros((len(plan.channels), plan.width), dtype=np.float32)
     scale = np.ones_like(offset)
@@ -110,15 +111,15 @@ def scales_from_data(config: NetworkConfig, signals: Array32) -> tuple[Array32, 
 
 
 def below_bound(W: Array32, bound: float) -> Array32:
-    """Each matrix of the stack [C, in, out] scaled down to the bound, by its exact norm."""
-    norms = np.linalg.norm(W.astype(np.float64), 2, axis=(1, 2))
-    shrink = np.minimum(1.0, SPECTRAL_SLACK * bound / np.maximum(norms, 1e-12))
+    """W min(1, bound / sigma_1) of each matrix of the stack [C, in, out], sigma_1 its largest singular value."""
+    sigma_1 = np.linalg.norm(W.astype(np.float64), 2, axis=(1, 2))
+    shrink = np.minimum(1.0, SPECTRAL_SLACK * bound / np.maximum(sigma_1, 1e-12))
     shrunk: Array32 = (W * shrink[:, None, None]).astype(np.float32)
     return shrunk
 
 
 def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelFeatures:
-    """Channel `row` of the stack in the form that crosses the border."""
+    """Channel `row` of the stack as it is sent to onboard."""
     m = len(plan.names[row])
     weights = [W[row].T.astype(np.float64) for W in state.weights]
     weights[0] = weights[0][:, :m].copy()
@@ -133,13 +134,13 @@ def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelF
 
 
 def feature_set(state: NetworkState, plan: InputPlan, version: int, parent: int, samples: int) -> FeatureSet:
-    """The networks as a version to be sent."""
+    """The networks as a feature version to send."""
     channels = {CHANNELS[at]: channel_features(state, plan, row) for row, at in enumerate(plan.channels)}
     return FeatureSet(version, parent, samples, channels.get("position"), channels.get("attitude"))
 
 
 def state_of(features: FeatureSet, config: NetworkConfig) -> NetworkState:
-    """The networks of a version, to be trained further.
+    """The networks of a feature version, to be trained further.
 
     Raises
     ------
@@ -147,8 +148,7 @@ def state_of(features: FeatureSet, config: NetworkConfig) -> NetworkState:
         If its channels, inputs or widths are not those of the configuration.
     """
     plan = InputPlan.of(config)
-    rng = np.random.default_rng(0)
-    template = initial_state(config, rng)
+    template = initial_state(config, np.random.default_rng(0))
     found = [(features.position, features.attitude)[at] for at in plan.channels]
     state = NetworkState(
         template.offset.copy(),
@@ -174,8 +174,8 @@ def state_of(features: FeatureSet, config: NetworkConfig) -> NetworkState:
 
 
 def phi(features: ChannelFeatures, signals: NDArray[np.floating]) -> Array:
-    """Phi [n, k] of signals [n, SIGNAL_COUNT], in numpy and float64: what torch's features are checked against."""
-    z = (signals[:, input_indices(features.inputs)].astype(np.float64) - features.offset) / features.scale
+    """Phi [n, k] of signals [n, SIGNAL_COUNT], in numpy and float64. The gate compares torch's features with it."""
+    h = (signals[:, input_indices(features.inputs)].astype(np.float64) - features.offset) / features.scale
     for W, b in zip(features.weights, features.biases, strict=True):
-        z = np.tanh(z @ W.T + b)
-    return np.hstack([z, np.ones((z.shape[0], 1))])
+        h = np.tanh(h @ W.T + b)
+    return np.hstack([h, np.ones((h.shape[0], 1))])

@@ -1,8 +1,8 @@
-"""One round of training: a pure function of a snapshot of samples, weights and a seed.
+"""One round of training: a pure function of samples, weights and a seed.
 
 A round is `batches` mini-batches, each drawn partly from the newest samples and partly from the buffer, followed by a
-ridge regression of the last layer over the same mixture. Labels are standardised while training; theta is kept in
-the units of u. Nothing here knows a clock, a file or a thread.
+ridge regression of the last layer over the same mixture. Training uses standardised labels y = Delta / label_scale; a
+TrainerState holds theta in the units of u.
 """
 
 from collections.abc import Iterator
@@ -24,14 +24,14 @@ from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 
 HELD_OUT_MINIMUM: Final = 20
-"""Held-out samples without which no ridge is chosen by them."""
+"""With fewer held-out samples the first ridge of the configuration is used."""
 
-torch.set_num_threads(1)  # for products as small as these more threads only cost; and one adds up in one order
+torch.set_num_threads(1)  # more threads make products this small slower; one thread sums in a fixed order
 
 
 def train(job: TrainingJob) -> TrainingResult:
-    """One round. Deterministic: the same job gives the same result, bit for bit, on the same machine."""
-    with torch.inference_mode():  # the gradient is written out: nothing is to be recorded for autograd
+    """Run one round. The same job gives the same result, bit for bit, on the same machine."""
+    with torch.inference_mode():  # no autograd: the gradient is computed in offboard.training.gradient
         return _Round(job).run()
 
 
@@ -53,7 +53,7 @@ class _Round:
         self._z, self._y_raw = self._inputs(newest.joined(buffer))
         self._label_scale = self._scale_of_labels()
         self._y = self._y_raw / self._label_scale
-        self._held_out = [self._held_out_of(split) for split in (VALIDATION, TEST)]
+        self._held_out = [self._inputs(self._held_out_table(split)) for split in (VALIDATION, TEST)]
         self._parameters = parameters_of(network)
         self._parameters.last_layer.div_(self._label_scale.mT)
         self._parameters.last_bias.div_(self._label_scale.mT)
@@ -78,7 +78,7 @@ class _Round:
         return TrainingResult(state, candidate, self._evidence(trained, candidate), losses, self._samples)
 
     def _diverged(self, losses: Array) -> TrainingResult:
-        """The round ran away: go on from where it began, without its momentum, and send nothing."""
+        """The parameters are not finite: restore those from before the round, drop the momentum and send nothing."""
         state = TrainerState(self._job.state.network, (), 0, self._job.state.rounds + 1)
         candidate = feature_set(state.network, self._plan, self._job.version, 0, self._job.samples_seen)
         self._parameters = parameters_of(state.network)
@@ -87,7 +87,7 @@ class _Round:
         return TrainingResult(state, candidate, evidence, losses, self._samples)
 
     def _inputs(self, table: SampleTable) -> tuple[torch.Tensor, torch.Tensor]:
-        """Scaled inputs [C, m, n] and labels [C, 3, n] of a table."""
+        """Scaled inputs z [C, m, n] and labels Delta [C, 3, n] of a table."""
         z = self._plan.gather(table.signals, self._network.offset, self._network.scale)
         labels = table.labels[:, list(self._plan.channels)].transpose(1, 2, 0)
         return torch.from_numpy(z), torch.from_numpy(np.ascontiguousarray(labels))
@@ -98,11 +98,8 @@ class _Round:
         floor = torch.tensor([floors[at] for at in self._plan.channels])[:, None, None]
         return torch.maximum(self._y_raw.square().mean(dim=2, keepdim=True).sqrt(), floor)
 
-    def _held_out_of(self, split: int) -> tuple[torch.Tensor, torch.Tensor]:
-        return self._inputs(self._held_out_table(split))
-
     def _held_out_table(self, split: int) -> SampleTable:
-        """Samples of a split, each once although the newest may also be in the buffer."""
+        """Samples of a split, each once; a newest sample may also be in the buffer."""
         table = _of_split(self._job.buffer, split).joined(_of_split(self._job.newest, split))
         _, first = np.unique(table.time_ns, return_index=True)
         return table.take(first)
@@ -117,7 +114,7 @@ class _Round:
             yield rows[torch.from_numpy(part)]
 
     def _epoch(self, indices: torch.Tensor) -> Array:
-        """Some mini-batches; training, validation and test loss, [3, 2]."""
+        """Train on these mini-batches; returns training, validation and test loss, [3, 2]."""
         squares = torch.zeros(len(self._plan.channels), 3, indices.shape[1])
         every = self._job.config.projection_every
         inputs, labels = _batches_of(self._z, indices), _batches_of(self._y, indices)
@@ -155,26 +152,29 @@ class _Round:
         return losses
 
     def _refit(self) -> None:
-        """Last layer: argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge norm(theta)^2, w as mini-batches draw.
+        """Ridge regression of the last layer, w_i being the probability that a mini-batch draws sample i.
 
-        The constant feature's row is not shrunk. The ridge is chosen per channel by the held-out samples.
+        theta = argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge theta' D theta
+              = (Phi w Phi' + ridge D)^-1 Phi w y',  D = I, but nearly 0 for the constant feature
+
+        For each channel the ridge with the least scatter on the held-out samples is used.
         """
-        Phi, held_out = self._phi(self._z), self._phi(self._held_out[0][0])
+        Phi, Phi_held_out = self._phi(self._z), self._phi(self._held_out[0][0])
         y_held_out = (self._held_out[0][1] / self._label_scale).double()
-        weighted = Phi * self._draw
-        gram, moment = weighted @ Phi.mT, weighted @ self._y.double().mT
-        shrunk = torch.ones(Phi.shape[1], dtype=torch.float64)
-        shrunk[-1] = 1e-6
-        fits = [torch.linalg.solve(gram + ridge * torch.diag(shrunk), moment) for ridge in self._job.config.ridges]
-        scatters = torch.stack([_scatter(y_held_out - theta.mT @ held_out) for theta in fits])
-        enough = held_out.shape[2] >= HELD_OUT_MINIMUM
+        Phi_w = Phi * self._draw
+        gram, moment = Phi_w @ Phi.mT, Phi_w @ self._y.double().mT
+        D = torch.eye(Phi.shape[1], dtype=torch.float64)
+        D[-1, -1] = 1e-6
+        fits = [torch.linalg.solve(gram + ridge * D, moment) for ridge in self._job.config.ridges]
+        scatters = torch.stack([_scatter(y_held_out - theta.mT @ Phi_held_out) for theta in fits])
+        enough = Phi_held_out.shape[2] >= HELD_OUT_MINIMUM
         best = scatters.argmin(dim=0).tolist() if enough else [0] * len(self._plan.channels)
         theta = torch.stack([fits[ridge][row] for row, ridge in enumerate(best)]).float()
         self._parameters.last_layer.copy_(theta[:, :-1])
         self._parameters.last_bias.copy_(theta[:, -1:])
 
     def _phi(self, z: torch.Tensor) -> torch.Tensor:
-        """Phi with its constant, [C, k, n], for the regression in double precision."""
+        """Phi with its constant, [C, k, n], in double precision."""
         features = layer_outputs(z, self._parameters)[-1].double()
         return torch.cat([features, torch.ones_like(features[:, :1])], dim=1)
 
@@ -189,7 +189,7 @@ class _Round:
         )
 
     def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
-        """What the gate needs to know: the numpy pass against torch's, and how the rounded candidate does."""
+        """What the gate judges: the errors of the rounded candidate, and how far numpy's features are from torch's."""
         table = self._held_out_table(VALIDATION)
         labels = table.labels.astype(np.float64)
         return Evidence(
@@ -207,7 +207,7 @@ class _Round:
         )
 
     def _numpy_difference(self, trained: FeatureSet, table: SampleTable) -> float:
-        """Largest difference of a feature between torch's float32 and numpy's float64 pass."""
+        """Largest difference of a feature between torch's float32 and numpy's float64 forward pass."""
         z, _ = self._held_out[0]
         if not table.rows:
             return 0.0
@@ -226,7 +226,7 @@ def _batches_of(table: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, 
 
 
 def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable) -> torch.Tensor:
-    """Probability with which a mini-batch draws each row, the newest (newer ones likelier) before the buffer, [n]."""
+    """Probability with which a mini-batch draws each row, [n]: the newest (later ones more often), then the buffer."""
     config = job.buffer_config
     share = config.newest_fraction if newest.rows and buffer.rows else float(newest.rows > 0)
     fading = np.exp(-np.arange(newest.rows)[::-1] / config.newest_scale)
@@ -236,7 +236,7 @@ def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable
 
 
 def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array) -> Array:
-    """norm(y - theta'Phi)^2 of each sample and channel [n, 2]; a channel that is not covered predicts 0."""
+    """norm(y - theta' Phi)^2 of each sample and channel, [n, 2]; a channel without features predicts 0."""
     errors = labels.copy()
     for at, channel in enumerate((features.position, features.attitude) if features is not None else ()):
         if channel is not None and signals.shape[0]:
@@ -246,12 +246,12 @@ def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array)
 
 
 def _scatter(errors: torch.Tensor) -> torch.Tensor:
-    """Squared errors about their mean, [C], of errors [C, 3, n]: a constant error is for the law on board to remove."""
+    """Squared errors about their mean, [C], of errors [C, 3, n]: the law on board removes a constant error."""
     return (errors - errors.mean(dim=2, keepdim=True)).square().sum(dim=(1, 2))
 
 
 def _power(labels: Array, channels: tuple[int, ...]) -> Array:
-    """Mean squared norm of the labels of each channel, [2]; NaN where the channel is not learnt."""
+    """Mean squared norm of the labels of each channel, [2]; NaN for a channel that is not learnt."""
     power = np.full(len(CHANNELS), np.nan)
     if labels.shape[0]:
         power[list(channels)] = np.square(labels).sum(axis=2).mean(axis=0)[list(channels)]

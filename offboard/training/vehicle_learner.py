@@ -1,10 +1,11 @@
-"""What is learnt about one vehicle: its samples, its buffer, its networks, its versions.
+"""What is learnt about one vehicle: its samples, labels, buffer, networks and feature versions.
 
-A trainer of several vehicles holds one VehicleLearner for each. No bytes, no clock and no link here.
+A process that trains for several vehicles has one VehicleLearner for each. No bytes, clock or link in this file.
 """
 
-from dataclasses import dataclass, replace
-from typing import Final
+from collections import Counter
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,22 +20,22 @@ from offboard.training.network import InputPlan, NetworkState, feature_set, init
 from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
 from protocol.messages import SampleBatch
+from protocol.signals import CHANNELS
 
-VERSIONS_REMEMBERED: Final = 16
+VERSIONS_STORED: Final = 16
 SESSION_GAP_NS: Final = 1_000_000_000
-"""Put between the samples of two flights, whose clocks have nothing to do with each other."""
+"""Inserted between the samples of two flights, whose clocks are unrelated."""
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of a round."""
+class Outcome(NamedTuple):
+    """The gate's verdict on a round, and the version to send; None unless the verdict is SEND."""
 
     verdict: Verdict
     to_send: FeatureSet | None
 
 
 class VehicleLearner:
-    """Samples in, training jobs and versions out."""
+    """Receives samples and training results; returns training jobs and feature versions."""
 
     def __init__(self, config: OffboardConfig) -> None:
         self._config = config
@@ -44,13 +45,16 @@ class VehicleLearner:
         self._buffer = NoveltyBuffer(config.buffer, config.network, self._feature_function(self._state.network))
         self._newest = NewestRing(config.buffer.newest)
         self._gate = Gate(config.gate, config.network.spectral_norm_max)
-        self._sent: dict[int, FeatureSet] = {}
+        self._issued: dict[int, FeatureSet] = {}
         self.latest: FeatureSet | None = None
-        """The newest version sent, or loaded."""
+        """The newest version issued or loaded."""
         self.version = 0
-        """The highest version number in use anywhere."""
+        """The highest version number in use on either side."""
         self.labelled = 0
-        """Labelled samples so far, earlier flights of the same experience included."""
+        """Labelled samples so far, those of earlier flights of the same experience included."""
+        self.verdicts: Counter[str] = Counter()
+        self.validation_losses: dict[str, float | None] = {f"validation_loss_{channel}": None for channel in CHANNELS}
+        """Of the last round, (m/s^2)^2 and (rad/s^2)^2; None where the channel has no held-out sample."""
         self._labelled_at_last_job = 0
         self._training_samples = 0
         self._block = (-1, TRAINING)
@@ -73,27 +77,26 @@ class VehicleLearner:
         return self._state.rounds
 
     def start_flight(self) -> None:
-        """The onboard process is another one: its indices and its clock start anew."""
+        """Another onboard process has started: sample indices and sample times begin anew."""
         self._labels.restart()
         self._time_shift_ns = None
 
     def receive(self, batch: SampleBatch) -> None:
-        """Label, split and store."""
-        for sample in self._labels.receive(batch):
-            self._store(self._on_one_clock(sample))
+        """Label the samples of a batch, assign each to a split, and store it."""
+        for labelled in self._labels.receive(batch):
+            sample = self._on_one_clock(labelled)
+            split = self._split(sample.time_ns)
+            self._newest.put(sample, split)
+            self._buffer.consider(sample, split)
+            self.labelled += 1
+            self._training_samples += split == TRAINING
 
     def _on_one_clock(self, sample: LabelledSample) -> LabelledSample:
+        """The sample with its time shifted so that the times of successive flights increase."""
         if self._time_shift_ns is None:
             self._time_shift_ns = max(0, self._last_time_ns + SESSION_GAP_NS - sample.time_ns) if self.labelled else 0
         self._last_time_ns = sample.time_ns + self._time_shift_ns
         return replace(sample, time_ns=self._last_time_ns)
-
-    def _store(self, sample: LabelledSample) -> None:
-        split = self._split(sample.time_ns)
-        self._newest.put(sample, split)
-        self._buffer.consider(sample, split)
-        self.labelled += 1
-        self._training_samples += split == TRAINING
 
     def _split(self, time_ns: int) -> int:
         config = self._config.buffer
@@ -104,7 +107,7 @@ class VehicleLearner:
         return self._block[1]
 
     def job(self, flying_version: int) -> TrainingJob | None:
-        """A round over what is there now, if there is enough and something new."""
+        """A round over the samples of now; None if there are too few, or none since the last job."""
         enough = self._training_samples >= self._config.trainer.minimum_samples
         if not enough or self.labelled == self._labelled_at_last_job:
             return None
@@ -118,33 +121,36 @@ class VehicleLearner:
             buffer=self._buffer.rows().released(before_ns),
             newest=self._newest.rows().released(before_ns),
             buffer_config=self._config.buffer,
-            flying=self._sent.get(flying_version),
+            flying=self._issued.get(flying_version),
             version=self.version + 1,
             samples_seen=self.labelled,
             wire_dtype=self._config.transfer.dtype,
         )
 
     def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:
-        """Go on from what was trained; the version to send, if the gate lets it through."""
+        """Continue from the trained networks; issue a version if the gate allows it."""
         verdict = self._gate.judge(result.candidate, result.evidence, now_ns)
         self._state = result.state
         self._buffer.set_features(self._feature_function(result.state.network))
+        self.verdicts[verdict.name.lower()] += 1
+        losses = (float(loss) if np.isfinite(loss) else None for loss in result.epoch_losses[-1, 1])
+        self.validation_losses = dict(zip(self.validation_losses, losses, strict=True))
         if verdict is not Verdict.SEND:
             return Outcome(verdict, None)
         self._gate.note_sent(now_ns)
         return Outcome(verdict, self.issue(result.candidate))
 
-    def note_version(self, version: int) -> None:
-        """Onboard knows this version: the next one must be higher."""
-        self.version = max(self.version, version)
+    def note_versions(self, *versions: int) -> None:
+        """Onboard knows these versions: the next number must be higher."""
+        self.version = max(self.version, *versions)
 
     def issue(self, features: FeatureSet) -> FeatureSet:
-        """A version under the next number, now the latest."""
+        """Give the features the next version number; they are then the latest version."""
         self.version += 1
         numbered = replace(features, version=self.version)
-        self._sent[self.version] = numbered
-        if len(self._sent) > VERSIONS_REMEMBERED:
-            del self._sent[min(self._sent)]
+        self._issued[self.version] = numbered
+        if len(self._issued) > VERSIONS_STORED:
+            del self._issued[min(self._issued)]
         self.latest = numbered
         return numbered
 
@@ -159,14 +165,14 @@ class VehicleLearner:
         return stacked
 
     def experience(self) -> bytes:
-        """All of it as the bytes of a file."""
+        """Everything that was learnt, as the bytes of a file."""
         return dump_experience(
             Experience(
                 state=self._state,
                 buffer=self._buffer.rows(),
                 buffer_order=self._buffer.order,
                 newest=self._newest.rows(),
-                versions=tuple(self._sent.values()),
+                versions=tuple(self._issued.values()),
                 version=self.version,
                 labelled=self.labelled,
                 training_samples=self._training_samples,
@@ -174,19 +180,19 @@ class VehicleLearner:
         )
 
     def resume(self, experience: Experience) -> None:
-        """Go on where a checkpoint stopped: same buffer, weights, optimiser, versions.
+        """Continue where a checkpoint was made: with the same buffer, weights, optimiser and versions.
 
         Raises
         ------
         ValueError
-            If it was made with other networks than the configured ones.
+            If the checkpoint was made with networks of another shape than the configured ones.
         """
         self._require_same_networks(experience.state.network)
         self._state = experience.state
         self._buffer.load(experience.buffer, experience.buffer_order)
         self._buffer.set_features(self._feature_function(self._state.network))
         self._newest.load(experience.newest)
-        self._sent = {features.version: features for features in experience.versions}
+        self._issued = {features.version: features for features in experience.versions}
         self.latest = experience.versions[-1] if experience.versions else None
         self.version = experience.version
         self.labelled = experience.labelled
@@ -195,7 +201,7 @@ class VehicleLearner:
         self._last_time_ns = int(times.max(initial=0))
 
     def warm_start(self, features: FeatureSet) -> None:
-        """Start from an earlier version's networks, with no samples; it becomes the latest version.
+        """Start from the networks of an earlier version, with no samples; it is then the latest version.
 
         Raises
         ------

@@ -90,19 +90,19 @@ def test_several_vehicles_need_their_own_number_and_addresses(
     twin = configuration(tmp_path / "twin.yaml", 1, 18020)
     neighbour = configuration(tmp_path / "neighbour.yaml", 2, 18000)
     said = refused(capfd, "--config", first, "--also", twin, "--out", tmp_path)
-    assert "twin.yaml: offboard.vehicle_id: 1 is that of" in said
+    assert "twin.yaml: offboard.vehicle_id: 1 is used by" in said
     said = refused(capfd, "--config", first, "--also", neighbour, "--out", tmp_path)
     assert "neighbour.yaml: network." in said
-    assert "is taken by" in said
+    assert "is used by" in said
 
 
 def test_options_for_one_vehicle_are_refused_beside_also(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = configuration(tmp_path / "first.yaml", 1, 18000)
     second = configuration(tmp_path / "second.yaml", 2, 18020)
-    assert "--also: only beside --config" in refused(capfd, "--onboard", "127.0.0.1:14571", "--also", second)
+    assert "--also: needs --config" in refused(capfd, "--onboard", "127.0.0.1:14571", "--also", second)
     both = ("--config", first, "--also", second, "--out", tmp_path)
-    assert "--bind-link: not beside --also" in refused(capfd, *both, "--bind-link", "127.0.0.1:18099")
-    assert "the folder is wanted" in refused(capfd, *both, "--resume", tmp_path / "checkpoint.npz")
+    assert "--bind-link: not allowed with --also" in refused(capfd, *both, "--bind-link", "127.0.0.1:18099")
+    assert "give the --out folder" in refused(capfd, *both, "--resume", tmp_path / "checkpoint.npz")
     assert "holds no vehicle_N/checkpoint.npz" in refused(capfd, *both, "--resume", tmp_path)
     (tmp_path / "vehicle_2").mkdir()
     (tmp_path / "vehicle_2" / "checkpoint.npz").write_bytes(b"damaged")

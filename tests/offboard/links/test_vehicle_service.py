@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from offboard.background import BackgroundThread
+from offboard.core import OffboardOutput
 from offboard.links import vehicle_service
 from offboard.links.vehicle_service import ESCAPES_MAX, VehicleService
-from offboard.records import OffboardOutput
 
 
 @pytest.fixture
