@@ -1,12 +1,15 @@
-"""The onboard process without its sockets and clock: bytes and time in, bytes out. `step` reads like the block diagram.
+"""The onboard core: one tick, block by block. No socket, no clock, no file: bytes and time in, bytes out.
 
-vehicle_link -> estimator -> supervisor -> guidance -> controller -> mixer -> vehicle_link
-                                                          ^  features, adaptation
-               offboard_link -> feature_reception (swap) -+          sampler -> offboard_link
+vehicle link -> estimator -> supervisor -> guidance -> controller -> mixer -> vehicle link
+|                                    ^      |
+actuator model -> u_hat, residual -----------------------+      +-> sampler -> offboard link
+^
+offboard link -> feature reception -> swap --------------+
 """
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import dist
 from typing import Any, Final
 
 import numpy as np
@@ -15,50 +18,50 @@ from onboard.config import OnboardConfig
 from onboard.control.actuators import ActuatorModel
 from onboard.control.airframe import GRAVITY
 from onboard.control.feature_reception import FeatureReception
+from onboard.control.interface import LearningController
 from onboard.control.mixer import Mixer, Thrusts
 from onboard.control.records import ControlInputs, ControlOutput, Target
+from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.estimator import Estimator
+from onboard.estimation.state import VehicleState
 from onboard.flight.arming import ArmingChecks
 from onboard.flight.guidance import Guidance
 from onboard.flight.modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.flight.supervisor import Supervisor, SupervisorInputs
 from onboard.links.ground import GroundLink
-from onboard.links.offboard import OffboardLink
-from onboard.links.readings import BatteryReading
+from onboard.links.offboard import DatedPose, OffboardLink, PeerRestarted
+from onboard.links.readings import BatteryReading, Reading
 from onboard.links.vehicle import VehicleLink
 from onboard.preflight.certificate import CLEAR, Clearance
-from onboard.record.tick import OFFSET, TICK, write_channel
+from onboard.record.tick import TICK, age_s, write_tick
 from onboard.sampling.sampler import SampleQueue
 from onboard.sampling.signal_vector import SignalVector
 from protocol.clock import ForwardClock
 from protocol.conventions import NEVER_NS, Array
 from protocol.mavlink_frames import SigningClock
+from protocol.messages import FeatureChunk
 from protocol.session import session_start_ns
 
 ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
-"""Below this the floor's cushion and contact would be learnt as a disturbance."""
-_ARMED, _TAKE_OFF, _FLYING, _HOLD_LEVEL, _LANDING = (
+"""No adaptation below this height: ground effect and contact are not disturbances to learn."""
+VELOCITY_AID_MAX_S: Final = 0.3
+"""No adaptation when velocity has had no aid for longer than this."""
+ARMED, TAKE_OFF, FLYING, HOLD_LEVEL, LANDING = (
     FlightMode[name] for name in ("ARMED", "TAKE_OFF", "FLYING", "HOLD_LEVEL", "LANDING")
 )
-"""By plain names, which are read many times a tick: before Python 3.12 a member of an enum costs as much as a call."""
-POSITION_NED: Final = slice(OFFSET["position_n"], OFFSET["position_n"] + 3)
-TARGET_NED: Final = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
-POSITION_AT: Final = OFFSET["position_error_n"]
-ATTITUDE_AT: Final = OFFSET["attitude_error_x"]
-VELOCITY_AID_MAX_S: Final = 0.3
-"""Velocity without an aid for so long is not learnt from."""
+"""Enum members as module constants: attribute access on an Enum is slow before Python 3.12."""
 
 
 @dataclass(slots=True)
 class OnboardOutput:
-    """What one step gives out."""
+    """Everything that one tick sends and records. The core reuses one object: the next tick overwrites it."""
 
     to_vehicle: list[bytes] = field(default_factory=list)
     to_offboard: list[bytes] = field(default_factory=list)
     to_ground: list[bytes] = field(default_factory=list)
     tick: Array = field(default_factory=lambda: np.zeros(len(TICK.fields)))
-    """Per onboard.record.tick.TICK; rewritten by the next step."""
+    """Per onboard.record.tick.TICK."""
     events: list[tuple[int, str]] = field(default_factory=list)
     """(time_ns, text)."""
     clock_offset: Array | None = None
@@ -66,14 +69,14 @@ class OnboardOutput:
 
 
 class OnboardCore:
-    """Everything the vehicle needs to fly and adapt.
+    """Everything that the vehicle needs to fly and adapt.
 
     Parameters
     ----------
     session: number of this run, larger at each start (protocol.session).
     key: shared with offboard; None between loopback addresses only.
     vehicle_key, ground_key: of the MAVLink to vehicle and ground station; None: unsigned.
-    clearance: what stands against arming as long as this core lives, such as a missing preflight check.
+    clearance: result of the preflight check, which may forbid arming for as long as this core lives.
     """
 
     def __init__(
@@ -85,302 +88,306 @@ class OnboardCore:
         ground_key: bytes | None = None,
         clearance: Clearance = CLEAR,
     ) -> None:
-        self._config = config
-        self._notice = clearance.notice
+        self._airframe = config.airframe
         self._dt = config.period_ns * 1e-9
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
+        self._offboard_link = OffboardLink(config, session, key)
+        self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
-        self._arming = ArmingChecks(config, self._vehicle_link, clearance)
-        self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
+        self._arming = ArmingChecks(config, clearance)
         self._guidance = Guidance(config.guidance)
+        self._actuators = ActuatorModel(config.airframe, self._dt)
+        self._uncertainty = UncertaintyMeasurement(config.airframe, self._dt)
+        self._signals = SignalVector(self._dt)
+        self._reception = FeatureReception()
         self.controller = config.controller.build(config.airframe, config.seed)
         self._mixer = Mixer(config.airframe)
-        self._actuators = ActuatorModel(config.airframe, self._dt)
-        self._signals = SignalVector(self._dt)
-        self._reception = FeatureReception(self.controller)
         self._samples = SampleQueue(config.samples)
-        self._offboard_link = OffboardLink(config, session, key, self._reception, self._samples)
         self._output = OnboardOutput()
-        self._events: list[tuple[int, str]] = []
+        self._notice = clearance.notice
+        self._mode = FlightMode.BOOT
+        self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
         self._command: Thrusts = ZERO
         self._command_before: Thrusts = ZERO
         self._saturated = False
-        self._mode = FlightMode.BOOT
         self._land_requested = False
-        self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
         self._ticks = 0
         self._missed_ticks = 0
         self._resets_seen = 0
         self._posed = False
         self._posed_in_time = False
-        self._delivered = np.zeros((2, 3))
-        self._adaptive = np.zeros((2, 3))
+        self._tracking_error_m = 0.0
 
-    # --- taking in -----------------------------------------------------------------------------------------------
+    def tick(
+        self,
+        now_ns: int,
+        from_vehicle: Sequence[bytes] = (),
+        from_offboard: Sequence[bytes] = (),
+        from_ground: Sequence[bytes] = (),
+        land: bool = False,
+        missed_ticks: int = 0,
+    ) -> OnboardOutput:
+        """One tick: from the datagrams received to motor command, samples, status and record.
 
-    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
-        """One datagram of the vehicle; never raises for what is in it."""
+        Parameters
+        ----------
+        now_ns: onboard's monotonic clock.
+        from_vehicle, from_offboard, from_ground: datagrams received since the last tick, oldest first. They may hold
+            any bytes: a bad datagram is counted and dropped.
+        land: the process is asked to end; land as soon as possible.
+        missed_ticks: ticks that the loop has skipped since its start, for status and log.
+        """
         now_ns = self._clock.at(now_ns)
-        for reading in self._vehicle_link.receive(datagram, now_ns):
+        output = self._new_output(missed_ticks)
+        readings = self._receive_vehicle(from_vehicle, now_ns)
+        poses = self._receive_offboard(from_offboard, now_ns)
+        self._receive_ground(from_ground, land, now_ns)
+        state = self._estimate(readings, poses, now_ns)
+        self._collect_events(output)
+        mode = self._supervise(state, now_ns)
+        target = self._guide(state, mode)
+        delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
+        measured = self._uncertainty.step(state, delivered)
+        signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
+        adapt = self._may_adapt(state, mode, now_ns)
+        version, feature_age_s = self._swap_features(now_ns)
+        control_inputs = ControlInputs(
+            self._dt, state, target, signals, *measured, self._saturated, adapt, level_only=mode is HOLD_LEVEL
+        )
+        control = self._control(control_inputs, mode)
+        motors = self._mix(control, mode)
+        output.to_vehicle.append(self._vehicle_link.encode_motors(motors, mode in SPINNING, now_ns))
+        output.to_offboard += self._sample(control_inputs, control, version, now_ns)
+        self._report(output, state, mode, now_ns)
+        write_tick(
+            output.tick,
+            control_inputs,
+            control,
+            mode=mode,
+            saturated=self._saturated,
+            path_time_s=self._guidance.path_time_s,
+            feature_version=version,
+            feature_age_s=feature_age_s,
+            offboard_age_s=age_s(now_ns, self._offboard_link.last_received_ns),
+            pose_age_s=age_s(now_ns, state.last_pose_ns),
+            battery_v=self._battery.voltage_v,
+            motors=motors,
+            motor_thrusts_n=delivered.thrusts_n,
+        )
+        self._tracking_error_m = dist(state.position.tolist(), target.now.position)
+        self._ticks += 1
+        return output
+
+    def safe_output(self, now_ns: int) -> OnboardOutput:
+        """Motors off and nothing else: for a tick that raised, and at the end."""
+        return OnboardOutput(to_vehicle=[self._vehicle_link.encode_motors(ZERO, False, now_ns)])
+
+    # --- receive -------------------------------------------------------------------------------------------------
+
+    def _new_output(self, missed_ticks: int) -> OnboardOutput:
+        output = self._output
+        output.to_vehicle, output.to_offboard, output.to_ground, output.events = [], [], [], []
+        self._missed_ticks = missed_ticks
+        return output
+
+    def _receive_vehicle(self, datagrams: Sequence[bytes], now_ns: int) -> list[Reading]:
+        return [reading for datagram in datagrams for reading in self._vehicle_link.receive(datagram, now_ns)]
+
+    def _receive_offboard(self, datagrams: Sequence[bytes], now_ns: int) -> list[DatedPose]:
+        """Poses for the estimator; chunks of feature versions go to the reception."""
+        poses: list[DatedPose] = []
+        for datagram in datagrams:
+            for message in self._offboard_link.receive(datagram, now_ns):
+                match message:
+                    case DatedPose():
+                        poses.append(message)
+                    case FeatureChunk():
+                        self._reception.receive(message)
+                    case PeerRestarted():
+                        self._reception.restart()
+        return poses
+
+    def _receive_ground(self, datagrams: Sequence[bytes], land: bool, now_ns: int) -> None:
+        """Commands of the pilot, and the process's own wish to land, for the supervisor."""
+        if land:
+            self._supervisor.command(Command.LAND, now_ns)
+        for datagram in datagrams:
+            for command in self._ground_link.receive(datagram, now_ns):
+                refusal = self._supervisor.command(command.command, now_ns)
+                self._ground_link.acknowledge(command, refusal, now_ns)
+
+    def _collect_events(self, output: OnboardOutput) -> None:
+        """Events of the blocks that received; those of the vehicle link also go to the pilot's screen."""
+        output.events += self._offboard_link.take_events()
+        for when_ns, text in self._vehicle_link.take_events():
+            self._announce(when_ns, text)
+        output.events += self._estimator.take_events()
+
+    def _announce(self, when_ns: int, text: str) -> None:
+        """Log an event and show it on the pilot's screen."""
+        self._output.events.append((when_ns, text))
+        self._ground_link.send_text(text)
+
+    # --- the blocks ----------------------------------------------------------------------------------------------
+
+    def _estimate(self, readings: Sequence[Reading], poses: Sequence[DatedPose], now_ns: int) -> VehicleState:
+        """The vehicle's state from sensor readings and poses."""
+        for reading in readings:
             if isinstance(reading, BatteryReading):
                 self._battery = reading
             else:
                 self._estimator.receive(reading)
+        for dated in poses:
+            self._estimator.receive_pose(dated.pose, dated.taken_ns, now_ns, dated.time_sigma_s)
+            self._arming.receive_pose(dated.pose, self._vehicle_link.health.force, now_ns)
+        return self._estimator.state
 
-    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
-        """One datagram of offboard; never raises for what is in it."""
-        now_ns = self._clock.at(now_ns)
-        heard = self._offboard_link.receive(datagram, now_ns)
-        if heard is not None:
-            self._estimator.receive_pose(heard.pose, heard.taken_ns, now_ns, heard.time_sigma_s)
-            self._arming.receive_pose(heard.pose, now_ns)
-
-    def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
-        """One datagram of the ground station; never raises for what is in it."""
-        now_ns = self._clock.at(now_ns)
-        for command in self._ground_link.receive(datagram, now_ns):
-            refusal = self._supervisor.command(command.command, now_ns)
-            self._ground_link.acknowledge(command, refusal, now_ns)
-
-    def request_land(self, now_ns: int) -> None:
-        """Lands as soon as possible, as if the ground station had asked."""
-        self._supervisor.command(Command.LAND, self._clock.at(now_ns))
-
-    # --- the step ------------------------------------------------------------------------------------------------
-
-    def step(self, now_ns: int, missed_ticks: int = 0) -> OnboardOutput:
-        """One tick: from everything taken in to motor command, samples, status and record."""
-        now_ns = self._clock.at(now_ns)
-        self._missed_ticks = missed_ticks
-        out = self._begin()
-        mode = self._supervise(now_ns)
-        target = self._guide(mode)
-        inputs = self._sense(target, now_ns)
-        self._swap_features(now_ns)
-        control = self._control(mode, inputs)
-        self._mix(mode, control, now_ns)
-        self._sample(inputs, control, now_ns)
-        self._report(now_ns)
-        self._record(out.tick, mode, inputs, control, now_ns)
-        self._ticks += 1
-        out.events, self._events = self._events, []
-        return out
-
-    def safe_output(self, now_ns: int) -> OnboardOutput:
-        """Motors off, nothing else: for when a step has failed, and at the end."""
-        return OnboardOutput(to_vehicle=[self._vehicle_link.encode_motors(ZERO, False, now_ns)])
-
-    def _begin(self) -> OnboardOutput:
-        out = self._output
-        out.to_vehicle, out.to_offboard, out.to_ground = [], [], []
-        self._events += self._offboard_link.take_events()
-        for when_ns, text in self._vehicle_link.take_events():
-            self._say(when_ns, text)
-        self._events += self._estimator.take_events()
-        return out
-
-    def _supervise(self, now_ns: int) -> FlightMode:
-        """Ages and flags in, flight mode out; tells the estimator whether the floor is beneath."""
+    def _supervise(self, state: VehicleState, now_ns: int) -> FlightMode:
+        """The flight mode from ages, limits and commands."""
         if self._notice:
-            self._say(now_ns, self._notice)
+            self._announce(now_ns, self._notice)
             self._notice = ""
-        state = self._estimator.state
         self._posed = self._posed or state.last_pose_ns != NEVER_NS
-        if self._guidance.finished and not self._land_requested and self._mode is _FLYING:
+        if self._guidance.finished and not self._land_requested and self._mode is FLYING:
             self._land_requested = True
             self._supervisor.command(Command.LAND, now_ns)
-        north, east, down = state.position.tolist()
-        mode = self._supervisor.step(
-            SupervisorInputs(
-                now_ns=now_ns,
-                imu_age_s=(now_ns - state.last_imu_ns) * 1e-9,
-                pose_age_s=(now_ns - state.last_pose_ns) * 1e-9,
-                velocity_aid_age_s=(now_ns - state.last_velocity_aid_ns) * 1e-9,
-                offboard_age_s=(now_ns - self._offboard_link.last_received_ns) * 1e-9,
-                ground_age_s=(now_ns - self._ground_link.last_received_ns) * 1e-9,
-                battery_age_s=(now_ns - self._battery.time_ns) * 1e-9,
-                battery_v=self._battery.voltage_v,
-                battery_remaining=self._battery.remaining,
-                tilt_rad=state.tilt_rad,
-                height_m=-down,
-                climb_m_s=-float(state.velocity[2]),
-                distance_m=(north * north + east * east) ** 0.5,
-                position_sigma_m=state.position_sigma_m,
-                thrust_to_weight=self._actuators.wrench()[0] / (self._config.airframe.mass_kg * GRAVITY),
-                initialised=state.initialised,
-                preflight="" if self._mode in AIRBORNE else self._arming.refusal(now_ns, self._posed),
-                fault=not self._estimator.healthy,
-            )
-        )
+        mode = self._supervisor.step(self._supervisor_inputs(state, now_ns))
         for when_ns, text in self._supervisor.take_events():
-            self._say(when_ns, text)
-        if mode is _TAKE_OFF and self._mode is not _TAKE_OFF:
+            self._announce(when_ns, text)
+        if mode is TAKE_OFF and self._mode is not TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
         self._estimator.set_on_ground(mode not in AIRBORNE)
         self._mode = mode
         return mode
 
-    def _say(self, when_ns: int, text: str) -> None:
-        """An event, on the pilot's screen too."""
-        self._events.append((when_ns, text))
-        self._ground_link.send_text(text)
+    def _supervisor_inputs(self, state: VehicleState, now_ns: int) -> SupervisorInputs:
+        north, east, down = state.position.tolist()
+        refusal = self._arming.refusal(now_ns, self._posed, self._vehicle_link)
+        return SupervisorInputs(
+            now_ns=now_ns,
+            imu_age_s=(now_ns - state.last_imu_ns) * 1e-9,
+            pose_age_s=(now_ns - state.last_pose_ns) * 1e-9,
+            velocity_aid_age_s=(now_ns - state.last_velocity_aid_ns) * 1e-9,
+            offboard_age_s=(now_ns - self._offboard_link.last_received_ns) * 1e-9,
+            ground_age_s=(now_ns - self._ground_link.last_received_ns) * 1e-9,
+            battery_age_s=(now_ns - self._battery.time_ns) * 1e-9,
+            battery_v=self._battery.voltage_v,
+            battery_remaining=self._battery.remaining,
+            tilt_rad=state.tilt_rad,
+            height_m=-down,
+            climb_m_s=-float(state.velocity[2]),
+            distance_m=(north * north + east * east) ** 0.5,
+            position_sigma_m=state.position_sigma_m,
+            thrust_to_weight=self._actuators.delivered.thrust_n / (self._airframe.mass_kg * GRAVITY),
+            initialised=state.initialised,
+            preflight="" if self._mode in AIRBORNE else refusal,
+            fault=not self._estimator.healthy,
+        )
 
-    def _guide(self, mode: FlightMode) -> Target:
-        """Target of this tick. A first pose that comes in flight moves the path along instead of the vehicle."""
-        state = self._estimator.state
+    def _guide(self, state: VehicleState, mode: FlightMode) -> Target:
+        """The target of this tick. A first pose that arrives in flight shifts the path, not the vehicle."""
         if state.position_reset_count != self._resets_seen:
             self._resets_seen = state.position_reset_count
             if not self._posed_in_time:
                 north, east, down = state.position_jump.tolist()
                 self._guidance.shift((north, east, down))
             self._posed_in_time = self._posed
-        run = mode is _TAKE_OFF or mode is _FLYING
-        target = self._guidance.step(run, mode is _LANDING, self._dt)
-        if mode is _HOLD_LEVEL:  # it drifts: a landing that follows is to begin where the vehicle is then
+        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt)
+        if mode is HOLD_LEVEL:  # the vehicle drifts: a landing that follows begins where the vehicle is then
             north, east, down = (state.position - target.now.position).tolist()
             self._guidance.shift((north, east, down))
         return target
 
-    def _sense(self, target: Target, now_ns: int) -> ControlInputs:
-        """Everything the controller may use."""
-        state = self._estimator.state
-        self._actuators.step(self._command_before)  # a command acts one tick after it was computed
-        thrust, roll, pitch, yaw = self._actuators.wrench()
+    def _may_adapt(self, state: VehicleState, mode: FlightMode, now_ns: int) -> bool:
+        """Whether what is measured now may be learnt from."""
         aided = (now_ns - state.last_velocity_aid_ns) * 1e-9 < VELOCITY_AID_MAX_S
-        flying = self._mode in AIRBORNE and -float(state.position[2]) > ADAPT_HEIGHT_M
-        return ControlInputs(
-            dt=self._dt,
-            state=state,
-            target=target,
-            signals=self._signals.step(state, self._actuators.thrusts, self._battery.voltage_v),
-            delivered_thrust_n=thrust,
-            delivered_torque_nm=(roll, pitch, yaw),
-            saturated=self._saturated,
-            adapt=flying and aided,
-            level_only=self._mode is _HOLD_LEVEL,
-        )
+        return mode in AIRBORNE and -float(state.position[2]) > ADAPT_HEIGHT_M and aided
 
-    def _swap_features(self, now_ns: int) -> None:
-        """Takes over features that have arrived whole."""
-        event = self._reception.step(now_ns, ready=True)
-        if event:
-            self._events.append((now_ns, event))
+    def _swap_features(self, now_ns: int) -> tuple[int, float]:
+        """Offer a complete feature version to the controller; returns the version in use and its age, s."""
+        features = self._reception.take_complete()
+        if features is not None:
+            learner = self.controller if isinstance(self.controller, LearningController) else None
+            refusal = "not_accepting" if learner is None else learner.offer_features(features)
+            self._output.events.append((now_ns, self._reception.conclude(features, refusal, now_ns)))
+        return self._reception.version, self._reception.age_s(now_ns)
 
-    def _control(self, mode: FlightMode, inputs: ControlInputs) -> ControlOutput:
-        """The controller's command; on the ground its integrals are held at zero."""
+    def _control(self, inputs: ControlInputs, mode: FlightMode) -> ControlOutput:
+        """Thrust and torque; on the ground the controller is held at its start."""
         if mode not in AIRBORNE:
             self.controller.reset(inputs)
         return self.controller.step(inputs)
 
-    def _mix(self, mode: FlightMode, control: ControlOutput, now_ns: int) -> None:
-        """Motor thrusts within their limits, driven against the motors' lag, onto the wire."""
+    def _mix(self, control: ControlOutput, mode: FlightMode) -> list[float]:
+        """Motor commands as shares of the maximum thrust, within limits and with motor lag compensated."""
         self._command_before = self._command
-        most = self._config.airframe.motor_thrust_max_n
+        thrust_max_n = self._airframe.motor_thrust_max_n
         self._saturated = False
         if mode in AIRBORNE:
             demand = control.thrust_n, control.torque_nm
             wanted = self._mixer.thrusts(*demand)
             self._saturated = self._mixer.falls_short(wanted, *demand)
             self._command = self._actuators.overdriven(wanted)
-        elif mode is _ARMED:
-            idle = self._config.airframe.motor_thrust_min_share * most
-            self._command = (idle, idle, idle, idle)
+        elif mode is ARMED:
+            idle_n = self._airframe.motor_thrust_min_share * thrust_max_n
+            self._command = (idle_n, idle_n, idle_n, idle_n)
         else:
             self._command = ZERO
-        fractions = [thrust / most for thrust in self._command]
-        self._output.to_vehicle.append(self._vehicle_link.encode_motors(fractions, mode in SPINNING, now_ns))
+        return [thrust / thrust_max_n for thrust in self._command]
 
-    def _sample(self, inputs: ControlInputs, control: ControlOutput, now_ns: int) -> None:
-        """Samples for the trainer, from flight only."""
+    def _sample(self, inputs: ControlInputs, control: ControlOutput, version: int, now_ns: int) -> list[bytes]:
+        """Samples for the trainer, from flight only, as datagrams when a batch is due."""
         if inputs.adapt:
-            self._delivered[0], self._delivered[1] = control.position.delivered, control.attitude.delivered
-            self._adaptive[0], self._adaptive[1] = control.position.adaptive_now, control.attitude.adaptive_now
-            self._samples.push(now_ns, inputs.signals, self._delivered, self._adaptive)
-        self._output.to_offboard += self._offboard_link.send_samples(now_ns)
+            u_hat = inputs.position.u_hat, inputs.attitude.u_hat
+            nu_ad = control.position.adaptive_now, control.attitude.adaptive_now
+            self._samples.push(now_ns, inputs.signals, u_hat, nu_ad)
+        batches = self._samples.poll(now_ns, version, self._offboard_link.loss_share(now_ns))
+        return [self._offboard_link.encode(batch, now_ns) for batch in batches]
 
-    def _report(self, now_ns: int) -> None:
+    # --- reports -------------------------------------------------------------------------------------------------
+
+    def _report(self, output: OnboardOutput, state: VehicleState, mode: FlightMode, now_ns: int) -> None:
         """Status, time sync and telemetry, each at its own period."""
-        link, state = self._offboard_link, self._estimator.state
-        self._output.to_offboard += link.send_time_sync(now_ns)
-        self._output.clock_offset = link.clock_record(now_ns)
-        self._output.to_ground += self._ground_link.poll(now_ns, self._mode, state, self._battery)
+        link = self._offboard_link
+        small = link.time_sync(now_ns)
+        output.clock_offset = link.clock_record(now_ns)
+        output.to_ground += self._ground_link.poll(now_ns, mode, state, self._battery)
         if link.status_due(now_ns):
-            self._show_values(now_ns)
-            status = link.send_status(now_ns, self._mode, self._ticks, self._missed_ticks, state.last_pose_ns)
-            self._output.to_offboard.append(status)
-
-    def _show_values(self, now_ns: int) -> None:
-        """What a ground station shows beside the flight itself, as named values."""
-        self._ground_link.values.update(
-            feat_ver=float(self._reception.version),
-            feat_age=self._reception.age_s(now_ns),
-            track_err=self._tracking_error_m(),
-        )
-
-    def _tracking_error_m(self) -> float:
-        """Distance from position to target, of the tick recorded last."""
-        row = self._output.tick
-        error = row[POSITION_NED] - row[TARGET_NED]
-        return math.sqrt(float(error @ error))
-
-    # --- the record ----------------------------------------------------------------------------------------------
-
-    def _record(self, row: Array, mode: FlightMode, inputs: ControlInputs, control: ControlOutput, now_ns: int) -> None:
-        state, target = inputs.state, inputs.target
-        most = self._config.airframe.motor_thrust_max_n
-        t1, t2, t3, t4 = self._command
-        row[:POSITION_AT] = (
-            mode,
-            inputs.adapt,
-            self._saturated,
-            self._guidance.path_time_s,
-            self._reception.version,
-            self._reception.age_s(now_ns),
-            _age_s(now_ns, state.last_pose_ns),
-            _age_s(now_ns, self._offboard_link.last_received_ns),
-            self._battery.voltage_v,
-            state.vibration,
-            state.position_sigma_m,
-            control.thrust_n,
-            *state.position.tolist(),
-            *state.velocity.tolist(),
-            *state.quaternion.tolist(),
-            *state.euler.tolist(),
-            *state.rates.tolist(),
-            *target.now.position,
-            *target.now.velocity,
-            *target.feed_forward,
-            *control.commanded_quaternion,
-            *control.torque_nm,
-            *(t1 / most, t2 / most, t3 / most, t4 / most),
-            *self._actuators.thrusts.tolist(),
-        )
-        write_channel(row, POSITION_AT, control.position)
-        write_channel(row, ATTITUDE_AT, control.attitude)
+            self._ground_link.values.update(
+                feat_ver=float(self._reception.version),
+                feat_age=self._reception.age_s(now_ns),
+                track_err=self._tracking_error_m,
+            )
+            counts = (self._ticks, self._missed_ticks)
+            small.append(link.status(now_ns, mode, counts, state.last_pose_ns, self._reception.status))
+        for datagram in small:
+            self._samples.charge(len(datagram), now_ns)
+        output.to_offboard += small
 
     def status(self, now_ns: int) -> dict[str, Any]:
         """A few numbers for the live status line."""
+        statistics = self._offboard_link.statistics
         return {
             "mode": self._mode.name,
-            "tracking_error_m": self._tracking_error_m(),
+            "tracking_error_m": self._tracking_error_m,
             "feature_version": self._reception.version,
             "feature_age_s": self._reception.age_s(now_ns),
-            "link_lost": self._offboard_link.statistics.lost,
-            "link_received": self._offboard_link.statistics.received,
-            "rejected": self._offboard_link.statistics.rejected.total(),
+            "link_lost": statistics.lost,
+            "link_received": statistics.received,
+            "rejected": statistics.rejected.total(),
         }
 
     @property
     def airborne(self) -> bool:
-        """Whether the vehicle is meant to be off the ground."""
+        """Whether the flight mode is one of those in the air."""
         return self._mode in AIRBORNE
 
     def summary(self) -> dict[str, Any]:
-        """What the flight record keeps: features, link and vehicle link counters."""
+        """Mode, features, and the counters of links, samples and estimator, for the flight record."""
         return {
             "mode": self._mode.name,
             "ticks": self._ticks,
@@ -395,7 +402,3 @@ class OnboardCore:
             "samples": self._samples.counts,
             "estimator": dict(self._estimator.counts),
         }
-
-
-def _age_s(now_ns: int, then_ns: int) -> float:
-    return -1.0 if then_ns == NEVER_NS else (now_ns - then_ns) * 1e-9

@@ -1,10 +1,10 @@
-"""The onboard process: the core between its sockets, the clock and the log. One loop of four verbs.
+"""The 200 Hz loop: the core between its sockets, the clock and the log.
 
-    wait -> take in -> step -> give out
+    wait -> receive -> tick -> send
 
-Whatever escapes the core's step is answered by the safe motor command, logged and counted; a bounded number of
-escapes ends the flight with the motors off. The first SIGINT or SIGTERM asks the core to land, the second ends at
-once.
+If a tick raises, the process sends the safe motor command, logs the exception and counts it. After a limited number of
+such ticks the flight ends with the motors off. The first SIGINT or SIGTERM makes the core land; the second ends the
+process at once.
 """
 
 import contextlib
@@ -56,7 +56,7 @@ class Sockets:
             raise
 
     def close(self) -> None:
-        """Free the addresses."""
+        """Close the sockets."""
         for one in (self.vehicle, self.offboard, self.ground):
             one.close()
 
@@ -76,7 +76,7 @@ def open_vehicle(vehicle: str, local: str, option: str = "--bind-vehicle") -> Da
 
 
 class OnboardProcess:
-    """The loop around a core; owns nothing that decides how to fly."""
+    """The loop around a core. It makes no flight decision itself."""
 
     def __init__(
         self,
@@ -101,52 +101,51 @@ class OnboardProcess:
         self._datagrams = DatagramLogWriter()
         self._last_vehicle_ns = 0
         self._landing_until_ns = 0
+        self._land_pending = False
         self._latest_report = ""
         self.escapes = 0
 
     def fly(self) -> int:
-        """Run until asked to end; returns the exit status: 0, or 1 if too many steps failed."""
+        """Run until asked to end; returns the exit status: 0, or 1 if too many ticks failed."""
         now = time.monotonic_ns()
         while not self._ended(now):
             now = self._pace.wait()
             output: OnboardOutput | None
             escapes = self.escapes
             try:
-                self._take_in(now)
-                output = self._core.step(now, missed_ticks=self._pace.missed)
+                output = self._core.tick(now, *self._receive(now), missed_ticks=self._pace.missed)
             except Exception:
                 output = self._answer_escape(now)
             if output is not None:
-                self._give_out(output, now)
+                self._send(output, now)
             self._log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, self._pace.missed, self.escapes > escapes))
             self._note_loop(now)
         self._leave_safe(now)
         return int(self.escapes >= self._realtime.escapes_max)
 
-    def _take_in(self, now: int) -> None:
-        datagrams = self._sockets.vehicle.receive(VEHICLE_DATAGRAMS_PER_TICK)
-        if datagrams:
+    def _receive(self, now: int) -> tuple[list[bytes], list[bytes], list[bytes], bool]:
+        """Datagrams of vehicle, offboard and ground station, and whether to land; all of it logged."""
+        sockets = self._sockets
+        land, self._land_pending = self._land_pending, False
+        if land:
+            self._datagrams.land_request()
+        from_vehicle = self._datagrams.put(Entry.FROM_VEHICLE, sockets.vehicle.receive(VEHICLE_DATAGRAMS_PER_TICK))
+        from_offboard = self._datagrams.put(Entry.FROM_OFFBOARD, sockets.offboard.receive(DATAGRAMS_PER_STEP_MAX))
+        from_ground = self._datagrams.put(Entry.FROM_GROUND, sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK))
+        if from_vehicle:
             self._last_vehicle_ns = now
-        for datagram in datagrams:
-            self._datagrams.put(Entry.FROM_VEHICLE, datagram)
-            self._core.take_in_vehicle(datagram, now)
-        for datagram in self._sockets.offboard.receive(DATAGRAMS_PER_STEP_MAX):
-            self._datagrams.put(Entry.FROM_OFFBOARD, datagram)
-            self._core.take_in_offboard(datagram, now)
-        for datagram in self._sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK):
-            self._datagrams.put(Entry.FROM_GROUND, datagram)
-            self._core.take_in_ground(datagram, now)
+        return from_vehicle, from_offboard, from_ground, land
 
-    def _give_out(self, output: OnboardOutput, now: int) -> None:
-        for datagram in output.to_vehicle:
-            self._sockets.vehicle.send(datagram)
-            self._datagrams.put(Entry.TO_VEHICLE, datagram)
-        for datagram in output.to_offboard:
-            self._sockets.offboard.send(datagram)
-            self._datagrams.put(Entry.TO_OFFBOARD, datagram)
-        for datagram in output.to_ground:
-            self._sockets.ground.send(datagram)
-            self._datagrams.put(Entry.TO_GROUND, datagram)
+    def _send(self, output: OnboardOutput, now: int) -> None:
+        """Send the datagrams of a tick, log it, and report on the status line."""
+        for socket, entry, datagrams in (
+            (self._sockets.vehicle, Entry.TO_VEHICLE, output.to_vehicle),
+            (self._sockets.offboard, Entry.TO_OFFBOARD, output.to_offboard),
+            (self._sockets.ground, Entry.TO_GROUND, output.to_ground),
+        ):
+            for datagram in datagrams:
+                socket.send(datagram)
+            self._datagrams.put(entry, datagrams)
         self._log.write(TICK, now, output.tick)
         if output.clock_offset is not None:
             self._log.write(CLOCK_OFFSET, now, output.clock_offset)
@@ -167,14 +166,14 @@ class OnboardProcess:
         self._log.write(LOOP, now, record)
 
     def _answer_escape(self, now: int) -> OnboardOutput | None:
-        """Log what escaped a step; the safe output, or None if even that fails (the vehicle then cuts its motors)."""
+        """Log the exception of a tick; returns the safe output, or None if that fails as well."""
         self.escapes += 1
         report = traceback.format_exc()
         if report != self._latest_report:
             self._latest_report = report
             self._log.event(now, report)
             print(report, file=sys.stderr, flush=True)
-        self._status.report(f"a step failed ({self.escapes} of {self._realtime.escapes_max}): {_last_line(report)}")
+        self._status.report(f"a tick failed ({self.escapes} of {self._realtime.escapes_max}): {_last_line(report)}")
         with contextlib.suppress(Exception):
             return self._core.safe_output(now)
         return None
@@ -187,8 +186,7 @@ class OnboardProcess:
             return False
         if self._landing_until_ns == 0:
             self._landing_until_ns = now + round(self._realtime.landing_limit_s * 1e9)
-            self._datagrams.land_request(now)
-            self._core.request_land(now)
+            self._land_pending = True
         silent = now - self._last_vehicle_ns > VEHICLE_SILENT_NS
         return silent or now > self._landing_until_ns or not self._core.airborne
 

@@ -4,11 +4,18 @@ Quaternions are wxyz, body FRD to world NED (docs/conventions.md).
 """
 
 import math
+from collections.abc import Iterable
 
 Quaternion = tuple[float, float, float, float]
 Vector3 = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 """A rotation matrix, row by row."""
+
+
+def vector(values: Iterable[float]) -> Vector3:
+    """Three numbers as a tuple, for an equation that is written axis by axis."""
+    x, y, z = values
+    return x, y, z
 
 
 def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:

@@ -53,14 +53,8 @@ class OnboardOutput(Protocol):
 class Onboard(Protocol):
     """onboard.core.OnboardCore."""
 
-    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
-        """Receive a datagram of the vehicle."""
-
-    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
-        """Receive a datagram of offboard."""
-
-    def step(self, now_ns: int) -> OnboardOutput:
-        """One control period."""
+    def tick(self, now_ns: int, from_vehicle: list[bytes], from_offboard: list[bytes]) -> OnboardOutput:
+        """One control period, with the datagrams that have arrived since the last one."""
 
 
 class TrainingJob(Protocol[ResultT_co]):
@@ -179,13 +173,9 @@ class Lockstep(Generic[ResultT]):
         return TickResult(now, flown.truth, onboard, offboard, training, flown.to_onboard, from_offboard, self._radio)
 
     def _step_onboard(self, sensors: list[bytes], from_offboard: list[bytes], now: int) -> OnboardOutput:
-        onboard = self._onboard
         for datagram in sensors:
             self._hash.update(datagram)
-            onboard.take_in_vehicle(datagram, now)
-        for datagram in from_offboard:
-            onboard.take_in_offboard(datagram, now)
-        output = onboard.step(now)
+        output = self._onboard.tick(now, sensors, from_offboard)
         self._commands.append(output.to_vehicle)
         for datagram in self._commands.popleft():
             self._vehicle.receive(datagram, now)

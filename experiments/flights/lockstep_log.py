@@ -71,8 +71,7 @@ class LockstepLog:
             (Entry.TO_OFFBOARD, out.to_offboard),
             (Entry.TO_GROUND, out.to_ground),
         ):
-            for datagram in datagrams:
-                self._datagrams.put(kind, datagram)
+            self._datagrams.put(kind, datagrams)
         return self._datagrams.end_tick(result.now_ns, missed_ticks=0)
 
     def _record_deliveries(self, result: TickResult) -> None:

@@ -23,7 +23,7 @@ from flight_log.log_file import LogFile
 from onboard.control.interface import LearningController
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.preflight.certificate import Clearance
-from onboard.record.datagram_log import TIME, TOPIC, Entry, LoggedTick, read_tick
+from onboard.record.datagram_log import TOPIC, Entry, LoggedTick, read_tick
 from onboard.record.tick import TICK
 from protocol.keys import LinkKeys, load_keys
 
@@ -110,6 +110,9 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> 
     return core
 
 
+INPUTS: Final = (Entry.FROM_VEHICLE, Entry.FROM_OFFBOARD, Entry.FROM_GROUND, Entry.LAND_REQUEST)
+
+
 class _Check:
     """One pass over one datagram log."""
 
@@ -179,29 +182,15 @@ class _Check:
         return None
 
     def _step(self, tick: LoggedTick) -> tuple[OnboardOutput, bool]:
-        """As the process does it: take in, step; and the safe output when that raises."""
+        """One tick as the process does it; the safe output if it raises."""
+        vehicle, offboard, ground, land = map(tick.of, INPUTS)
+        self._in += len(vehicle) + len(offboard) + len(ground) + len(land)
         try:
-            for kind, data in tick.entries:
-                self._take_in(kind, data, tick.now_ns)
-            return self._core.step(tick.now_ns, missed_ticks=tick.missed_ticks), False
+            return self._core.tick(tick.now_ns, vehicle, offboard, ground, bool(land), tick.missed_ticks), False
         except Exception:
             with contextlib.suppress(Exception):
                 return self._core.safe_output(tick.now_ns), True
             return OnboardOutput(), True
-
-    def _take_in(self, kind: Entry, data: bytes, now_ns: int) -> None:
-        core = self._core
-        if kind is Entry.FROM_VEHICLE:
-            core.take_in_vehicle(data, now_ns)
-        elif kind is Entry.FROM_OFFBOARD:
-            core.take_in_offboard(data, now_ns)
-        elif kind is Entry.FROM_GROUND:
-            core.take_in_ground(data, now_ns)
-        elif kind is Entry.LAND_REQUEST:
-            core.request_land(TIME.unpack(data)[0])
-        else:
-            return
-        self._in += 1
 
     def _first_field(
         self, tick: LoggedTick, logged: NDArray[np.float64], replayed: NDArray[np.float64]

@@ -21,17 +21,16 @@ from sim_vehicle.lockstep import OnboardOutput as LockstepOutput
 
 STEP: Final = "whole tick"
 BLOCKS: Final = (
-    ("MAVLink, estimator", "take_in_vehicle"),
-    ("msgpack in, pose", "take_in_offboard"),
+    ("MAVLink in", "_receive_vehicle"),
+    ("msgpack in", "_receive_offboard"),
+    ("estimator", "_estimate"),
     ("supervisor", "_supervise"),
     ("guidance", "_guide"),
-    ("inputs", "_sense"),
     ("feature swap", "_swap_features"),
     ("controller", "_control"),
-    ("mixer, motors out", "_mix"),
+    ("mixer", "_mix"),
     ("samples out", "_sample"),
     ("status, ground", "_report"),
-    ("tick record", "_record"),
 )
 """Name and method of onboard.core.OnboardCore."""
 LAW: Final = "adaptive law"
@@ -105,25 +104,15 @@ def record_flight(config: FlightConfig, seconds: float, observe: Observer = lamb
 
     `observe` is called with onboard's output of each tick.
     """
-    lockstep, onboard, _, _ = build(config)
+    lockstep, *_ = build(config)
     recording = RecordedTicks()
-    for method, into in (("take_in_vehicle", recording.vehicle), ("take_in_offboard", recording.offboard)):
-        setattr(onboard, method, _copying(getattr(onboard, method), into))
     for _ in range(round(seconds * 1e9 / config.onboard.period_ns)):
-        recording.vehicle.append([])
-        recording.offboard.append([])
         result = lockstep.step()
+        recording.vehicle.append(list(result.from_vehicle))
+        recording.offboard.append(list(result.from_offboard))
         recording.now_ns.append(result.now_ns)
         observe(result.onboard)
     return recording
-
-
-def _copying(take_in: Callable[[bytes, int], None], into: list[list[bytes]]) -> Callable[[bytes, int], None]:
-    def take_in_and_copy(datagram: bytes, now_ns: int) -> None:
-        into[-1].append(datagram)
-        take_in(datagram, now_ns)
-
-    return take_in_and_copy
 
 
 class Replay:
@@ -165,34 +154,27 @@ class Replay:
 
     def tick(self) -> OnboardOutput:
         """One tick as the process does it, sockets and log left out."""
-        now, index = self._recording.now_ns[self._next], self._next
-        for datagram in self._recording.vehicle[index]:
-            self._core.take_in_vehicle(datagram, now)
-        for datagram in self._recording.offboard[index]:
-            self._core.take_in_offboard(datagram, now)
-        output = self._core.step(now)
+        recording, index = self._recording, self._next
+        output = self._core.tick(recording.now_ns[index], recording.vehicle[index], recording.offboard[index])
         if self.observe is not None:
             self.observe(output)
         return output
 
     def keep(self, output: OnboardOutput, log: FlightLogWriter) -> None:
         """The log of a tick as the process writes it."""
-        now, index, datagram_log = self._recording.now_ns[self._next], self._next, self._datagrams
-        for datagram in self._recording.vehicle[index]:
-            datagram_log.put(Entry.FROM_VEHICLE, datagram)
-        for datagram in self._recording.offboard[index]:
-            datagram_log.put(Entry.FROM_OFFBOARD, datagram)
+        now, index = self._recording.now_ns[self._next], self._next
         for entry, datagrams in (
+            (Entry.FROM_VEHICLE, self._recording.vehicle[index]),
+            (Entry.FROM_OFFBOARD, self._recording.offboard[index]),
             (Entry.TO_VEHICLE, output.to_vehicle),
             (Entry.TO_OFFBOARD, output.to_offboard),
             (Entry.TO_GROUND, output.to_ground),
         ):
-            for datagram in datagrams:
-                datagram_log.put(entry, datagram)
+            self._datagrams.put(entry, datagrams)
         log.write(TICK, now, output.tick)
         for time_ns, text in output.events:
             log.event(time_ns, text)
-        log.write_bytes(TOPIC, now, datagram_log.end_tick(now, 0, False))
+        log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, 0, False))
         log.write(LOOP, now, self._loop_record)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from onboard.control.airframe import GRAVITY, AirframeConfig
+from onboard.control.airframe import AirframeConfig
 from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.indi import Indi, IndiConfig
@@ -23,7 +23,6 @@ from onboard.control.laws.law import Augmentation, ChannelState
 from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
-from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
@@ -33,6 +32,7 @@ from protocol.geometry import (
     attitude_for_thrust,
     quaternion_multiply,
     quaternion_to_rotation_vector,
+    vector,
 )
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
@@ -44,6 +44,7 @@ POSITION_N = SIGNAL_INDEX["position_n"]
 VELOCITY_N = SIGNAL_INDEX["velocity_n"]
 BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
+YAW_ERROR_MAX_RAD = 0.5
 MODEL_ERROR_MAX_RAD = 0.6
 """Beyond this the attitude error is no longer linear: the reference model starts over at the vehicle."""
 
@@ -103,22 +104,19 @@ class CascadedController:
         self._output = ControlOutput()
         self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
         self._command: Vector3 = (0.0, 0.0, 0.0)
-        self._last_rates: Vector3 = (0.0, 0.0, 0.0)
-        self._last_delivered = (0.0, 0.0, 0.0, 0.0)
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
 
     def _channel(self, telemetry: ChannelTelemetry) -> ChannelState:
-        """A channel whose model error and delivered u_hat are reported as they are: the arrays are the telemetry's."""
-        signals = np.zeros((SIGNAL_COUNT, 2))
-        return ChannelState(model_error=telemetry.error, delivered=telemetry.delivered, signals=signals)
+        """A channel whose model error is the array that the telemetry reports."""
+        return ChannelState(model_error=telemetry.error, signals=np.zeros((SIGNAL_COUNT, 2)))
 
     # --- the interface -------------------------------------------------------------------------------------------
 
     def step(self, inputs: ControlInputs) -> ControlOutput:
         """One step of both loops."""
-        self._take_in(inputs)
+        self._read(inputs)
         self._advance_models(inputs)
         acceleration = self._position_loop(inputs)
         thrust, commanded = self._thrust_vector(inputs, acceleration)
@@ -130,8 +128,6 @@ class CascadedController:
     def reset(self, inputs: ControlInputs) -> None:
         """Reference models to the vehicle's state, integrals and filters to zero."""
         self._restart_models(inputs)
-        p, q, r = inputs.state.rates.tolist()
-        self._last_rates = (p, q, r)
         self._limits.reset()
         for augmentation in self.augmentations:
             augmentation.reset()
@@ -175,43 +171,18 @@ class CascadedController:
                 )
             augmentation.last_layer.replace(W, W)
 
-    # --- taking in -----------------------------------------------------------------------------------------------
+    # --- the channels' inputs ------------------------------------------------------------------------------------
 
-    def _take_in(self, inputs: ControlInputs) -> None:
-        for channel in self._channels:
+    def _read(self, inputs: ControlInputs) -> None:
+        """Fill both channels from the inputs."""
+        measured = inputs.position, inputs.attitude
+        rates = inputs.state.velocity, inputs.state.rates
+        for channel, one, rate in zip(self._channels, measured, rates, strict=True):
             channel.dt, channel.adapt, channel.saturated = inputs.dt, inputs.adapt, inputs.saturated
-        thrust, torque = self._mean_delivered(inputs)
-        self._take_in_translation(inputs.state, thrust)
-        self._take_in_rotation(inputs.state, torque, inputs.dt)
+            channel.u_hat, channel.residual, channel.rate = one.u_hat, one.residual, rate
         if self._has_features:
             self._look_ahead(inputs)
         self._track(inputs)
-
-    def _take_in_translation(self, state: VehicleState, thrust: float) -> None:
-        """u_hat and Delta of the position channel: what thrust and attitude really give, against the accelerometer."""
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = state.rotation.tolist()
-        fx, fy, fz = state.specific_force.tolist()
-        lift = -thrust / self._airframe.mass_kg
-        ux, uy, uz = lift * r02, lift * r12, lift * r22
-        channel = self._channels[0]
-        delivered, residual = channel.delivered, channel.residual_raw
-        delivered[0], delivered[1], delivered[2] = ux, uy, uz + GRAVITY
-        residual[0] = r00 * fx + r01 * fy + r02 * fz - ux
-        residual[1] = r10 * fx + r11 * fy + r12 * fz - uy
-        residual[2] = r20 * fx + r21 * fy + r22 * fz - uz
-        channel.rate[:] = state.velocity
-
-    def _take_in_rotation(self, state: VehicleState, torque: Vector3, dt: float) -> None:
-        """The same of the attitude channel: torque by the actuator model against the gyroscope's derivative."""
-        p, q, r = state.rates.tolist()
-        was_p, was_q, was_r = self._last_rates
-        up, uq, ur = self._angular_acceleration(torque, p, q, r)
-        channel = self._channels[1]
-        delivered, residual = channel.delivered, channel.residual_raw
-        delivered[0], delivered[1], delivered[2] = up, uq, ur
-        residual[0], residual[1], residual[2] = (p - was_p) / dt - up, (q - was_q) / dt - uq, (r - was_r) / dt - ur
-        channel.rate[:] = state.rates
-        self._last_rates = (p, q, r)
 
     def _track(self, inputs: ControlInputs) -> None:
         """Tracking error of the position channel, bounded so that a far target asks for no more than a near one."""
@@ -224,22 +195,6 @@ class CascadedController:
         error[1] = min(max(target_e - east, -limit), limit)
         error[2] = min(max(target_d - down, -limit), limit)
         error[3], error[4], error[5] = target_vn - vn, target_ve - ve, target_vd - vd
-
-    def _mean_delivered(self, inputs: ControlInputs) -> tuple[float, Vector3]:
-        """Thrust [N] and torque [N m] over the tick that has just ended: that is what moved the vehicle since."""
-        was, now = self._last_delivered, (inputs.delivered_thrust_n, *inputs.delivered_torque_nm)
-        self._last_delivered = now
-        thrust = 0.5 * (was[0] + now[0])
-        return thrust, (0.5 * (was[1] + now[1]), 0.5 * (was[2] + now[2]), 0.5 * (was[3] + now[3]))
-
-    def _angular_acceleration(self, torque: Vector3, p: float, q: float, r: float) -> Vector3:
-        """J^-1 (tau - omega x J omega), rad/s^2."""
-        jx, jy, jz = self._airframe.inertia_kg_m2
-        return (
-            (torque[0] - (jz - jy) * q * r) / jx,
-            (torque[1] - (jx - jz) * p * r) / jy,
-            (torque[2] - (jy - jx) * p * q) / jz,
-        )
 
     def _look_ahead(self, inputs: ControlInputs) -> None:
         """x_ahead = x + (x_d(t + t_ahead) - x_d(t)), each channel with the t_ahead of its own lag."""
@@ -287,12 +242,11 @@ class CascadedController:
             attitude.model_error[:] = 0.0
 
     def _hedge(self, telemetry: ChannelTelemetry, channel: ChannelState) -> Vector3:
-        """Demand minus u_hat, what the actuators did not deliver of the last demand; zero without hedging."""
+        """u - u_hat: what the actuators did not deliver of the last demand; zero without hedging."""
         if not self._settings.hedging:
             return 0.0, 0.0, 0.0
-        u1, u2, u3 = telemetry.demand.tolist()
-        d1, d2, d3 = channel.delivered.tolist()
-        return u1 - d1, u2 - d2, u3 - d3
+        each_axis = zip(telemetry.demand.tolist(), channel.u_hat.tolist(), strict=True)
+        return vector(u - u_hat for u, u_hat in each_axis)
 
     def _follow_jump(self, inputs: ControlInputs) -> bool:
         """A jump of the estimate is no motion: the references jump along (True), or start over where they cannot."""
@@ -301,9 +255,8 @@ class CascadedController:
             self._restart_models(inputs)  # the frame has turned, or the size of a jump in between is not known
             return False
         self._position_model.shift(state.position_jump)
-        (cx, cy, cz), k1 = self._command, self._k1
-        jump_n, jump_e, jump_d = state.position_jump.tolist()
-        self._command = (cx + k1[0] * jump_n, cy + k1[1] * jump_e, cz + k1[2] * jump_d)
+        each_axis = zip(self._command, self._k1, state.position_jump.tolist(), strict=True)
+        self._command = vector(command + k1 * jump for command, k1, jump in each_axis)
         self._resets_seen = state.position_reset_count
         return True
 
@@ -318,32 +271,23 @@ class CascadedController:
     # --- the loops -----------------------------------------------------------------------------------------------
 
     def _position_loop(self, inputs: ControlInputs) -> Vector3:
-        """U of the position channel, m/s^2."""
+        """u = K_1 (p_d - p) + K_2 (v_d - v) + a_ff - nu_ad, m/s^2, world NED."""
         channel, telemetry = self._channels[0], self._output.position
-        nu = self.augmentations[0].step(channel, telemetry)
-        telemetry.adaptive[:] = nu
-        n1, n2, n3 = nu.tolist()
-        (k11, k12, k13), (k21, k22, k23) = self._k1, self._k2
-        e1, e2, e3, e4, e5, e6 = channel.tracking_error.tolist()
-        f1, f2, f3 = inputs.target.feed_forward
-        x, y, z = inputs.state.position.tolist()
-        vx, vy, vz = inputs.state.velocity.tolist()
-        u1 = k11 * e1 + k21 * e4 + f1 - n1
-        u2 = k12 * e2 + k22 * e5 + f2 - n2
-        u3 = k13 * e3 + k23 * e6 + f3 - n3
+        nu_ad = self.augmentations[0].step(channel, telemetry)
+        telemetry.adaptive[:] = nu_ad
+        K_1, K_2 = self._k1, self._k2
+        e = channel.tracking_error.tolist()
+        v = inputs.state.velocity.tolist()
+        each_axis = zip(K_1, e[:3], K_2, e[3:], inputs.target.feed_forward, nu_ad.tolist(), strict=True)
+        u1, u2, u3 = (k1 * e1 + k2 * e2 + a_ff - nu for k1, e1, k2, e2, a_ff, nu in each_axis)
         if inputs.level_only:
-            u1, u2, u3 = 0.0, 0.0, k23 * (self._settings.level_sink_speed_m_s - vz) - n3
-        demand = telemetry.demand
-        demand[0], demand[1], demand[2] = u1, u2, u3
-        # K_r r as the reference model needs it: u = K_r r - K x - nu_ad. Here nu_ad is that of the present state, which
-        # the law weighs e with; what the look-ahead adds counts as part of the command.
-        m1, m2, m3 = telemetry.adaptive_now.tolist()
-        self._command = (
-            u1 + k11 * x + k21 * vx + m1,
-            u2 + k12 * y + k22 * vy + m2,
-            u3 + k13 * z + k23 * vz + m3,
-        )
-        return u1, u2, u3
+            u1, u2, u3 = 0.0, 0.0, K_2[2] * (self._settings.level_sink_speed_m_s - v[2]) - float(nu_ad[2])
+        telemetry.demand[:] = u = (u1, u2, u3)
+        # The command of the reference model: K_r r = u + K x + nu_ad, with nu_ad of the present state, because the law
+        # weighs e with that one. What the look-ahead adds is part of the command.
+        each_axis = zip(u, K_1, inputs.state.position.tolist(), K_2, v, telemetry.adaptive_now.tolist(), strict=True)
+        self._command = vector(ui + k1 * pi + k2 * vi + nu for ui, k1, pi, k2, vi, nu in each_axis)
+        return u
 
     def _thrust_vector(self, inputs: ControlInputs, u: Vector3) -> tuple[float, Quaternion]:
         """Collective thrust [N] along the present body axis, and the attitude that would realise u, within limits."""
@@ -356,25 +300,18 @@ class CascadedController:
         return max(thrust, 0.0), commanded
 
     def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
-        """Body torque [N m]."""
+        """u = K_1 e_R - K_2 omega - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
         channel, telemetry = self._channels[1], self._output.attitude
-        state = inputs.state
-        w, x, y, z = state.quaternion.tolist()
+        w, x, y, z = inputs.state.quaternion.tolist()
         ex, ey, ez = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
-        ez = min(max(ez, -0.5), 0.5)
-        p, q, r = state.rates.tolist()
-        error = channel.tracking_error
-        error[0], error[1], error[2], error[3], error[4], error[5] = ex, ey, ez, -p, -q, -r
-        nu = self.augmentations[1].step(channel, telemetry)
-        n1, n2, n3 = nu.tolist()
-        k1, k2 = self._a1, self._a2
-        ap = k1[0] * ex - k2[0] * p - n1
-        aq = k1[1] * ey - k2[1] * q - n2
-        ar = k1[2] * ez - k2[2] * r - n3
-        demand = telemetry.demand
-        demand[0], demand[1], demand[2] = ap, aq, ar
-        telemetry.adaptive[:] = nu
-        m1, m2, m3 = telemetry.adaptive_now.tolist()
-        self._turn_command = (ap + m1, aq + m2, ar + m3)
-        jx, jy, jz = self._airframe.inertia_kg_m2
-        return (jx * ap + (jz - jy) * q * r, jy * aq + (jx - jz) * p * r, jz * ar + (jy - jx) * p * q)
+        e_R = ex, ey, min(max(ez, -YAW_ERROR_MAX_RAD), YAW_ERROR_MAX_RAD)
+        p, q, r = omega = inputs.state.rates.tolist()
+        channel.tracking_error[:] = (*e_R, -p, -q, -r)
+        nu_ad = self.augmentations[1].step(channel, telemetry)
+        telemetry.adaptive[:] = nu_ad
+        each_axis = zip(self._a1, e_R, self._a2, omega, nu_ad.tolist(), strict=True)
+        u = vector(k1 * e1 - k2 * w_i - nu for k1, e1, k2, w_i, nu in each_axis)
+        telemetry.demand[:] = u
+        self._turn_command = vector(ui + nu for ui, nu in zip(u, telemetry.adaptive_now.tolist(), strict=True))
+        Jx, Jy, Jz = self._airframe.inertia_kg_m2
+        return Jx * u[0] + (Jz - Jy) * q * r, Jy * u[1] + (Jx - Jz) * p * r, Jz * u[2] + (Jy - Jx) * p * q

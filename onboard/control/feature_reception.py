@@ -1,21 +1,31 @@
-"""From chunks to features in use: gather, then swap one tick later, or refuse and say why.
+"""From chunks to a complete feature version, and what became of it: in use, or refused and why.
 
-Gathering (digest, decoding) and swapping (a k x k solve) are spread over two ticks, so that neither makes one late.
+Gathering (digest, decoding) and swapping (a k x k solve) take place in different ticks, so that neither makes one late.
 """
 
-from onboard.control.interface import Controller, LearningController
+from typing import NamedTuple
+
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
 from protocol.transfer import FeatureReceiver
 
 
-class FeatureReception:
-    """The feature-version state of the vehicle."""
+class ReceptionStatus(NamedTuple):
+    """The reception as the status message reports it (protocol.messages.Status)."""
 
-    def __init__(self, controller: Controller) -> None:
-        self._learner = controller if isinstance(controller, LearningController) else None
+    version: int
+    transfer_version: int
+    received_chunks: bytes
+    refused_version: int
+    refusal: int
+
+
+class FeatureReception:
+    """The feature versions that arrive, and the one in use."""
+
+    def __init__(self) -> None:
         self._receiver = FeatureReceiver()
-        self._pending: FeatureSet | None = None
+        self._complete: FeatureSet | None = None
         self._refused: tuple[int, int] = (0, 0)
         self.version = 0
         """In use; 0 for the start features."""
@@ -24,28 +34,31 @@ class FeatureReception:
         self.refusals = 0
 
     def receive(self, chunk: FeatureChunk) -> None:
-        """Takes in one chunk; a whole and valid set waits for `step`."""
-        whole = self._receiver.receive(chunk)
-        if whole is not None:
-            self._pending = whole
+        """Add one chunk. A version that is complete and valid waits for `take_complete`."""
+        complete = self._receiver.receive(chunk)
+        if complete is not None:
+            self._complete = complete
 
-    def peer_restarted(self) -> None:
-        """A new session of the peer: its versions may begin anew, and what was half gathered is void."""
+    def restart(self) -> None:
+        """Start over for a new session of the peer: its versions may count from 1 again."""
         self._receiver.reset()
-        self._pending = None
+        self._complete = None
         self._refused = (0, 0)
 
-    def step(self, now_ns: int, ready: bool) -> str:
-        """Swaps to what waits, if the vehicle is `ready`; returns what happened as an event, or ""."""
-        features = self._pending
-        if features is None or not ready:
-            return ""
-        self._pending = None
-        reason = self._learner.offer_features(features) if self._learner is not None else "not_accepting"
-        if reason:
+    def take_complete(self) -> FeatureSet | None:
+        """The complete version that waits, once."""
+        features, self._complete = self._complete, None
+        return features
+
+    def conclude(self, features: FeatureSet, refusal: str, now_ns: int) -> str:
+        """Note what the controller answered; returns the event.
+
+        refusal: why the controller refused the version, of protocol.messages.REFUSALS; "" if it is in use.
+        """
+        if refusal:
             self.refusals += 1
-            self._refused = (features.version, REFUSALS.index(reason))
-            return f"features {features.version} refused: {reason}"
+            self._refused = (features.version, REFUSALS.index(refusal))
+            return f"features {features.version} refused: {refusal}"
         self.version, self.swapped_ns = features.version, now_ns
         self.swaps += 1
         return f"features {features.version} in use, parent {features.parent}, {features.samples} samples"
@@ -55,16 +68,7 @@ class FeatureReception:
         return -1.0 if self.swapped_ns is None else (now_ns - self.swapped_ns) * 1e-9
 
     @property
-    def transfer_version(self) -> int:
-        """For Status."""
-        return self._receiver.transfer_version
-
-    @property
-    def received_chunks(self) -> bytes:
-        """For Status."""
-        return self._receiver.received_chunks
-
-    @property
-    def refused(self) -> tuple[int, int]:
-        """Newest refused version and its reason's index: by content on arrival, or by the swap."""
-        return max(self._refused, self._receiver.refused)
+    def status(self) -> ReceptionStatus:
+        """What the status message says. The newest refusal counts: of the content on arrival, or by the controller."""
+        refused = max(self._refused, self._receiver.refused)
+        return ReceptionStatus(self.version, self._receiver.transfer_version, self._receiver.received_chunks, *refused)

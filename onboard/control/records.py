@@ -25,6 +25,18 @@ class Target(NamedTuple):
     yaw_rad: float
 
 
+class ChannelMeasurement:
+    """What the actuators do in one channel, and what they do not explain. Computed by onboard.control.uncertainty."""
+
+    __slots__ = ("residual", "u_hat")
+
+    def __init__(self) -> None:
+        self.u_hat: Array = np.zeros(3)
+        """[3], acceleration that the actuators deliver; m/s^2 (world NED) or rad/s^2 (body FRD)."""
+        self.residual: Array = np.zeros(3)
+        """[3], measured acceleration minus u_hat, unfiltered; same units."""
+
+
 @dataclass(slots=True)
 class ControlInputs:
     """Everything a controller may use in one step. Arrays belong to the caller and change with the next step."""
@@ -35,10 +47,8 @@ class ControlInputs:
     target: Target
     signals: Array
     """[SIGNAL_COUNT], protocol.signals, at the present."""
-    delivered_thrust_n: float
-    """Collective thrust the motors deliver now, by the actuator model."""
-    delivered_torque_nm: Vector3
-    """Body torque they deliver now, by the actuator model."""
+    position: ChannelMeasurement
+    attitude: ChannelMeasurement
     saturated: bool
     """Whether the last command could not be met by the motors."""
     adapt: bool
@@ -51,24 +61,22 @@ class ChannelTelemetry:
     """What one channel did; all zeros for a controller without that notion. The arrays are views of `vectors`."""
 
     __slots__ = (
-        *("adaptive", "adaptive_now", "delivered", "demand", "eps_1", "eps_2", "eps_3", "error", "live_bound"),
+        *("adaptive", "adaptive_now", "demand", "eps_1", "eps_2", "eps_3", "error", "live_bound"),
         *("residual", "vectors", "weight_norm"),
     )
 
     def __init__(self) -> None:
-        self.vectors: Array = np.zeros(21)
+        self.vectors: Array = np.zeros(18)
         """All that follow, one after the other, as onboard.record.tick has them."""
         self.error: Array = self.vectors[0:6]
         """e = x_rm - x; m, m/s or rad, rad/s."""
         self.demand: Array = self.vectors[6:9]
         """u: m/s^2 or rad/s^2."""
-        self.delivered: Array = self.vectors[9:12]
-        """u_hat."""
-        self.adaptive: Array = self.vectors[12:15]
+        self.adaptive: Array = self.vectors[9:12]
         """nu_ad as commanded (evaluated ahead)."""
-        self.adaptive_now: Array = self.vectors[15:18]
+        self.adaptive_now: Array = self.vectors[12:15]
         """nu_ad of the present state, W'Phi(x); the same as `adaptive` for a controller that does not look ahead."""
-        self.residual: Array = self.vectors[18:21]
+        self.residual: Array = self.vectors[15:18]
         """Delta_hat."""
         self.weight_norm = 0.0
         self.eps_1 = 0.0

@@ -8,15 +8,14 @@ from onboard.config import OnboardConfig
 from onboard.estimation.pose_health import PoseHealth
 from onboard.links.vehicle import VehicleLink
 from onboard.preflight.certificate import Clearance
-from protocol.conventions import NEVER_NS
+from protocol.conventions import NEVER_NS, Array
 from protocol.messages import Pose
 
 
 class ArmingChecks:
     """Gathers the verdicts of a vehicle that stands on the floor."""
 
-    def __init__(self, config: OnboardConfig, vehicle_link: VehicleLink, clearance: Clearance) -> None:
-        self._link = vehicle_link
+    def __init__(self, config: OnboardConfig, clearance: Clearance) -> None:
         self._clearance = clearance
         self._needs_pose = config.supervisor.arm_needs_pose
         self._pose_stale_ns = round(config.supervisor.pose_stale_s * 1e9)
@@ -26,24 +25,24 @@ class ArmingChecks:
         self._last_pose_ns = NEVER_NS
         self._started_ns: int | None = None
 
-    def receive_pose(self, pose: Pose, now_ns: int) -> None:
-        """A pose that came; whether it is fresh is the supervisor's to know."""
+    def receive_pose(self, pose: Pose, force: Array, now_ns: int) -> None:
+        """Compare a pose with the IMU. force: [3], mean specific force at rest, m/s^2, of the vehicle link."""
         self._last_pose_ns = now_ns
         down_m, quaternion = float(pose.position_ned_m[2]), tuple(pose.quaternion.tolist())
-        self._pose_health.add(down_m, quaternion, now_ns, self._link.health.force)
+        self._pose_health.add(down_m, quaternion, now_ns, force)
 
-    def refusal(self, now_ns: int, posed: bool) -> str:
+    def refusal(self, now_ns: int, posed: bool, link: VehicleLink) -> str:
         """The first thing that stands against arming; "" for nothing.
 
         posed: whether a pose has ever been used. A first one is waited for, lest a flight begin with a jump.
         """
         if self._started_ns is None:
             self._started_ns = now_ns
-        if self._link.conflict:
+        if link.conflict:
             return "two vehicles speak with one system id"
-        if self._link.health.fault or self._clearance.refusal:
-            return self._link.health.fault or self._clearance.refusal
-        if self._flow_silent_ns and now_ns - self._link.last_flow_ns > self._flow_silent_ns:
+        if link.health.fault or self._clearance.refusal:
+            return link.health.fault or self._clearance.refusal
+        if self._flow_silent_ns and now_ns - link.last_flow_ns > self._flow_silent_ns:
             return "no optical flow"
         if not posed and now_ns - self._started_ns < self._pose_wait_ns:
             return "waiting for the first pose"

@@ -1,6 +1,6 @@
-"""The talk with offboard: poses, features and challenges in; samples, status and time sync out.
+"""The link to offboard: poses, feature chunks and challenges in; samples, status and time sync out.
 
-It decides what is said and when; whether a pose is believed and whether features are swapped in is decided elsewhere.
+It decides what is sent and when. Other blocks decide whether a pose is accepted and whether features are swapped in.
 """
 
 from typing import Final, NamedTuple
@@ -8,10 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from onboard.config import OnboardConfig
-from onboard.control.feature_reception import FeatureReception
+from onboard.control.feature_reception import ReceptionStatus
 from onboard.flight.modes import FlightMode
 from onboard.links.loss_rate import LossRate
-from onboard.sampling.sampler import SampleQueue
 from protocol.conventions import NEVER_NS, Array
 from protocol.endpoint import CHALLENGE_PERIOD_NS, Endpoint
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
@@ -34,6 +33,13 @@ class DatedPose(NamedTuple):
     """Standard deviation of `taken_ns`, where the link is slow; 0 where it is not."""
 
 
+class PeerRestarted(NamedTuple):
+    """A new session of offboard: its versions may count from 1 again."""
+
+
+Received = DatedPose | FeatureChunk | PeerRestarted
+
+
 class OffboardLink:
     """Onboard's end of the link.
 
@@ -41,23 +47,12 @@ class OffboardLink:
     ----------
     session: number of this run, larger at each start (protocol.session).
     key: shared with offboard; None between loopback addresses only.
-    reception: takes the chunks of feature sets, and knows what the status says of them.
-    samples: where the batches come from; what else is sent is charged to its budget.
     """
 
-    def __init__(
-        self,
-        config: OnboardConfig,
-        session: int,
-        key: bytes | None,
-        reception: FeatureReception,
-        samples: SampleQueue,
-    ) -> None:
+    def __init__(self, config: OnboardConfig, session: int, key: bytes | None) -> None:
         self.endpoint: Final = Endpoint("onboard", session, key, config.vehicle_id)
         self._status_period_ns = round(config.status_period_s * 1e9)
         self._sync_period_ns = round(config.time_sync_period_s * 1e9)
-        self._reception = reception
-        self._samples = samples
         self._loss = LossRate()
         self._events: list[tuple[int, str]] = []
         self._peer_session: int | None = None
@@ -70,67 +65,71 @@ class OffboardLink:
 
     @property
     def statistics(self) -> LinkStatistics:
-        """What came of the datagrams."""
+        """Counts of datagrams received, lost and rejected."""
         return self.endpoint.statistics
 
-    def receive(self, datagram: bytes, now_ns: int) -> DatedPose | None:
-        """Takes in one datagram and returns the pose in it, if any; never raises for what is in it."""
+    def receive(self, datagram: bytes, now_ns: int) -> list[Received]:
+        """The content of one datagram for the other blocks, in order; empty for anything that is not accepted."""
         message = self.endpoint.decode(datagram, now_ns)
         if message is None:
-            return None
+            return []
         self.last_received_ns = now_ns
+        received: list[Received] = []
         if self.endpoint.peer_session != self._peer_session:
-            self._meet_session(now_ns)
+            received += self._begin_session(now_ns)
         match message:
             case Pose():
                 offset_ns = self.endpoint.clock_offset_ns
-                if offset_ns is not None:  # else its age is not known, nor that it is not a recording
-                    return DatedPose(message, message.time_ns - offset_ns, self._time_sigma_s())
+                if offset_ns is not None:  # without it the pose has no time, and may be a recording
+                    received.append(DatedPose(message, message.time_ns - offset_ns, self._time_sigma_s()))
             case FeatureChunk():
-                self._reception.receive(message)
+                received.append(message)
             case TimeSyncRequest():
                 self._challenge = (message.origin_ns, now_ns)
             case _:
-                pass  # a time sync reply: the endpoint has taken note
-        return None
+                pass  # a time sync reply: the endpoint has used it
+        return received
 
     def _time_sigma_s(self) -> float:
         """The clocks' offset takes both ways for equally long: on a slow link it is wrong by a part of them."""
         slow_ns = max((self.endpoint.round_trip_ns or 0) - GOOD_ROUND_TRIP_NS, 0)
         return ROUND_TRIP_TO_SIGMA * slow_ns * 1e-9
 
-    def _meet_session(self, now_ns: int) -> None:
-        if self._peer_session is None:
-            self._next_sync_ns = now_ns
-        else:
-            self._reception.peer_restarted()
-            self._events.append((now_ns, "offboard restarted"))
-            self._next_sync_ns = min(self._next_sync_ns, self._asked_ns + self._status_period_ns)
+    def _begin_session(self, now_ns: int) -> list[Received]:
+        restarted = self._peer_session is not None
         self._peer_session = self.endpoint.peer_session
+        if not restarted:
+            self._next_sync_ns = now_ns
+            return []
+        self._events.append((now_ns, "offboard restarted"))
+        self._next_sync_ns = min(self._next_sync_ns, self._asked_ns + self._status_period_ns)
+        return [PeerRestarted()]
 
     def take_events(self) -> list[tuple[int, str]]:
         """What happened since the last call: (time_ns, text)."""
         events, self._events = self._events, []
         return events
 
-    def send_samples(self, now_ns: int) -> list[bytes]:
-        """The sample batches that are due, as datagrams; the queue itself has charged them to its budget."""
-        loss = self._loss.step(self.endpoint.statistics, now_ns)
-        batches: list[SampleBatch] = self._samples.poll(now_ns, self._reception.version, loss)
-        return [self.endpoint.encode(batch, now_ns) for batch in batches]
+    def loss_share(self, now_ns: int) -> float:
+        """Share of the peer's datagrams that the link loses at present."""
+        return self._loss.step(self.endpoint.statistics, now_ns)
 
-    def send_time_sync(self, now_ns: int) -> list[bytes]:
-        """Our own question and the answer to a challenge, each when it is due: nobody makes us talk more."""
+    def encode(self, message: SampleBatch | Status | TimeSyncRequest | TimeSyncReply, now_ns: int) -> bytes:
+        """A message as an authenticated datagram."""
+        return self.endpoint.encode(message, now_ns)
+
+    def time_sync(self, now_ns: int) -> list[bytes]:
+        """Our own request and the answer to a challenge, each when due: a peer cannot make us send more."""
         datagrams: list[bytes] = []
         if self._challenge is not None and now_ns - self._answered_ns >= CHALLENGE_PERIOD_NS:
             origin_ns, receive_ns = self._challenge
             self._challenge, self._answered_ns = None, now_ns
-            datagrams.append(self._send(TimeSyncReply(origin_ns, receive_ns, now_ns), now_ns))
+            datagrams.append(self.encode(TimeSyncReply(origin_ns, receive_ns, now_ns), now_ns))
         if now_ns >= self._next_sync_ns:
             self._asked_ns = now_ns
-            known = self.endpoint.clock_offset_ns is not None  # until then no pose can be used: ask with each status
+            known = self.endpoint.clock_offset_ns is not None  # no pose can be used before: ask with each status
             self._next_sync_ns = now_ns + (self._sync_period_ns if known else self._status_period_ns)
-            datagrams.append(self._send(TimeSyncRequest(now_ns), now_ns))
+            datagrams.append(self.encode(TimeSyncRequest(now_ns), now_ns))
         return datagrams
 
     def clock_record(self, now_ns: int) -> Array | None:
@@ -145,29 +144,25 @@ class OffboardLink:
         """Whether it is time for a status."""
         return now_ns >= self._next_status_ns
 
-    def send_status(self, now_ns: int, mode: FlightMode, ticks: int, missed_ticks: int, last_pose_ns: int) -> bytes:
-        """The vehicle's status, as a datagram; the next is due a period later."""
+    def status(
+        self, now_ns: int, mode: FlightMode, ticks: tuple[int, int], last_pose_ns: int, reception: ReceptionStatus
+    ) -> bytes:
+        """The vehicle's status as a datagram; the next is due a period later. ticks: flown and missed."""
         self._next_status_ns = now_ns + self._status_period_ns
         statistics = self.endpoint.statistics
-        refused_version, refusal = self._reception.refused
         never = last_pose_ns == NEVER_NS
         status = Status(
             mode=int(mode),
-            feature_version=self._reception.version,
-            transfer_version=self._reception.transfer_version,
-            received_chunks=self._reception.received_chunks,
-            refused_version=refused_version,
-            refusal=refusal,
-            ticks=ticks,
-            missed_ticks=missed_ticks,
+            feature_version=reception.version,
+            transfer_version=reception.transfer_version,
+            received_chunks=reception.received_chunks,
+            refused_version=reception.refused_version,
+            refusal=reception.refusal,
+            ticks=ticks[0],
+            missed_ticks=ticks[1],
             pose_age_ms=-1 if never else min(max((now_ns - last_pose_ns) // 1_000_000, 0), AGE_MAX_MS),
             received=statistics.received,
             lost=statistics.lost,
             rejected=statistics.rejected.total(),
         )
-        return self._send(status, now_ns)
-
-    def _send(self, message: Status | TimeSyncRequest | TimeSyncReply, now_ns: int) -> bytes:
-        datagram = self.endpoint.encode(message, now_ns)
-        self._samples.charge(len(datagram), now_ns)
-        return datagram
+        return self.encode(status, now_ns)

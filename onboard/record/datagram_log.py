@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 TOPIC: Final = "onboard/datagrams"
 HEAD: Final = struct.Struct("<qIIB")
 ENTRY: Final = struct.Struct("<BH")
-TIME: Final = struct.Struct("<q")
 ENTRY_MAX_BYTES: Final = 0xFFFF
 
 
@@ -25,7 +24,7 @@ class Entry(IntEnum):
     FROM_OFFBOARD = 2
     FROM_GROUND = 3
     LAND_REQUEST = 4
-    """Asked to end: its bytes are the time, 8 bytes, ns."""
+    """The process is asked to end; no bytes."""
     TO_VEHICLE = 5
     TO_OFFBOARD = 6
     TO_GROUND = 7
@@ -39,7 +38,7 @@ class LoggedTick(NamedTuple):
     """Counts the records of a log from 0; a jump means that the log lost some."""
     missed_ticks: int
     failed: bool
-    """The step raised, and the safe output was given out instead."""
+    """The tick raised, and the safe output was sent instead."""
     entries: tuple[tuple[Entry, bytes], ...]
 
     def of(self, kind: Entry) -> list[bytes]:
@@ -56,14 +55,16 @@ class DatagramLogWriter:
         self._parts: list[bytes] = []
         self._number = 0
 
-    def put(self, kind: Entry, data: bytes) -> None:
-        """Adds an entry to the tick under way."""
-        self._parts.append(ENTRY.pack(kind, len(data)))
-        self._parts.append(data)
+    def put(self, kind: Entry, datagrams: list[bytes]) -> list[bytes]:
+        """Add datagrams of one kind to the current tick; returns them."""
+        for datagram in datagrams:
+            self._parts.append(ENTRY.pack(kind, len(datagram)))
+            self._parts.append(datagram)
+        return datagrams
 
-    def land_request(self, now_ns: int) -> None:
-        """Adds the request to land."""
-        self.put(Entry.LAND_REQUEST, TIME.pack(now_ns))
+    def land_request(self) -> None:
+        """Add the request to land."""
+        self.put(Entry.LAND_REQUEST, [b""])
 
     def end_tick(self, now_ns: int, missed_ticks: int, failed: bool = False) -> bytes:
         """The record of the tick; the next entry belongs to the next one."""

@@ -1,10 +1,12 @@
-"""The record of one tick: what was sensed, wanted, commanded and adapted. One flat vector, without allocation."""
+"""The record of one tick: state, target, command and adaptation, in one flat vector."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from flight_log.schema import RecordType, vector_fields
-from onboard.control.records import ChannelTelemetry
-from protocol.conventions import Array
+from onboard.control.records import ChannelMeasurement, ChannelTelemetry, ControlInputs, ControlOutput
+from onboard.flight.modes import FlightMode
+from protocol.conventions import NEVER_NS, Array
 
 
 def _channel_fields(name: str, error_axes: tuple[str, str], units: tuple[str, str, str]) -> tuple[tuple[str, str], ...]:
@@ -61,13 +63,78 @@ TICK: Final = RecordType(
 OFFSET: Final = {name: index for index, name in enumerate(TICK.names)}
 
 
-def write_channel(record: Array, at: int, telemetry: ChannelTelemetry) -> None:
-    """Writes a channel's telemetry into the record from index `at`."""
-    record[at : at + 21] = telemetry.vectors
-    record[at + 21 : at + 26] = (
+POSITION_AT: Final = OFFSET["position_error_n"]
+ATTITUDE_AT: Final = OFFSET["attitude_error_x"]
+
+
+def write_tick(
+    row: Array,
+    inputs: ControlInputs,
+    control: ControlOutput,
+    *,
+    mode: FlightMode,
+    saturated: bool,
+    path_time_s: float,
+    feature_version: int,
+    feature_age_s: float,
+    pose_age_s: float,
+    offboard_age_s: float,
+    battery_v: float,
+    motors: Sequence[float],
+    motor_thrusts_n: Array,
+) -> None:
+    """Write one tick into `row`, in the order of TICK.
+
+    Parameters
+    ----------
+    saturated: the motors cannot deliver what the controller demands in this tick.
+    motors: [4], commanded, as shares of the maximum thrust.
+    motor_thrusts_n: [4], N, by the actuator model.
+    """
+    state, target = inputs.state, inputs.target
+    row[:POSITION_AT] = (
+        mode,
+        inputs.adapt,
+        saturated,
+        path_time_s,
+        feature_version,
+        feature_age_s,
+        pose_age_s,
+        offboard_age_s,
+        battery_v,
+        state.vibration,
+        state.position_sigma_m,
+        control.thrust_n,
+        *state.position.tolist(),
+        *state.velocity.tolist(),
+        *state.quaternion.tolist(),
+        *state.euler.tolist(),
+        *state.rates.tolist(),
+        *target.now.position,
+        *target.now.velocity,
+        *target.feed_forward,
+        *control.commanded_quaternion,
+        *control.torque_nm,
+        *motors,
+        *motor_thrusts_n.tolist(),
+    )
+    _write_channel(row, POSITION_AT, control.position, inputs.position)
+    _write_channel(row, ATTITUDE_AT, control.attitude, inputs.attitude)
+
+
+def _write_channel(row: Array, at: int, telemetry: ChannelTelemetry, measured: ChannelMeasurement) -> None:
+    row[at : at + 9] = telemetry.vectors[:9]
+    row[at + 9 : at + 12] = measured.u_hat
+    row[at + 12 : at + 21] = telemetry.vectors[9:]
+    row[at + 21 : at + 26] = (
         telemetry.weight_norm,
         telemetry.eps_1,
         telemetry.eps_2,
         telemetry.eps_3,
         telemetry.live_bound,
     )
+
+
+def age_s(now_ns: int, then_ns: int) -> float:
+    """Seconds since `then_ns`; -1 if it has never happened."""
+    return -1.0 if then_ns == NEVER_NS else (now_ns - then_ns) * 1e-9

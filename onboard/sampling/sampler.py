@@ -8,6 +8,7 @@ link is known to lose much, each batch goes a second time, a while later, for th
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -94,21 +95,21 @@ class SampleQueue:
         """How many samples were taken, dropped and repeated."""
         return {"taken": self.taken, "dropped": self.dropped, "repeated": self.repeated}
 
-    def push(self, time_ns: int, signals: Array, delivered: Array, adaptive: Array) -> None:
-        """Takes in one tick: signals [SIGNAL_COUNT]; delivered u_hat and adaptive nu_ad [2, 3] each; all are copied."""
+    def push(self, time_ns: int, signals: Array, u_hat: Sequence[Array], nu_ad: Sequence[Array]) -> None:
+        """Add one tick: signals [SIGNAL_COUNT]; u_hat and nu_ad [2, 3] each, position and attitude; all are copied."""
         if self._start_ns is None:
             self._start_ns = self._due_ns = time_ns
         elif time_ns - self._pushed_ns > self._period_ns:  # a pause: no mean spans it
             self._sum[:] = 0.0
             self._ticks = 0
         self._pushed_ns = time_ns
-        self._sum += delivered
+        self._sum += np.asarray(u_hat)
         self._ticks += 1
         if time_ns < self._due_ns:
             return
         place = (time_ns - self._start_ns) // self._period_ns
         self._due_ns = self._start_ns + (place + 1) * self._period_ns
-        self._take(place, time_ns, signals, adaptive)
+        self._take(place, time_ns, signals, np.asarray(nu_ad))
 
     def _take(self, index: int, time_ns: int, signals: Array, adaptive: Array) -> None:
         mean = (self._sum / self._ticks).astype(np.float32)

@@ -72,7 +72,7 @@ class Loop:
         self.core = OnboardCore(self.config.onboard, 1, None)
         self.peer = peer
         self.now_ns, self.tick = 0, 0
-        self.waiting, self.motors = [], []
+        self.waiting, self.motors, self.extra, self.land = [], [], [], False
         self.passes = None
         self.rows, self.truths, self.events, self.offsets = [], [], [], []
 
@@ -84,11 +84,10 @@ class Loop:
     def step(self):
         now = self.now_ns
         flown = self.vehicle.step(now)
-        for datagram in filter(self.passes, flown.to_onboard):
-            self.core.take_in_vehicle(datagram, now)
-        for message in self.waiting:
-            self.core.take_in_offboard(self.peer.endpoint.encode(message, now + CLOCK_NS), now)
-        out = self.core.step(now)
+        from_vehicle = list(filter(self.passes, flown.to_onboard))
+        messages = [self.peer.endpoint.encode(message, now + CLOCK_NS) for message in self.waiting]
+        out = self.core.tick(now, from_vehicle, [*self.extra, *messages], land=self.land)
+        self.extra, self.land = [], False
         for datagram in self.motors:
             self.vehicle.receive(datagram, now)
         self.motors, self.waiting = out.to_vehicle, []
@@ -168,7 +167,7 @@ def test_a_whole_flight_ends_on_the_floor_with_motors_off():
 
 def test_a_request_to_land_is_obeyed():
     loop = in_flight("pid")
-    loop.core.request_land(loop.now_ns)
+    loop.land = True
     loop.fly(0.5)
     assert loop.mode is FlightMode.LANDING
     loop.fly(4.5)
@@ -228,7 +227,7 @@ def test_what_goes_wrong_in_a_step_is_raised_and_the_safe_output_still_works():
 
     loop.core.controller.step = broken
     with pytest.raises(RuntimeError, match="own mistake"):
-        loop.core.step(loop.now_ns)
+        loop.core.tick(loop.now_ns)
     output = loop.core.safe_output(loop.now_ns)
     assert output.to_offboard == []
     assert [armed(datagram) for datagram in output.to_vehicle] == [(False, [0.0] * 4)]
@@ -238,7 +237,7 @@ def test_a_failed_step_does_not_spoil_the_next():
     loop = in_flight("pid")
     step, loop.core.controller.step = loop.core.controller.step, None
     with pytest.raises(TypeError):
-        loop.core.step(loop.now_ns)
+        loop.core.tick(loop.now_ns)
     loop.core.controller.step = step
     loop.fly(1.0)
     assert loop.mode is FlightMode.FLYING
@@ -256,17 +255,15 @@ rubbish = st.one_of(
 
 def test_no_datagram_raises_or_stops_the_flight():
     loop = in_flight("pid")
-    genuine = loop.core.step(loop.now_ns).to_vehicle
+    genuine = loop.core.tick(loop.now_ns).to_vehicle
 
     @settings(max_examples=150, deadline=None, derandomize=True, database=None)
     @given(rubbish)
     def feed(datagram):
-        loop.core.take_in_offboard(datagram, loop.now_ns)
-        loop.core.take_in_vehicle(datagram, loop.now_ns)
-        loop.core.take_in_ground(datagram, loop.now_ns)
+        loop.core.tick(loop.now_ns, [datagram], [datagram], [datagram])
 
     feed()
-    loop.core.take_in_offboard(genuine[0], loop.now_ns)
+    loop.extra = [genuine[0]]
     loop.fly(1.0)
     assert loop.mode is FlightMode.FLYING
     summary = loop.core.summary()
@@ -282,7 +279,7 @@ def test_bits_turned_in_genuine_datagrams_are_noticed():
     for _ in range(50):
         datagram = bytearray(loop.peer.endpoint.encode(message, loop.now_ns))
         datagram[rng.integers(len(datagram))] ^= 1 << int(rng.integers(8))
-        loop.core.take_in_offboard(bytes(datagram), loop.now_ns)
+        loop.core.tick(loop.now_ns, from_offboard=[bytes(datagram)])
     assert sum(loop.core.summary()["rejected"].values()) == 50
 
 
@@ -352,37 +349,36 @@ def test_a_controller_that_does_not_learn_refuses():
         def step(self, inputs):
             raise AssertionError
 
-    reception = FeatureReception(Plain())
+    reception = FeatureReception()
     for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
         reception.receive(chunk)
-    assert reception.step(0, ready=False) == ""
-    assert reception.step(0, ready=True) == "features 1 refused: not_accepting"
-    assert reception.refused == (1, REFUSALS.index("not_accepting"))
-    assert reception.step(0, ready=True) == ""
+    complete = reception.take_complete()
+    assert complete is not None
+    assert reception.conclude(complete, "not_accepting", 0) == "features 1 refused: not_accepting"
+    assert reception.status[-2:] == (1, REFUSALS.index("not_accepting"))
+    assert reception.take_complete() is None
 
 
 def test_features_that_wait_are_void_when_the_peer_restarts():
     class Plain:
         pass
 
-    reception = FeatureReception(Plain())
+    reception = FeatureReception()
     for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
         reception.receive(chunk)
-    reception.peer_restarted()
-    assert reception.step(0, ready=True) == ""
-    assert reception.refused == (0, 0)
+    reception.restart()
+    assert reception.take_complete() is None
+    assert reception.status[-2:] == (0, 0)
 
 
 def test_gathering_and_swapping_never_fall_into_one_tick():
     loop = Loop("dmrac", peer=Peer()).fly(1.0)
     chunks = split(encode_feature_set(features(), "float32"), 1, 300)
-    for chunk in chunks[:-1]:
-        loop.core.take_in_offboard(loop.peer.endpoint.encode(chunk, loop.now_ns), loop.now_ns)
+    loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns) for chunk in chunks[:-1]]
     loop.step()
     assert loop.core.summary()["features"]["version"] == 0
     assert isinstance(chunks[-1], FeatureChunk)
-    loop.core.take_in_offboard(loop.peer.endpoint.encode(chunks[-1], loop.now_ns), loop.now_ns)
-    assert loop.core.summary()["features"]["version"] == 0
+    loop.extra = [loop.peer.endpoint.encode(chunks[-1], loop.now_ns)]
     loop.step()
     assert loop.core.summary()["features"]["version"] == 1
 

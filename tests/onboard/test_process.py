@@ -15,6 +15,9 @@ PERIOD_NS = 1_000_000
 REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)
 
 
+PEERS = ("vehicle", "offboard", "ground")
+
+
 class FakeCore:
     """Answers every step; `script` is called first and may raise or press a key."""
 
@@ -23,27 +26,18 @@ class FakeCore:
         self.steps = 0
         self.airborne = True
         self.land_requests = 0
-        self.taken: list[tuple[str, bytes]] = []
+        self.received: list[tuple[str, bytes]] = []
 
-    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
-        self.taken.append(("vehicle", datagram))
-
-    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
-        self.taken.append(("offboard", datagram))
-
-    def take_in_ground(self, datagram: bytes, now_ns: int) -> None:
-        self.taken.append(("ground", datagram))
-
-    def step(self, now_ns: int, missed_ticks: int = 0) -> OnboardOutput:
+    def tick(self, now_ns: int, *received: Any, missed_ticks: int = 0) -> OnboardOutput:
         self.steps += 1
+        *datagrams, land = received
+        self.land_requests += land
+        self.received += [(name, one) for name, many in zip(PEERS, datagrams, strict=True) for one in many]
         self.script(self)
         return OnboardOutput([b"motors"], [b"sample"], [b"telemetry"], events=[(now_ns, "event")])
 
     def safe_output(self, now_ns: int) -> OnboardOutput:
         return OnboardOutput([b"off"])
-
-    def request_land(self, now_ns: int) -> None:
-        self.land_requests += 1
 
     def status(self, now_ns: int) -> dict[str, Any]:
         return {}
@@ -74,11 +68,11 @@ class Bench:
         self.sockets = SimpleNamespace(**{name: FakeSocket(talks) for name, talks in talking.items()})
         self.logged: list[tuple[str, np.ndarray]] = []
         self.events: list[str] = []
-        self.taped: list[LoggedTick] = []
+        self.datagram_log: list[LoggedTick] = []
         log = SimpleNamespace(
             write=lambda kind, time_ns, vector: self.logged.append((kind.topic, vector.copy())),
             event=lambda time_ns, text: self.events.append(text),
-            write_bytes=lambda topic, time_ns, data: self.taped.append(read_tick(data)),
+            write_bytes=lambda topic, time_ns, data: self.datagram_log.append(read_tick(data)),
         )
         self.said: list[str] = []
         status = SimpleNamespace(report=self.said.append, due=lambda now: False)
@@ -100,11 +94,11 @@ def test_takes_in_steps_gives_out_and_logs_until_asked_to_end() -> None:
     assert bench.sockets.vehicle.sent == [b"motors"] * 10 + [b"off"] * FINAL_SAFE_COMMANDS
     assert bench.sockets.offboard.sent == [b"sample"] * 10
     assert bench.sockets.ground.sent == [b"telemetry"] * 10
-    assert set(bench.core.taken) == {("vehicle", b"hello"), ("offboard", b"hello"), ("ground", b"hello")}
+    assert set(bench.core.received) == {("vehicle", b"hello"), ("offboard", b"hello"), ("ground", b"hello")}
     assert [topic for topic, _ in bench.logged] == ["onboard/tick", "onboard/loop"] * 10
-    assert [tick.number for tick in bench.taped] == list(range(10))
+    assert [tick.number for tick in bench.datagram_log] == list(range(10))
     entries = (Entry.FROM_VEHICLE, Entry.FROM_OFFBOARD, Entry.FROM_GROUND)
-    for tick in bench.taped:
+    for tick in bench.datagram_log:
         assert [tick.of(entry) for entry in entries] == [[b"hello"]] * 3
         assert tick.of(Entry.TO_VEHICLE) == [b"motors"]
         assert not tick.failed
@@ -126,7 +120,7 @@ def test_a_failing_step_is_answered_with_motors_off_and_flown_on(capsys: pytest.
     assert bench.process.fly() == 0
     assert bench.sockets.vehicle.sent[:5] == [b"motors", b"motors", b"off", b"motors", b"motors"]
     assert bench.process.summary()["escapes"] == 1
-    assert [tick.failed for tick in bench.taped] == [False, False, True, False, False]
+    assert [tick.failed for tick in bench.datagram_log] == [False, False, True, False, False]
     assert "broken once" in bench.events[2]
     assert "broken once" in capsys.readouterr().err
 
@@ -139,7 +133,7 @@ def test_too_many_failures_end_the_flight_with_motors_off(capsys: pytest.Capture
     assert bench.process.fly() == 1
     assert bench.core.steps == REALTIME.escapes_max
     assert set(bench.sockets.vehicle.sent) == {b"off"}
-    assert "a step failed (3 of 3): ZeroDivisionError: always" in bench.said
+    assert "a tick failed (3 of 3): ZeroDivisionError: always" in bench.said
     assert capsys.readouterr().err.count("Traceback") == 1, "the same failure is told in full once"
 
 

@@ -85,17 +85,13 @@ class FakeVehicle:
 
 class FakeOnboard:
     def __init__(self):
-        self.sensed, self.heard, self.tick = [], [], 0
+        self.sensed, self.heard, self.ticks = [], [], 0
 
-    def take_in_vehicle(self, datagram, now_ns):
-        self.sensed.append((datagram, now_ns))
-
-    def take_in_offboard(self, datagram, now_ns):
-        self.heard.append((datagram, now_ns // PERIOD_NS))
-
-    def step(self, now_ns):
-        self.tick += 1
-        return SimpleNamespace(to_vehicle=[b"c%d" % (self.tick - 1)], to_offboard=[b"u%d" % (self.tick - 1)])
+    def tick(self, now_ns, from_vehicle, from_offboard):
+        self.sensed += [(datagram, now_ns) for datagram in from_vehicle]
+        self.heard += [(datagram, now_ns // PERIOD_NS) for datagram in from_offboard]
+        self.ticks += 1
+        return SimpleNamespace(to_vehicle=[b"c%d" % (self.ticks - 1)], to_offboard=[b"u%d" % (self.ticks - 1)])
 
 
 class FakeOffboard:

@@ -93,7 +93,7 @@ class AdaptiveAugmentation:
         self._signals = channel.signals
         Phi = self.features.evaluate(self.features.select(channel.signals))
         if channel.adapt:
-            self._filter_residual(channel.residual_raw, dt)
+            self._filter_residual(channel.residual, dt)
             self.last_layer.step(Phi[:, 0], channel.model_error, self._residual, dt)
             if self._ticks % self._ring_period == 0:
                 self._recent.push(channel.signals[:, 0])

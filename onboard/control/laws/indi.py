@@ -32,7 +32,7 @@ class Indi:
         if channel.adapt:
             share = 1.0 - exp(-channel.dt / self._config.filter_s)
             limit = self._config.limit
-            self._nu = (self._nu + share * (channel.residual_raw - self._nu)).clip(-limit, limit)
+            self._nu = (self._nu + share * (channel.residual - self._nu)).clip(-limit, limit)
         telemetry.adaptive_now[:] = self._nu
         return self._nu
 

@@ -51,7 +51,7 @@ class L1:
             error, self._sigma, self._started = np.zeros(3), self._nu.copy(), True
         else:
             # u_hat over the step that has just ended is known only now.
-            error = self._prediction + T * channel.delivered - channel.rate
+            error = self._prediction + T * channel.u_hat - channel.rate
             self._sigma = -(a * decay / (1.0 - decay)) * error
         # Exact over the coming step for constant u_hat and sigma_hat: v_tilde decays, the rest integrates.
         self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma

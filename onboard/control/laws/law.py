@@ -29,9 +29,9 @@ class ChannelState:
     """e = x_rm - x against the hedged reference model."""
     rate: Array = field(default_factory=lambda: np.zeros(3))
     """Second half of x: velocity [m/s] or body rates [rad/s]."""
-    delivered: Array = field(default_factory=lambda: np.zeros(3))
-    """u_hat: m/s^2 or rad/s^2."""
-    residual_raw: Array = field(default_factory=lambda: np.zeros(3))
+    u_hat: Array = field(default_factory=lambda: np.zeros(3))
+    """What the actuators deliver: m/s^2 or rad/s^2."""
+    residual: Array = field(default_factory=lambda: np.zeros(3))
     """x_dot - A x - B u_hat, unfiltered."""
     signals: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """[SIGNAL_COUNT, 2]: columns at the present and where the vehicle will be t_ahead from now."""

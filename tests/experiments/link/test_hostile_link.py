@@ -7,7 +7,7 @@ import hashlib
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -59,11 +59,8 @@ class Shifted:
     def at(self, now_ns: int) -> int:
         return now_ns + self.ahead_ns + sum(by for when, by in self.jumps if now_ns >= when)
 
-    def take_in_vehicle(self, datagram: bytes, now_ns: int) -> None:
-        self.core.take_in_vehicle(datagram, self.at(now_ns))
-
-    def take_in_offboard(self, datagram: bytes, now_ns: int) -> None:
-        self.core.take_in_offboard(datagram, self.at(now_ns))
+    def tick(self, now_ns: int, *datagrams: Any) -> Any:
+        return self.core.tick(self.at(now_ns), *datagrams)
 
     def receive_onboard(self, datagram: bytes, now_ns: int) -> None:
         self.core.receive_onboard(datagram, self.at(now_ns))
@@ -184,9 +181,7 @@ class _Wire:
 
     def run(self, start_ns: int, seconds: float) -> None:
         for now_ns in range(start_ns, start_ns + round(seconds * S), 5 * MS):
-            for datagram in self.down:
-                self.onboard.take_in_offboard(datagram, now_ns)
-            for datagram in self.onboard.step(now_ns).to_offboard:
+            for datagram in self.onboard.tick(now_ns, from_offboard=self.down).to_offboard:
                 self.heard_up.append(datagram)
                 self.offboard.core.receive_onboard(datagram, now_ns + UP_FOR_NS)
             self.down = self.offboard.core.step(now_ns + UP_FOR_NS).to_onboard
@@ -221,14 +216,17 @@ def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
     config = resolve("hover", Choices("pid", 3)).onboard
     onboard, offboard = OnboardCore(config, 5, None), Endpoint("offboard", 7, None)
     asked: list[int] = []
+    replies: list[bytes] = []
     for now_ns in range(0, 6 * S, 5 * MS):
-        for datagram in onboard.step(now_ns).to_offboard:
+        to_offboard = onboard.tick(now_ns, from_offboard=replies).to_offboard
+        replies = []
+        for datagram in to_offboard:
             message = offboard.decode(datagram, now_ns)
             if isinstance(message, TimeSyncRequest):
                 asked.append(now_ns)
                 if now_ns >= 2 * S:
                     reply = TimeSyncReply(message.origin_ns, now_ns, now_ns)
-                    onboard.take_in_offboard(offboard.encode(reply, now_ns), now_ns)
+                    replies.append(offboard.encode(reply, now_ns))
     unanswered = [now_ns for now_ns in asked if now_ns < 2 * S]
     assert len(unanswered) == pytest.approx(2.0 / config.status_period_s, abs=2)
     assert len(asked) - len(unanswered) == pytest.approx(4.0 / config.time_sync_period_s, abs=2)
@@ -305,14 +303,12 @@ def test_who_has_the_key_and_lies_is_refused_and_offboard_is_told_why(data: byte
     offboard = _Side(config, 7)
     wire = _Wire(OnboardCore(config.onboard, 5, KEY), offboard, KEY)
     wire.run(0, 0.2)
-    sequence = 1_000
-    for chunk in split(data, 1, 1000):
-        body = msgpack.packb((chunk.version, chunk.index, chunk.count, chunk.digest, chunk.data))
-        wire.onboard.take_in_offboard(sealed(65, body, 7, sequence), 200 * MS)
-        sequence += 1
+    bodies = (msgpack.packb((c.version, c.index, c.count, c.digest, c.data)) for c in split(data, 1, 1000))
+    waiting = [sealed(65, body, 7, sequence) for sequence, body in enumerate(bodies, 1_000)]
     told: list[str] = []
     for now_ns in range(200 * MS, 500 * MS, 5 * MS):
-        out = wire.onboard.step(now_ns)
+        out = wire.onboard.tick(now_ns, from_offboard=waiting)
+        waiting = []
         for datagram in out.to_offboard:
             offboard.core.receive_onboard(datagram, now_ns + UP_FOR_NS)
         told += [text for _, text in offboard.core.step(now_ns + UP_FOR_NS).events]
@@ -340,10 +336,13 @@ def test_a_flood_of_5000_a_second_costs_no_tick_and_no_pose() -> None:
     peer = Endpoint("offboard", 2, None)
     pose = Pose(0, np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32))
     flood = rubbish(rng, [peer.encode(pose, i) for i in range(50)])
-    for _ in range(400):
-        for _ in range(25):
-            flight.onboard.take_in_offboard(next(flood), flight.lockstep.now_ns)
-        flight.fly(0.005)
+    tick = flight.onboard.tick
+
+    def flooded(now_ns: int, vehicle: list[bytes], offboard: list[bytes]) -> Any:
+        return tick(now_ns, vehicle, [*islice(flood, 25), *offboard])
+
+    flight.onboard.tick = flooded  # type: ignore[method-assign, assignment]
+    flight.fly(400 * 0.005)
     assert flight.mode is FlightMode.FLYING
     assert flight.last("pose_age") < 0.1
     assert max(flight.errors_m[-200:]) < 0.3
@@ -352,12 +351,6 @@ def test_a_flood_of_5000_a_second_costs_no_tick_and_no_pose() -> None:
 
 def test_what_a_tick_takes_in_is_bounded() -> None:
     """However much waits in the sockets, the loop takes so much and steps."""
-    taken: list[int] = []
-    core = SimpleNamespace(
-        take_in_vehicle=lambda datagram, now: None,
-        take_in_offboard=lambda datagram, now: taken.append(1),
-        take_in_ground=lambda datagram, now: None,
-    )
     asked: list[int] = []
 
     def receive(limit: int) -> list[bytes]:
@@ -368,9 +361,9 @@ def test_what_a_tick_takes_in_is_bounded() -> None:
     make: Any = OnboardProcess
     realtime = resolve("hover").onboard.realtime
     sockets = SimpleNamespace(vehicle=socket, offboard=socket, ground=socket)
-    process = make(core, realtime, 5 * MS, sockets, None, None, SimpleNamespace(count=0))
-    process._take_in(0)
-    assert len(taken) == DATAGRAMS_PER_STEP_MAX == 64
+    process = make(None, realtime, 5 * MS, sockets, None, None, SimpleNamespace(count=0))
+    _, from_offboard, _, _ = process._receive(0)
+    assert len(from_offboard) == DATAGRAMS_PER_STEP_MAX == 64
     assert max(asked) <= DATAGRAMS_PER_STEP_MAX
     assert DATAGRAMS_PER_STEP_MAX * 200 > 2 * 5_000, "a flood of 5,000/s leaves no queue behind which a pose waits"
 
@@ -400,15 +393,15 @@ def test_the_up_link_stays_within_its_budget(budget: float, status_s: float) -> 
     flight = Flight("mrac", assignments=narrow)
     listener = Endpoint("offboard", 9, None)
     batches: list[tuple[int, SampleBatch]] = []
-    step = flight.onboard.step
+    tick = flight.onboard.tick
 
-    def overheard(now_ns: int, missed_ticks: int = 0) -> Any:
-        out = step(now_ns, missed_ticks)
+    def overheard(now_ns: int, *datagrams: Any) -> Any:
+        out = tick(now_ns, *datagrams)
         messages = (listener.decode(datagram, now_ns) for datagram in out.to_offboard)
         batches.extend((now_ns, message) for message in messages if isinstance(message, SampleBatch))
         return out
 
-    flight.onboard.step = overheard  # type: ignore[method-assign]
+    flight.onboard.tick = overheard  # type: ignore[method-assign, assignment]
     flight.fly(6.0)
     assert_within(flight.up, budget)
     assert sum(size for _, size in flight.up) > 0.8 * budget * 3.0, "and what there is is used"
@@ -427,8 +420,8 @@ def test_a_peer_that_restarts_and_asks_without_end_does_not_make_us_exceed_it() 
     for tick in range(2_000):
         now_ns = tick * 5 * MS
         peer = Endpoint("offboard", tick + 1, KEY)
-        onboard.take_in_offboard(peer.encode(TimeSyncRequest(now_ns), now_ns), now_ns)
-        up += [(now_ns, len(datagram) + NETWORK_BYTES) for datagram in onboard.step(now_ns).to_offboard]
+        asked = [peer.encode(TimeSyncRequest(now_ns), now_ns)]
+        up += [(now_ns, len(sent) + NETWORK_BYTES) for sent in onboard.tick(now_ns, from_offboard=asked).to_offboard]
     assert_within(up, 1_500.0)
     assert len(up) > 100, "but it is answered"
 

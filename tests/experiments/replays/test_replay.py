@@ -138,7 +138,7 @@ def with_entries(record: bytes, change: Callable[[Entry, bytes], bytes | None]) 
     for kind, data in tick.entries:
         changed = change(kind, data)
         if changed is not None:
-            writer.put(kind, changed)
+            writer.put(kind, [changed])
     return record[: HEAD.size] + writer.end_tick(0, 0)[HEAD.size :]
 
 

@@ -14,6 +14,7 @@ from onboard.control.airframe import GRAVITY, AirframeConfig
 from onboard.control.interface import ControllerConfig
 from onboard.control.mixer import Mixer
 from onboard.control.records import ControlInputs, ControlOutput, Target
+from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import PathPoint
 from onboard.sampling.signal_vector import SignalVector
@@ -73,7 +74,8 @@ class Rig:
         self.jump = np.zeros(3)
         self.motors, self.belief = ActuatorModel(AIRFRAME, DT / SUBSTEPS), ActuatorModel(AIRFRAME, DT)
         hover = AIRFRAME.mass_kg * GRAVITY / 4.0
-        self.motors.thrusts[:] = self.belief.thrusts[:] = hover
+        self.motors.delivered.thrusts_n[:] = self.belief.delivered.thrusts_n[:] = hover
+        self.uncertainty = UncertaintyMeasurement(AIRFRAME, DT)
         self.commands = [(hover,) * 4]
         self.mixer, self.signals, self.state = Mixer(AIRFRAME), SignalVector(DT), VehicleState()
         self.target: Any = np.array([0.0, 0.0, -1.0])
@@ -86,15 +88,16 @@ class Rig:
         """What the controller is given now."""
         self._sense()
         point = PathPoint(tuple(self.target), REST, REST)
-        thrust, *torque = self.belief.wrench()
-        signals = self.signals.step(self.state, self.belief.thrusts, 3.7)
+        delivered = self.belief.delivered
+        position, attitude = self.uncertainty.step(self.state, delivered)
+        signals = self.signals.step(self.state, delivered.thrusts_n, 3.7)
         return ControlInputs(
             dt=DT,
             state=self.state,
             target=Target(point, REST, point, point, self.yaw),
             signals=signals,
-            delivered_thrust_n=thrust,
-            delivered_torque_nm=(torque[0], torque[1], torque[2]),
+            position=position,
+            attitude=attitude,
             saturated=self.saturated,
             adapt=self.adapt,
             level_only=self.level_only,
@@ -136,8 +139,7 @@ class Rig:
         J, dt = np.array([jx, jy, jz]), DT / SUBSTEPS
         force = np.zeros(3)
         for _ in range(SUBSTEPS):
-            self.motors.step(command)
-            thrust, *torque = self.motors.wrench()
+            _, thrust, torque = self.motors.step(command)
             pushed = -thrust / AIRFRAME.mass_kg * self.attitude.as_matrix()[:, 2] + self.force
             force += pushed / SUBSTEPS
             acceleration = pushed + np.array([0.0, 0.0, GRAVITY])

@@ -98,19 +98,20 @@ def test_yaw_is_given_up_before_thrust():
 @pytest.mark.parametrize(("command", "lag_s"), [(0.3, AIRFRAME.motor_lag_up_s), (0.0, AIRFRAME.motor_lag_down_s)])
 def test_the_actuator_model_is_the_exact_first_order_lag(command, lag_s):
     model = ActuatorModel(AIRFRAME, 0.005)
-    model.thrusts[:] = 0.15
+    model.delivered.thrusts_n[:] = 0.15
     for _ in range(10):
         model.step((command,) * 4)
     expected = command + (0.15 - command) * math.exp(-0.05 / lag_s)
-    np.testing.assert_allclose(model.thrusts, expected, rtol=1e-12)
+    np.testing.assert_allclose(model.delivered.thrusts_n, expected, rtol=1e-12)
 
 
 @SETTINGS
 @given(motors)
 def test_the_actuator_models_wrench(thrusts):
     model = ActuatorModel(AIRFRAME, 0.005)
-    model.thrusts[:] = thrusts
-    np.testing.assert_allclose(model.wrench(), wrench(thrusts), atol=1e-12)
+    model.delivered.thrusts_n[:] = thrusts
+    thrust, torque = model.step(thrusts)[1:]
+    np.testing.assert_allclose((thrust, *torque), wrench(thrusts), atol=1e-12)
 
 
 def test_the_airframe_can_hover_and_turn():
@@ -122,22 +123,22 @@ def test_the_airframe_can_hover_and_turn():
 @pytest.mark.parametrize(("start", "wanted"), [(0.15, 0.16), (0.16, 0.15)])
 def test_driven_motors_follow_with_the_response_and_not_with_their_lag(start, wanted):
     model = ActuatorModel(DRIVEN, 0.0005)
-    model.thrusts[:] = start
+    model.delivered.thrusts_n[:] = start
     for _ in range(round(DRIVEN.motor_response_s / 0.0005)):
         model.step(model.overdriven((wanted,) * 4))
-    share = (model.thrusts - start) / (wanted - start)
+    share = (model.delivered.thrusts_n - start) / (wanted - start)
     np.testing.assert_allclose(share, 1.0 - np.exp(-1.0), atol=0.01)
 
 
 def test_motors_are_left_as_they_are_where_the_response_is_no_shorter_than_the_lag():
     model, wanted = ActuatorModel(AIRFRAME, 0.005), (0.1, 0.15, 0.2, 0.25)
-    model.thrusts[:] = 0.17
+    model.delivered.thrusts_n[:] = 0.17
     assert model.overdriven(wanted) == wanted
 
 
 def test_driven_motors_keep_their_limits_and_stand_where_they_are_wanted():
     model = ActuatorModel(DRIVEN, 0.005)
-    model.thrusts[:] = 0.15
+    model.delivered.thrusts_n[:] = 0.15
     assert model.overdriven((0.15,) * 4) == pytest.approx((0.15,) * 4)
     most = AIRFRAME.motor_thrust_max_n
     least = AIRFRAME.motor_thrust_min_share * most

@@ -259,7 +259,7 @@ def flying_augmentation(swap_config):
     for tick in range(400):
         for column, t in enumerate((tick * 0.005, tick * 0.005 + 0.17)):
             state.signals[ROWS, column] = np.sin(t), np.sin(2 * t), np.cos(t)
-        state.residual_raw[:] = 2.0 * state.signals[ROWS, 0]
+        state.residual[:] = 2.0 * state.signals[ROWS, 0]
         nu = augmentation.step(state, ChannelTelemetry())
     return augmentation, state, nu.copy()
 
@@ -282,13 +282,13 @@ def test_the_commanded_nu_ad_does_not_jump_by_more_than_was_reported(swap_config
 
 def test_the_law_learns_at_the_present_state_and_commands_at_the_one_ahead():
     augmentation, state, _ = flying_augmentation(CONFIG)
-    state.residual_raw[:] = 1.0, -2.0, 3.0
+    state.residual[:] = 1.0, -2.0, 3.0
     telemetry = ChannelTelemetry()
     for _ in range(1000):  # now and ahead stay two different places
         nu = augmentation.step(state, telemetry)
     Phi = augmentation.features.evaluate(augmentation.features.select(state.signals))
     both = augmentation.last_layer.W.T @ Phi
-    np.testing.assert_allclose(both[:, 0], state.residual_raw, atol=1e-6)
+    np.testing.assert_allclose(both[:, 0], state.residual, atol=1e-6)
     np.testing.assert_allclose(telemetry.adaptive_now, both[:, 0], atol=1e-12)
     np.testing.assert_allclose(nu, both[:, 1], atol=1e-12)
     ahead = float(np.linalg.norm(both[:, 1] - both[:, 0]))
@@ -299,7 +299,7 @@ def test_the_law_learns_at_the_present_state_and_commands_at_the_one_ahead():
 def test_the_live_bound_is_its_formula():
     augmentation, state, _ = flying_augmentation(CONFIG)
     telemetry = ChannelTelemetry()
-    state.residual_raw[:] = 1.0, -2.0, 3.0
+    state.residual[:] = 1.0, -2.0, 3.0
     augmentation.step(state, telemetry)
     gains = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
     P = lyapunov_p(gains.closed_loop_matrix(), np.diag([1.0] * 3 + [0.1] * 3))

@@ -118,15 +118,11 @@ class RealFlight:
     def step(self):
         now = self.tick * PERIOD_NS
         flown = self.vehicle.step(now)
-        for frame in self.fault(now * 1e-9, list(flown.to_onboard)):
-            self.core.take_in_vehicle(frame, now)
-        for message in self.waiting:
-            self.core.take_in_offboard(self.peer.endpoint.encode(message, now + CLOCK_NS), now)
+        frames = list(self.fault(now * 1e-9, list(flown.to_onboard)))
+        messages = [self.peer.endpoint.encode(message, now + CLOCK_NS) for message in self.waiting]
         if self.heartbeats and self.tick % 200 == 0:
             self.typed.append(bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(self.station)))
-        for datagram in self.typed:
-            self.core.take_in_ground(datagram, now)
-        out = self.core.step(now)
+        out = self.core.tick(now, frames, messages, self.typed)
         for datagram in self.motors:
             self.vehicle.receive(datagram, now)
         self.motors, self.waiting, self.typed = out.to_vehicle, [], []

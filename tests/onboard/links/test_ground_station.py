@@ -108,6 +108,8 @@ class PacedFlight:
         self.core = OnboardCore(config.onboard, 1, None)
         radio = Radio(config.radio, np.random.default_rng(1))
         vehicle = SimVehicle(config.vehicle, 1)
+        tick, self.from_ground = self.core.tick, []
+        self.core.tick = lambda *inputs: tick(*inputs, from_ground=self.from_ground)
         self.lockstep = Lockstep(vehicle, radio, self.core, None, config.onboard.period_ns, 0)
         self.station = station
         self.modes = []
@@ -118,12 +120,13 @@ class PacedFlight:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             result = self.lockstep.step()
+            self.from_ground.clear()
             assert not self.lockstep.crash_reason
             self.modes.append(FlightMode(int(result.onboard.tick[0])))
             for datagram in result.onboard.to_ground:
                 self.station.send(datagram)
             while (datagram := self.station.receive()) is not None:
-                self.core.take_in_ground(datagram, result.now_ns)
+                self.from_ground.append(datagram)
             screen = self.station.look()
             if condition(self.modes[-1], screen):
                 return

@@ -1,0 +1,61 @@
+"""What the actuators deliver (u_hat) and what they do not explain (the residual), in both channels.
+
+The vehicle obeys x_dot = A x + B (u_hat + Delta). Delta itself cannot be measured; the residual
+
+    r = x_dot - A x - u_hat          (the three rows that B selects)
+
+is Delta plus the noise of the sensors. Controllers filter it (Delta_hat); the trainer smooths it over time.
+"""
+
+from onboard.control.actuators import Delivered
+from onboard.control.airframe import GRAVITY, AirframeConfig
+from onboard.control.records import ChannelMeasurement
+from onboard.estimation.state import VehicleState
+from protocol.geometry import Vector3, vector
+
+
+class UncertaintyMeasurement:
+    """u_hat and residual of the position channel (m/s^2, world NED) and the attitude channel (rad/s^2, body FRD)."""
+
+    def __init__(self, airframe: AirframeConfig, period_s: float) -> None:
+        self._airframe = airframe
+        self._dt = period_s
+        self._position, self._attitude = ChannelMeasurement(), ChannelMeasurement()
+        self._last_rates: Vector3 = (0.0, 0.0, 0.0)
+        self._last_delivered = (0.0, 0.0, 0.0, 0.0)
+
+    def step(self, state: VehicleState, delivered: Delivered) -> tuple[ChannelMeasurement, ChannelMeasurement]:
+        """Position and attitude channel at the present. The records are rewritten in the next tick.
+
+        delivered: thrust and torque now. The mean with those of the last tick has moved the vehicle since then.
+        """
+        now = (delivered.thrust_n, *delivered.torque_nm)
+        T, *tau = (0.5 * (before + after) for before, after in zip(self._last_delivered, now, strict=True))
+        self._last_delivered = now
+        self._translation(state, T)
+        self._rotation(state, vector(tau))
+        return self._position, self._attitude
+
+    def _translation(self, state: VehicleState, T: float) -> None:
+        """u_hat = g e_3 - (T / m) R e_3;  r = R f + (T / m) R e_3, f the specific force."""
+        lift = -T / self._airframe.mass_kg
+        f = state.specific_force.tolist()
+        u_hat, r = self._position.u_hat, self._position.residual
+        for axis, (R0, R1, R2) in enumerate(state.rotation.tolist()):
+            along = lift * R2
+            u_hat[axis] = along
+            r[axis] = R0 * f[0] + R1 * f[1] + R2 * f[2] - along
+        u_hat[2] += GRAVITY
+
+    def _rotation(self, state: VehicleState, tau: Vector3) -> None:
+        """u_hat = J^-1 (tau - omega x J omega);  r = omega_dot - u_hat."""
+        dt = self._dt
+        Jx, Jy, Jz = self._airframe.inertia_kg_m2
+        p, q, r = state.rates.tolist()
+        last_p, last_q, last_r = self._last_rates
+        up = (tau[0] - (Jz - Jy) * q * r) / Jx
+        uq = (tau[1] - (Jx - Jz) * p * r) / Jy
+        ur = (tau[2] - (Jy - Jx) * p * q) / Jz
+        self._attitude.u_hat[:] = up, uq, ur
+        self._attitude.residual[:] = (p - last_p) / dt - up, (q - last_q) / dt - uq, (r - last_r) / dt - ur
+        self._last_rates = (p, q, r)
