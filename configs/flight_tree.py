@@ -7,12 +7,12 @@ section (experiments.flights.scenario from all of them), so that none needs the 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pydantic import Field, ValidationError
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, merge, read_tree, set_path
+from configs.parts import named_file, read_part
 
 DEFAULT_SCENARIO: Final = "figure8_wind"
 
@@ -70,23 +70,6 @@ class Choices:
     """Its number, where several fly at once: its id on the link, and ports of its own."""
 
 
-def named_file(kind: str, name: str) -> Path:
-    """The file of a part: configs/<kind>/<name>.yaml, or a path that ends in .yaml.
-
-    Raises
-    ------
-    ConfigError
-        If there is none; the message lists the names there are.
-    """
-    directory = CONFIG_DIRECTORY / kind
-    path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
-    if not path.is_file():
-        known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
-        singular = kind.removesuffix("s")
-        raise ConfigError(f"unknown {singular} {name!r}: allowed are {known}, or the path of a .yaml file")
-    return path
-
-
 def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
     """The plain tree of a flight, and what it was made of, for messages.
 
@@ -98,7 +81,7 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     choices = choices or Choices()
     _check_choices(choices)
     path = named_file("scenarios", scenario)
-    file = fill(ScenarioFile, read_tree(path), str(path))
+    file = fill(ScenarioFile, read_part("scenarios", scenario), str(path))
     tree = compose(file, path.stem, choices)
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)
@@ -142,10 +125,10 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     onboard = merge(read_tree(CONFIG_DIRECTORY / "onboard.yaml"), {"guidance": _guidance(file, duration)})
     onboard = merge(onboard, _simulated_pilot(onboard))
     careful = read_tree(CONFIG_DIRECTORY / "real_vehicle.yaml") if choices.real else {}
-    law = read_tree(named_file("controllers", controller))
+    law = read_part("controllers", controller)
     onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
     onboard = merge(onboard, {"seed": seed, "controller": law})
-    vehicle = merge(read_vehicle_tree(named_file("vehicles", file.vehicle)), {"disturbances": list(file.disturbances)})
+    vehicle = merge(read_part("vehicles", file.vehicle), {"disturbances": list(file.disturbances)})
     return {
         "scenario": name,
         "description": file.description,
@@ -157,7 +140,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "onboard": merge(merge(onboard, file.onboard), careful),
         "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
         "vehicle": merge(vehicle, file.vehicle_values),
-        "radio": merge(read_tree(named_file("radio", file.radio)), file.radio_values),
+        "radio": merge(read_part("radio", file.radio), file.radio_values),
         "network": read_tree(CONFIG_DIRECTORY / "network.yaml"),
     }
 
@@ -197,27 +180,3 @@ def _guidance(file: ScenarioFile, duration_s: float) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         landing_s = 4.0  # the record's own check names the fault
     return merge(guidance, {"land_after_s": max(duration_s - landing_s, 1.0)})
-
-
-def read_vehicle_tree(name: str | Path) -> dict[str, Any]:
-    """The plain tree of a vehicle: `name` is a file, or the name of one in configs/vehicle.
-
-    A file whose `based_on` names another vehicle holds only what differs from it.
-
-    Raises
-    ------
-    ConfigError
-        If a file cannot be read, or vehicles are based on each other in a ring.
-    """
-    tree: dict[str, Any] = {}
-    seen: list[Path] = []
-    below: Any = name
-    while below is not None:
-        path = CONFIG_DIRECTORY / "vehicles" / f"{below}.yaml" if Path(below).suffix == "" else Path(below)
-        if path in seen:
-            raise ConfigError(f"{path}: based_on goes round in a ring")
-        seen.append(path)
-        layer = read_tree(path)
-        below = layer.pop("based_on", None)
-        tree = merge(layer, tree)
-    return tree

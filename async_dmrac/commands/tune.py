@@ -9,6 +9,7 @@ from rich.console import Console
 
 from async_dmrac.commands.worker_options import add_jobs_option, cores, positive
 from configs.loader import CONFIG_DIRECTORY, ConfigError
+from configs.parts import named_file
 
 if TYPE_CHECKING:
     import optuna
@@ -40,7 +41,6 @@ def run(arguments: argparse.Namespace) -> int:
     from experiments.campaigns.controller_file import tuned_text, write_controller
     from experiments.campaigns.runner import LocalPool
     from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
-    from experiments.flights.scenario import named_file
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     path = campaign_path(arguments.campaign)

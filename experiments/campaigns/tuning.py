@@ -26,9 +26,9 @@ import optuna
 from pydantic import Field, model_validator
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load, merge, read_tree
+from configs.parts import read_part
 from experiments.campaigns.campaign import CampaignConfig, Case, FlightJob, Seeds, flights_of_seed
 from experiments.campaigns.worker import FlightResult, fly_job
-from experiments.flights.scenario import named_file
 
 CONTROLLER_ROOT: Final = "onboard.controller."
 GUIDANCE_ROOT: Final = "onboard.guidance."
@@ -158,7 +158,7 @@ def _flight_path(path: str) -> str:
 
 def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
     """What the file holds now (guidance.yaml for leads it does not name), within the ranges: where a search starts."""
-    tree = read_tree(named_file("controllers", controller))
+    tree = read_part("controllers", controller)
     tree["guidance"] = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), tree.get("guidance", {}))
     values = {}
     for parameter in space:

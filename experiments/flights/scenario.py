@@ -9,15 +9,16 @@ import yaml
 from pydantic import Field
 
 from configs.addresses import Addresses
-from configs.flight_tree import DEFAULT_SCENARIO, Choices, Duration, Seed, flight_tree, named_file
+from configs.flight_tree import DEFAULT_SCENARIO, Choices, Duration, Seed, flight_tree
 from configs.loader import ConfigRecord, fill
+from configs.parts import named_file
 from offboard.config import OffboardConfig
 from onboard.config import OnboardConfig
 from onboard.control.interface import LearningController
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.radio import RadioConfig
 
-__all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "named_file", "resolve"]
+__all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "resolve"]
 
 
 class FlightConfig(ConfigRecord):

@@ -13,7 +13,7 @@ copy arrived; `flipped_bit` is the bit that was inverted, if any. Another flight
 time (sim_vehicle.link.radio.RecordedDeliveries); past the end the `perfect` radio takes over.
 
 A .yaml file holds a `description`, a profile of configs/radio by name (`radio`, perfect unless given) and what is laid
-over it (`radio_values`), as a scenario does.
+over it (`radio_values`), as a scenario does. configs/parts.py says how one file holds several patterns.
 """
 
 import csv
@@ -24,9 +24,9 @@ from typing import Any, Final
 
 from pydantic import Field
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, load, merge, read_tree
+from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, merge
+from configs.parts import part_names, read_part
 from experiments.flights.lockstep_flight import Deliveries
-from experiments.flights.scenario import named_file
 from sim_vehicle.link.radio import DIRECTIONS, OUTCOMES, Delivery, Direction, RadioConfig
 
 FOLDER: Final = CONFIG_DIRECTORY / "dropouts"
@@ -56,7 +56,7 @@ class DropoutTrace:
 
 def trace_names() -> list[str]:
     """The traces that are shipped, by name."""
-    return sorted(path.stem for path in FOLDER.iterdir() if path.suffix in (".csv", ".yaml"))
+    return sorted([*part_names("dropouts"), *(path.stem for path in FOLDER.glob("*.csv"))])
 
 
 def load_trace(name: str) -> DropoutTrace:
@@ -67,23 +67,15 @@ def load_trace(name: str) -> DropoutTrace:
     ConfigError
         Naming the file, the line and what is allowed.
     """
-    path = _find(name)
-    if path.suffix == ".csv":
+    path = Path(name) if name.endswith(".csv") else FOLDER / f"{name}.csv"
+    if path.is_file():
         return _load_csv(path)
-    file = load(PatternFile, path)
-    tree = merge(read_tree(named_file("radio", file.radio)), file.radio_values)
-    return DropoutTrace(path.stem, file.description, fill(RadioConfig, tree, str(path), "radio."))
-
-
-def _find(name: str) -> Path:
-    candidates = (
-        [Path(name)] if name.endswith((".csv", ".yaml")) else [FOLDER / f"{name}{s}" for s in (".csv", ".yaml")]
-    )
-    path = next((path for path in candidates if path.is_file()), None)
-    if path is None:
+    if not name.endswith((".yaml", ".yml")) and name not in part_names("dropouts"):
         known = ", ".join(trace_names())
         raise ConfigError(f"unknown dropout trace {name!r}: allowed are {known}, or the path of a .csv or .yaml file")
-    return path
+    file = fill(PatternFile, read_part("dropouts", name), name)
+    tree = merge(read_part("radio", file.radio), file.radio_values)
+    return DropoutTrace(Path(name).stem, file.description, fill(RadioConfig, tree, name, "radio."))
 
 
 def write_csv(path: Path, deliveries: Deliveries, description: str) -> None:

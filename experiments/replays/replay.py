@@ -9,10 +9,11 @@ import numpy as np
 from rich.table import Table
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, merge, read_tree
+from configs.parts import named_file, read_part
 from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome, fly_lockstep
 from experiments.flights.lockstep_log import LockstepLog
 from experiments.flights.metrics import flight_metrics, lost_target
-from experiments.flights.scenario import FlightConfig, complete, named_file
+from experiments.flights.scenario import FlightConfig, complete
 from experiments.flights.trace import FlightTrace
 from experiments.replays.link_quality import LinkQuality, link_quality
 from experiments.replays.recorded_flight import RecordedFlight
@@ -81,20 +82,19 @@ def with_choices(config: FlightConfig, controller: str | None, seed: int | None)
         tree["seed"] = tree["onboard"]["seed"] = tree["offboard"]["seed"] = seed
     if controller is None:
         return fill(FlightConfig, tree, f"--seed {seed}")
-    path = named_file("controllers", controller)
-    law = read_tree(path)
+    law = read_part("controllers", controller)
     leads = law.pop("guidance", {})
     tree["controller"], tree["onboard"]["controller"] = controller, law
     tree["onboard"]["guidance"] = merge(merge(tree["onboard"]["guidance"], _former_leads(config)), leads)
     if not _learns(config):  # then nobody was taught, whatever the configuration of the teacher said
         tree["offboard"]["experience"] = read_tree(CONFIG_DIRECTORY / "offboard.yaml")["experience"]
-    return complete(tree, str(path))
+    return complete(tree, str(named_file("controllers", controller)))
 
 
 def _former_leads(config: FlightConfig) -> dict[str, Any]:
     """The usual values of what the recorded controller had brought along for guidance."""
     try:
-        brought = read_tree(named_file("controllers", config.controller)).get("guidance", {})
+        brought = read_part("controllers", config.controller).get("guidance", {})
     except ConfigError:
         return {}
     usual = read_tree(CONFIG_DIRECTORY / "guidance.yaml")

@@ -13,13 +13,13 @@ import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from configs.loader import ConfigRecord
+from configs.loader import ConfigRecord, merge
 from flight_log.schema import RecordType
 
 Direction = Literal["up", "down"]
@@ -90,10 +90,19 @@ class DirectionConfig(ConfigRecord):
 
 
 class RadioConfig(ConfigRecord):
-    """Both directions of the radio."""
+    """Both directions of the radio. The key `both` gives values to both; those of `up` and `down` win over it."""
 
     up: DirectionConfig = DirectionConfig()
     down: DirectionConfig = DirectionConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _both(cls, tree: Any) -> Any:
+        both = tree.get("both") if isinstance(tree, Mapping) else None
+        if not isinstance(both, Mapping):
+            return tree
+        directions = {name: merge({name: both}, {name: tree.get(name, {})})[name] for name in DIRECTIONS}
+        return {name: value for name, value in tree.items() if name != "both"} | directions
 
 
 OUTCOMES: Final[tuple[str, ...]] = ("delivered", "loss", "burst", "blackout", "queue")

@@ -8,8 +8,6 @@ import sys
 import numpy as np
 import pytest
 
-from configs.flight_tree import read_vehicle_tree
-from configs.loader import ConfigError
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.records import TRUTH
@@ -241,13 +239,6 @@ def test_the_real_one_is_weaker():
     assert ideal.motors.thrust_slope_n_s2 * 13840.8 * 500 == pytest.approx(ideal.motors.max_thrust_n, rel=2e-3)
     assert ideal.motors.torque_ratio_m == pytest.approx(1.5 * ideal.nominal.torque_ratio_m)
     assert real.nominal == ideal.nominal
-
-
-def test_vehicles_based_on_each_other_in_a_ring(tmp_path):
-    path = tmp_path / "odd.yaml"
-    path.write_text(f"based_on: {path}\n")
-    with pytest.raises(ConfigError, match="ring"):
-        read_vehicle_tree(path)
 
 
 @pytest.mark.parametrize("seed", range(12))
