@@ -1,1 +1,1 @@
-"""What crosses the link between onboard and offboard: messages, bytes, repair and statistics. No I/O."""
+"""The link between onboard and offboard: messages, their bytes, transfer of feature sets, statistics. No I/O."""

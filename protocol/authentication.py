@@ -1,8 +1,8 @@
-"""Who may speak: a keyed BLAKE2b over the whole datagram, bound to its direction; without a key only this machine.
+"""Authentication of datagrams: a keyed BLAKE2b over the whole datagram, which depends on its direction.
 
-The direction is BLAKE2b's `person` parameter, so that a datagram thrown back at its sender carries a wrong MAC.
-Without a key the same 16 bytes are an unkeyed BLAKE2b: they find corruption and prove nothing, which is why the
-configuration (configs.addresses) then accepts addresses of this machine only.
+The direction is BLAKE2b's `person` parameter, so that a datagram sent back to its sender has a wrong MAC. Without a
+key the 16 bytes are an unkeyed BLAKE2b, which detects corruption but does not identify the sender. The configuration
+(configs.addresses) then accepts only addresses of this machine.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ _PERSON: Final[dict[Direction, bytes]] = {"up": b"async-dmrac up", "down": b"asy
 class Authenticator:
     """Computes and checks the MAC of one direction.
 
-    Raises ValueError on construction when the key has not 16 to 64 bytes; the message never shows it.
+    Raises ValueError on construction if the key does not have 16 to 64 bytes. The message does not show the key.
     """
 
     def __init__(self, key: bytes | None, direction: Direction) -> None:
@@ -32,13 +32,13 @@ class Authenticator:
         self._start = hashlib.blake2b(digest_size=MAC_BYTES, key=key or b"", person=_PERSON[direction])
 
     def mac(self, data: bytes) -> bytes:
-        """The 16 bytes that close a datagram of header and body `data`."""
+        """The MAC, 16 bytes, of header and body `data`."""
         state = self._start.copy()
         state.update(data)
         return state.digest()
 
     def is_genuine(self, datagram: bytes) -> bool:
-        """Whether the last 16 bytes are the MAC of the others; takes the same time wherever they differ."""
+        """Whether the last 16 bytes are the MAC of the bytes before them; compared in constant time."""
         view = memoryview(datagram)
         state = self._start.copy()
         state.update(view[:-MAC_BYTES])

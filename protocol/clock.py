@@ -1,6 +1,6 @@
-"""The peer's clock against ours, from time sync exchanges (the four time stamps of NTP, filtered by round trip).
+"""Clocks: a clock that never goes back, and the offset of the peer's clock from time sync exchanges.
 
-And our own clock made safe to reckon with: deadlines and ages go wrong for good when it is set back.
+The offset is computed from the four time stamps of NTP, and filtered by round trip time.
 """
 
 from collections import deque
@@ -13,7 +13,10 @@ JUMP_SLACK_NS: Final = 5_000_000
 
 
 class ForwardClock:
-    """A clock that never goes back: where the one it is read from does, it stands still once and then runs on."""
+    """A clock that never goes back. When its source does, it repeats its last time once and continues from there.
+
+    Deadlines and ages would otherwise stay wrong for good.
+    """
 
     __slots__ = ("_latest_ns", "_shift_ns", "jumps")
 
@@ -21,10 +24,10 @@ class ForwardClock:
         self._latest_ns: int | None = None
         self._shift_ns = 0
         self.jumps = 0
-        """How often the clock below went back."""
+        """How often the source went back."""
 
     def at(self, now_ns: int) -> int:
-        """The time to reckon with when the clock below says `now_ns`."""
+        """The time, ns, when the source shows `now_ns`."""
         now_ns += self._shift_ns
         latest_ns = self._latest_ns
         if latest_ns is not None and now_ns < latest_ns:
@@ -36,11 +39,11 @@ class ForwardClock:
 
 
 class ClockEstimate:
-    """Offset = peer clock minus ours.
+    """Estimate of the offset, peer clock minus own clock, ns.
 
-    An exchange with round trip r errs by at most r / 2, so of the last SAMPLES_MAX the one with the shortest round
-    trip is believed. An offset that contradicts the believed one by more than both errors and a slack for drift
-    means that a clock jumped: everything older is forgotten.
+    The error of an exchange with round trip r is at most r / 2, so the estimate is that of the exchange with the
+    shortest round trip among the last SAMPLES_MAX. An offset that differs from the estimate by more than both errors
+    and JUMP_SLACK_NS (for drift) means that a clock jumped: all older exchanges are discarded.
     """
 
     def __init__(self) -> None:
@@ -51,20 +54,20 @@ class ClockEstimate:
         self.jumps = 0
 
     def restart(self) -> None:
-        """Starts anew, as after a restart of the peer; open requests stay open."""
+        """Discard all exchanges, as after a restart of the peer; open requests stay open."""
         self._samples.clear()
         self.offset_ns = self.round_trip_ns = None
 
     def note_request(self, origin_ns: int) -> None:
-        """Notes a request that leaves now."""
+        """Store a request that is sent now."""
         self._open.append(origin_ns)
 
     def is_open(self, origin_ns: int, now_ns: int) -> bool:
-        """Whether a reply with this origin answers a request of ours, recently made and not yet answered."""
+        """Whether a reply with this origin answers an own request that is recent and not answered yet."""
         return origin_ns in self._open and 0 <= now_ns - origin_ns <= REQUEST_LIFE_NS
 
     def receive_reply(self, origin_ns: int, receive_ns: int, transmit_ns: int, now_ns: int) -> bool:
-        """Takes in a reply; False when its request is not open or its round trip would be negative."""
+        """Receive a reply; returns False if its request is not open or its round trip would be negative."""
         round_trip = (now_ns - origin_ns) - (transmit_ns - receive_ns)
         if not self.is_open(origin_ns, now_ns) or round_trip < 0:
             return False

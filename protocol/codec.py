@@ -1,11 +1,11 @@
-"""The bytes of a datagram's header and body; docs/protocol.md specifies every one of them.
+"""The bytes of a datagram's header and body, as docs/protocol.md specifies them.
 
-A datagram is header (28 bytes), body, MAC (16 bytes, `protocol.authentication`).
+A datagram is a header (28 bytes), a body and a MAC (16 bytes, `protocol.authentication`).
 
 A body is one msgpack array with the message's fields in the order of `protocol.messages`. Integers are msgpack
-integers, arrays are little-endian float32 in msgpack bin whose shape the message type fixes. Nothing else is
-accepted: no maps, no text, no extension types, no nesting. The bytes of a feature set, which travel in chunks,
-are in `protocol.feature_codec` and found here too.
+integers. Arrays are little-endian float32 in msgpack bin; the message type determines their shape. Nothing else is
+accepted: no maps, no text, no extension types, no nesting. The bytes of a feature set, which are sent in chunks, are
+defined in `protocol.feature_codec` and exported here too.
 """
 
 import math
@@ -95,7 +95,7 @@ def _unpack_pose(fields: list[Any]) -> Pose:
     return Pose(time_ns, _array(position, (3,)), _array(quaternion, (4,)))
 
 
-# One row a message type: its number on the wire, its class, fields out of a message, a message out of fields.
+# One row per message type: its number on the wire, its class, message to fields, fields to message.
 _ROWS: Final[tuple[tuple[int, type[Any], Callable[[Any], tuple[Any, ...]], Callable[[list[Any]], Message]], ...]] = (
     (1, SampleBatch, _pack_sample_batch, _unpack_sample_batch),
     (2, Status, _pack_status, lambda fields: Status(*_typed(fields, "iiibiiiiiiii"))),
@@ -111,7 +111,7 @@ _ROWS: Final[tuple[tuple[int, type[Any], Callable[[Any], tuple[Any, ...]], Calla
 )
 TYPE_NUMBERS: Final[dict[type[Any], int]] = {cls: number for number, cls, _, _ in _ROWS}
 _BOTH_WAYS: Final = frozenset({TYPE_NUMBERS[TimeSyncRequest], TYPE_NUMBERS[TimeSyncReply]})
-"""Either side may ask for the other's clock: onboard does all the time, offboard to challenge (protocol.session)."""
+"""Both sides may ask for the clock of the other: onboard regularly, offboard as a challenge (protocol.session)."""
 UP_TYPES: Final = frozenset(number for number, *_ in _ROWS if number < 64) | _BOTH_WAYS
 """Types that onboard sends."""
 DOWN_TYPES: Final = frozenset(number for number, *_ in _ROWS if number >= 64) | _BOTH_WAYS
@@ -128,12 +128,12 @@ def encode_body(message: Message) -> bytes:
 
 
 def decode_body(type_number: int, body: bytes) -> Message:
-    """The message that a body of the given type stands for.
+    """The message of a body of the given type.
 
     Raises
     ------
     ProtocolError
-        "body" when the bytes are not the type's msgpack array, "value" when a value is not allowed.
+        "body" if the bytes are not the msgpack array of the type, "value" if a value is not allowed.
     """
     fields = unpack_array(body, "body", CHUNK_DATA_MAX_BYTES, _FIELDS_MAX)
     try:
@@ -143,16 +143,16 @@ def decode_body(type_number: int, body: bytes) -> Message:
 
 
 def _typed(fields: list[Any], kinds: str) -> list[Any]:
-    """`fields` when they are as many and of the types as `kinds` says ("i": int, "b": bytes)."""
+    """`fields`, checked for the number and types in `kinds` ("i": int, "b": bytes). Raises ProtocolError."""
     if len(fields) != len(kinds):
         raise ProtocolError("body", f"{len(fields)} fields, expected {len(kinds)}")
-    if "".join([_LETTERS.get(type(field), "?") for field in fields]) != kinds:  # not isinstance: True is no integer
+    if "".join([_LETTERS.get(type(field), "?") for field in fields]) != kinds:  # not isinstance: True is an int
         raise ProtocolError("body", f"fields of {[type(field).__name__ for field in fields]}, expected {kinds}")
     return fields
 
 
 def _array(data: bytes, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """A read-only float32 array over `data`."""
+    """A read-only float32 array over `data`. Raises ProtocolError if the size does not fit the shape."""
     array = np.frombuffer(data, dtype="<f4") if len(data) % 4 == 0 else np.empty(0, dtype="<f4")
     if array.size != math.prod(shape):
         raise ProtocolError("body", f"an array of {len(data)} bytes, expected shape {shape}")

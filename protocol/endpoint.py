@@ -1,9 +1,9 @@
-"""One end of the link, sans I/O: messages in, authenticated datagrams out, and the reverse.
+"""One end of the link, without I/O: turns messages into authenticated datagrams, and datagrams into messages.
 
-`decode` does the cheap and the safe first: length, version, type and vehicle id, then the MAC, then session and
-sequence, and only then does msgpack see a byte. Whatever is wrong is counted by reason and dropped; no datagram
-raises. The work a datagram can cause is bounded (about 3 us for a forged one); how many are taken in a step is the
-socket shell's limit, `DATAGRAMS_PER_STEP_MAX`.
+`decode` makes the cheap and safe checks first: length, version, type and vehicle id, then the MAC, then session and
+sequence. Only then does msgpack parse the body. An invalid datagram is counted by reason and dropped; none raises. The
+time that a datagram can cost is bounded (about 3 us for a forged one). The process limits the number of datagrams per
+step to `DATAGRAMS_PER_STEP_MAX`.
 """
 
 from typing import Final, Literal
@@ -19,9 +19,9 @@ from protocol.statistics import LinkStatistics
 DATAGRAM_MIN_BYTES: Final = HEADER.size + 2 + MAC_BYTES
 BODY_MAX_BYTES: Final = DATAGRAM_MAX_BYTES - HEADER.size - MAC_BYTES
 DATAGRAMS_PER_STEP_MAX: Final = 64
-"""Most datagrams a shell hands over in one 5 ms step; the rest wait in the socket's buffer or are dropped there."""
+"""Most datagrams that a process receives in a 5 ms step; others wait in the socket's buffer, or are dropped there."""
 CHALLENGE_PERIOD_NS: Final = 500_000_000
-"""Least time between two challenges, so that a recording cannot make us talk."""
+"""Least time between two challenges, so that a replayed recording cannot cause many of them."""
 RATE_MAX_HZ: Final = 2000
 RATE_BURST: Final = 256
 
@@ -33,7 +33,7 @@ class Endpoint:
 
     Parameters
     ----------
-    role: which side this is; it decides which message types may be sent and which are heard.
+    role: which side this is; it determines the message types that may be sent and received.
     session: this process's session number, larger at each start (`protocol.session.session_number`).
     key: pre-shared key, 16 to 64 bytes; None only between loopback addresses.
     vehicle_id: 0 to 65535; datagrams of another vehicle are rejected.
@@ -65,38 +65,38 @@ class Endpoint:
 
     @property
     def peer_session(self) -> int | None:
-        """The peer's session; None before the first genuine datagram. It changes when the peer restarts."""
+        """The session of the peer, which changes when the peer restarts; None before the first genuine datagram."""
         return self._peer.current
 
     @property
     def clock_offset_ns(self) -> int | None:
-        """Peer clock minus ours; None until this session of the peer has answered a time sync request.
+        """Peer clock minus own clock, ns; None until this session of the peer has answered a time sync request.
 
-        Not None also proves that the peer is alive now and not a recording.
+        A value also proves that the peer is alive and not a recording.
         """
         return self._clock.offset_ns
 
     @property
     def round_trip_ns(self) -> int | None:
-        """Round trip of the exchange behind `clock_offset_ns`."""
+        """Round trip time of the exchange that `clock_offset_ns` is computed from."""
         return self._clock.round_trip_ns
 
     @property
     def clock_jumps(self) -> int:
-        """How often one of the two clocks was seen to jump."""
+        """How often a jump of one of the two clocks was detected."""
         return self._clock.jumps
 
     def encode(self, message: Message, now_ns: int) -> bytes:
-        """The datagram of a message, with the next sequence number.
+        """Encode a message as a datagram with the next sequence number.
 
         Raises
         ------
         ValueError
-            If this role does not send such messages, or the message does not fit a datagram.
+            If this role does not send such messages, or the message does not fit into a datagram.
         """
         number = TYPE_NUMBERS[type(message)]
         if number not in self._send_types:
-            raise ValueError(f"{type(message).__name__} does not go this way")
+            raise ValueError(f"{type(message).__name__} is not sent in this direction")
         body = encode_body(message)
         if len(body) > BODY_MAX_BYTES:
             raise ValueError(f"body of {len(body)} bytes, allowed are {BODY_MAX_BYTES}")
@@ -110,7 +110,7 @@ class Endpoint:
         return signed + self._send.mac(signed)
 
     def decode(self, datagram: bytes, now_ns: int) -> Message | None:
-        """The peer's message, or None where the datagram was rejected (`statistics.rejected`) or a duplicate."""
+        """Decode a datagram of the peer; None if it was rejected (`statistics.rejected`) or is a duplicate."""
         try:
             return self._decode(datagram, now_ns)
         except ProtocolError as error:
@@ -135,7 +135,7 @@ class Endpoint:
         body = datagram[HEADER.size : -MAC_BYTES]
         if session == self._peer.current:
             self._require_new(sequence)
-        elif self._peer.is_newer(session) or self._answers_us(session, number, body, now_ns):
+        elif self._peer.is_newer(session) or self._answers_request(session, number, body, now_ns):
             self._start_session(session, sequence)
         else:
             self._challenge_wanted = self._peer.may_return(session) and self._is_silent(now_ns)
@@ -154,8 +154,8 @@ class Endpoint:
         if verdict:
             raise ProtocolError(verdict)
 
-    def _answers_us(self, session: int, number: int, body: bytes, now_ns: int) -> bool:
-        """Rule 3 of protocol.session: an older, never heard session that answers our open time sync request."""
+    def _answers_request(self, session: int, number: int, body: bytes, now_ns: int) -> bool:
+        """Rule 3 of protocol.session: an older, unknown session that answers an open time sync request of this side."""
         if number != TYPE_NUMBERS[TimeSyncReply] or not self._is_silent(now_ns):
             return False
         reply = decode_body(number, body)
@@ -163,12 +163,15 @@ class Endpoint:
         return fresh and self._peer.may_return(session)
 
     def _is_silent(self, now_ns: int) -> bool:
-        """Whether the peer's current session has been silent for so long that an older one may be the peer now."""
+        """Whether the current session of the peer has been silent for SILENCE_BEFORE_OLDER_NS."""
         silent_ns = self.statistics.age_ns(now_ns)
         return silent_ns is not None and silent_ns >= SILENCE_BEFORE_OLDER_NS
 
     def challenge(self, now_ns: int) -> TimeSyncRequest | None:
-        """What to ask when an older session of the peer has knocked: only one that lives now can answer. Else None."""
+        """The request to send if an older session wants to replace the silent one; None if there is none.
+
+        Only a process that is alive can answer it.
+        """
         wanted, self._challenge_wanted = self._challenge_wanted, False
         if not wanted:
             return None
@@ -194,7 +197,7 @@ class Endpoint:
         self.statistics.count_received(size_bytes, delay_ns, now_ns)
 
     def _spend_allowance(self, now_ns: int) -> None:
-        """Bounds what even a genuine peer can make us decode: RATE_MAX_HZ, in bursts of RATE_BURST."""
+        """Limit the datagrams decoded even from a genuine peer to RATE_MAX_HZ, with bursts of RATE_BURST."""
         since_ns = 0 if self._allowance_at_ns is None else max(0, now_ns - self._allowance_at_ns)
         self._allowance_at_ns = now_ns
         full_ns = RATE_BURST * 10**9 // RATE_MAX_HZ

@@ -1,10 +1,10 @@
-"""What a peer's rubbish is called: counted by reason and dropped, it never leaves the endpoint as an exception."""
+"""The error of invalid bytes from the peer. The endpoint counts it by reason; it never leaves the endpoint."""
 
 
 class ProtocolError(Exception):
-    """Bytes that do not stand for a valid message or feature set.
+    """Bytes that are not a valid message or feature set.
 
-    `reason` is a short word to count by; the text says more and is for people.
+    `reason` is the short word under which the error is counted; the text explains it to a person.
     """
 
     def __init__(self, reason: str, text: str = "") -> None:

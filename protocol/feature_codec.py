@@ -1,8 +1,8 @@
-"""The bytes of a feature set, which the transfer splits into chunks; docs/protocol.md specifies them.
+"""The bytes of a feature set, which the transfer splits into chunks, as docs/protocol.md specifies them.
 
-[format, float size, version, parent, samples, position | nil, attitude | nil], a channel being
+[format, float size, version, parent, samples, position | nil, attitude | nil], where a channel is
 [[input names], offset, scale, [layer widths], parameters]. `parameters` holds W_1 (row by row), b_1, ..., W_L,
-b_L, last_layer one after the other in float16 or float32; offset and scale are float32, since inputs have units.
+b_L, last_layer in this order, in float16 or float32. offset and scale are float32, because inputs have units.
 """
 
 import math
@@ -28,14 +28,14 @@ FloatName = Literal["float16", "float32"]
 
 
 def encode_feature_set(features: FeatureSet, dtype: FloatName) -> bytes:
-    """The bytes of a feature set with its parameters rounded to `dtype`.
+    """The bytes of a feature set, with its parameters rounded to `dtype`.
 
-    What flies are the rounded parameters: a sender that judges a feature set should judge `decode(encode(...))`.
+    The rounded parameters are the ones that fly: judge `decode_feature_set(encode_feature_set(...))` before sending.
 
     Raises
     ------
     ValueError
-        If a parameter is too large for `dtype`, or the whole for a transfer of FEATURE_SET_MAX_BYTES.
+        If a parameter is too large for `dtype`, or the bytes exceed FEATURE_SET_MAX_BYTES.
     """
     float_size = 2 if dtype == "float16" else 4
     channels = [_pack_channel(channel, float_size) for channel in (features.position, features.attitude)]
@@ -46,21 +46,19 @@ def encode_feature_set(features: FeatureSet, dtype: FloatName) -> bytes:
 
 
 def encode_for_wire(features: FeatureSet, dtype: FloatName) -> bytes:
-    """As `encode_feature_set`, but in float32 where a parameter is too large for float16.
+    """As `encode_feature_set`, but in float32 if a parameter is too large for float16.
 
     Raises
     ------
     ValueError
-        If a parameter is too large for any message, or the whole for a transfer.
+        If a parameter is too large to send, or the bytes exceed FEATURE_SET_MAX_BYTES.
     """
     fits = dtype == "float32" or _largest_parameter(features) <= FLOAT16_MAX
     return encode_feature_set(features, dtype if fits else "float32")
 
 
 def _largest_parameter(features: FeatureSet) -> float:
-    channels = [channel for channel in (features.position, features.attitude) if channel is not None]
-    arrays = [array for channel in channels for array in (*channel.weights, *channel.biases, channel.last_layer)]
-    return max(float(np.abs(array).max()) for array in arrays)
+    return max(float(np.abs(array).max()) for channel in features.channels for array in channel.parameters)
 
 
 def _pack_channel(channel: ChannelFeatures | None, float_size: int) -> tuple[Any, ...] | None:
@@ -76,12 +74,12 @@ def _pack_channel(channel: ChannelFeatures | None, float_size: int) -> tuple[Any
 
 
 def decode_feature_set(data: bytes) -> FeatureSet:
-    """The feature set that `data` stands for, valid by construction.
+    """The feature set in `data`, with all its values checked.
 
     Raises
     ------
     ProtocolError
-        With a reason of protocol.messages.REFUSALS: "undecodable", "inputs" (an unknown signal) or "not_finite".
+        With a reason in protocol.messages.REFUSALS: "undecodable", "inputs" (an unknown signal) or "not_finite".
     """
     fields = unpack_array(data, "undecodable", FEATURE_SET_MAX_BYTES, SIGNAL_COUNT, _NAME_MAX_BYTES)
     numbers_ok = len(fields) == 7 and all(type(field) is int for field in fields[:5])
@@ -98,7 +96,7 @@ def _unpack_channel(fields: Any, dtype: str) -> ChannelFeatures | None:
     if fields is None:
         return None
     if type(fields) is not list or [type(field) for field in fields] != [list, bytes, bytes, list, bytes]:
-        raise ProtocolError("undecodable", "a channel has other fields than expected")
+        raise ProtocolError("undecodable", "unexpected fields in a channel")
     inputs, offset, scale, widths, parameters = fields
     unknown = [name for name in inputs if type(name) is not str or name not in SIGNAL_INDEX]
     if unknown:
@@ -127,7 +125,7 @@ def _shapes(m: int, widths: list[int]) -> list[tuple[int, ...]]:
 
 def _floats(data: bytes, dtype: str) -> Array:
     if len(data) % int(dtype[-1]):
-        raise ProtocolError("undecodable", f"{len(data)} bytes are no whole number of floats")
+        raise ProtocolError("undecodable", f"{len(data)} bytes are not a whole number of floats")
     return np.frombuffer(data, dtype=dtype).astype(np.float64)
 
 

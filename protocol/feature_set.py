@@ -1,4 +1,4 @@
-"""A version of the learnt features: the one definition of the network's shape, shared by both sides.
+"""A version of the learnt features: the shape of the networks, as both sides use it.
 
 Phi(x) = [tanh(W_L ... tanh(W_1 z + b_1) ... + b_L); 1] with z = (x - offset) / scale, and
 nu_ad = last_layer' Phi(x). The constant 1 is the bias feature.
@@ -18,13 +18,13 @@ WIDTH_MAX: Final = 128
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelFeatures:
-    """Features of one adaptive channel, m inputs, k features (the constant included), 3 outputs.
+    """Features of one adaptive channel: m inputs, k features (the constant included), 3 outputs.
 
-    Raises ValueError on construction when shapes do not fit, a name is unknown or a value is not finite.
+    Raises ValueError on construction if shapes do not fit, a name is unknown or a value is not finite.
     """
 
     inputs: tuple[str, ...]
-    """Names of the inputs, from protocol.signals."""
+    """Signal names of the inputs (protocol.signals)."""
     offset: Array
     """[m], in the inputs' units."""
     scale: Array
@@ -50,15 +50,19 @@ class ChannelFeatures:
             width = W.shape[0]
         if self.last_layer.shape != (width + 1, 3):
             raise ValueError(f"last_layer of shape {self.last_layer.shape}, expected {(width + 1, 3)}")
-        arrays = (self.offset, self.scale, *self.weights, *self.biases, self.last_layer)
-        if not all(bool(np.isfinite(array).all()) for array in arrays):
+        if not all(bool(np.isfinite(array).all()) for array in (self.offset, self.scale, *self.parameters)):
             raise ValueError("a value is not finite")
         if not bool((self.scale > 0).all()):
             raise ValueError("scale must be positive")
 
     @property
+    def parameters(self) -> tuple[Array, ...]:
+        """All trained arrays: W_1 ... W_L, b_1 ... b_L, last_layer."""
+        return (*self.weights, *self.biases, self.last_layer)
+
+    @property
     def feature_count(self) -> int:
-        """k, the constant feature included."""
+        """k, the number of features, the constant included."""
         return int(self.last_layer.shape[0])
 
     def lipschitz_bound(self) -> float:
@@ -68,14 +72,14 @@ class ChannelFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureSet:
-    """One trained version for the channels it covers."""
+    """One trained version, for one or both channels."""
 
     version: int
-    """From 1, growing; 0 is reserved for the random start features."""
+    """From 1, increasing; 0 is reserved for the random start features."""
     parent: int
     """The version it was trained from; 0 for none."""
     samples: int
-    """Number of training samples behind it."""
+    """Number of samples that it was trained on."""
     position: ChannelFeatures | None
     attitude: ChannelFeatures | None
 
@@ -84,3 +88,8 @@ class FeatureSet:
             raise ValueError("version, parent or samples out of range")
         if self.position is None and self.attitude is None:
             raise ValueError("a feature set without any channel")
+
+    @property
+    def channels(self) -> list[ChannelFeatures]:
+        """The channels that it covers, position first."""
+        return [channel for channel in (self.position, self.attitude) if channel is not None]

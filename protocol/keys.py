@@ -1,6 +1,6 @@
-"""Key files: the one place of this package that touches the file system, called by the socket shells only.
+"""Key files. The only module of this package that uses the file system.
 
-A key file holds 64 hexadecimal digits (32 bytes) and belongs to its owner alone, like a private SSH key.
+A key file holds 64 hexadecimal digits (32 bytes). Only its owner may read it, like a private SSH key.
 """
 
 import hashlib
@@ -18,11 +18,11 @@ _FILE_MAX_BYTES: Final = 256
 
 
 class KeyFileError(ConfigError):
-    """A key file that cannot be used. The message names the file and what to do, never what stands in it."""
+    """A key file that cannot be used. The message names the file and the remedy, never its content."""
 
 
 class LinkKeys(NamedTuple):
-    """The keys of onboard's three links; None: that link has none."""
+    """The keys of onboard's three links; None for a link without a key."""
 
     offboard: bytes | None
     """Shared with offboard: every datagram carries a MAC."""
@@ -33,22 +33,22 @@ class LinkKeys(NamedTuple):
 
     @property
     def any(self) -> bool:
-        """Whether there is one at all."""
+        """Whether at least one link has a key."""
         return any(key is not None for key in self)
 
 
 def load_keys(offboard: str | None, vehicle: str | None, ground: str | None) -> LinkKeys:
-    """The keys in the files that the configuration names. Raises KeyFileError."""
+    """The keys in the given files; None for no file. Raises KeyFileError."""
     return LinkKeys(load_key(offboard), load_key(vehicle), load_key(ground))
 
 
 def key_of_passphrase(passphrase: str) -> bytes:
-    """The key that MAVLink ground stations make of a passphrase: its SHA-256."""
+    """The key that MAVLink ground stations derive from a passphrase: its SHA-256."""
     return hashlib.sha256(passphrase.encode()).digest()
 
 
 def write_key(path: Path, key: bytes | None = None) -> None:
-    """Puts a key (by default a new random one) in a file that only its owner can read; none is ever replaced.
+    """Write a key (by default a new random one) to a new file that only its owner can read.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_key(path: Path, key: bytes | None = None) -> None:
 
 
 def load_key(key_file: str | None) -> bytes | None:
-    """The key that the configuration names; None where it names no file. Raises KeyFileError."""
+    """The key in a file; None for no file. Raises KeyFileError."""
     return None if key_file is None else read_key(Path(key_file))
 
 
@@ -76,7 +76,7 @@ def read_key(path: Path) -> bytes:
     Raises
     ------
     KeyFileError
-        If the file cannot be read, anyone but its owner may touch it, or it does not hold a key.
+        If the file cannot be read, is accessible to others than its owner, or does not hold a key.
     """
     try:
         with open(path, "rb", opener=_open_without_waiting) as file:
@@ -86,16 +86,16 @@ def read_key(path: Path) -> bytes:
 
 
 def _open_without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)  # a named pipe must not hold us up
+    return os.open(path, flags | os.O_NONBLOCK)  # opening a named pipe must not block
 
 
 def _read_checked(path: Path, file: BinaryIO) -> bytes:
-    status = os.fstat(file.fileno())  # of the open file, which nobody can exchange any more
+    status = os.fstat(file.fileno())  # of the open file, which cannot be exchanged any more
     if not stat.S_ISREG(status.st_mode):
         raise KeyFileError(f"{path}: is not a file")
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         mode = stat.S_IMODE(status.st_mode)
-        raise KeyFileError(f"{path}: mode {mode:03o} lets others at the key; run: chmod 600 {path}")
+        raise KeyFileError(f"{path}: mode {mode:03o} lets others access the key; run: chmod 600 {path}")
     text = file.read(_FILE_MAX_BYTES).strip()
     if not re.fullmatch(rb"[0-9a-fA-F]{%d}" % (2 * KEY_BYTES), text):
         raise KeyFileError(f"{path}: does not hold a key of {2 * KEY_BYTES} hexadecimal digits")

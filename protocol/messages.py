@@ -1,7 +1,7 @@
-"""The messages between onboard and offboard: frozen records, valid by construction.
+"""The messages between onboard and offboard: frozen records that check their values on construction.
 
-Up is onboard to offboard, down is offboard to onboard. Times are in ns of the sender's own monotonic clock.
-`protocol.codec` is the only place that knows their bytes.
+Up is from onboard to offboard, down from offboard to onboard. Times are in ns of the sender's monotonic clock.
+`protocol.codec` converts messages to bytes and back.
 """
 
 import math
@@ -19,7 +19,7 @@ CHUNK_DATA_MAX_BYTES: Final = 1100
 CHUNK_COUNT_MAX: Final = 64
 DIGEST_BYTES: Final = 16
 ABSOLUTE_VALUE_MAX: Final = 1e6
-"""No number in an array may exceed this; anything larger is a fault of the sender."""
+"""Largest magnitude of a number in an array; a larger one is an error of the sender."""
 COUNTER_MAX: Final = 2**63 - 1
 """Times, indices and counters are non-negative and fit 63 bits."""
 
@@ -35,10 +35,10 @@ def _require_counters(names: str, *values: int) -> None:
 
 
 def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...]) -> None:
-    # the texts are made only when they are needed: making them costs as much as the tests
+    # the texts are formatted only when needed: formatting costs as much as the checks
     if array.shape != shape:
         raise ValueError(f"{name}: shape {array.shape}, expected {shape}")
-    # written so that NaN fails: max() of an array with a NaN is NaN, which is not below anything
+    # this form refuses NaN: max() of an array with a NaN is NaN, and NaN <= x is False
     if not float(np.abs(array).max()) <= ABSOLUTE_VALUE_MAX:
         raise ValueError(f"{name}: a value is not finite or too large")
 
@@ -47,16 +47,16 @@ def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...
 class SampleBatch:
     """Up: consecutive samples of one flight. A jump of `first_index` between batches is a gap.
 
-    Raises ValueError on construction when a field has the wrong shape, or is not finite.
+    Raises ValueError on construction if a field has the wrong shape or is out of range.
     """
 
     first_index: int
-    """Running number of the first sample, from 0 at start of the onboard process."""
+    """Index of the first sample; 0 is the first one of the onboard process."""
     time_ns: int
     """Time of the first sample; the others follow at `period_ns`."""
     period_ns: int
     feature_version: int
-    """The version that was flying; 0 means the random start features."""
+    """The version that was flying; 0 for the random start features."""
     signals: NDArray[np.float32]
     """[n, SIGNAL_COUNT], units in protocol.signals."""
     delivered: NDArray[np.float32]
@@ -77,28 +77,28 @@ class SampleBatch:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Up, several times a second: what onboard flies, what it has received, how it is."""
+    """Up, several times a second: flight mode, feature versions, transfer and link of onboard."""
 
     mode: int
-    """onboard.flight.supervisor.FlightMode as a number."""
+    """onboard.flight.modes.FlightMode as a number."""
     feature_version: int
     """Version in use; 0 for the random start features."""
     transfer_version: int
     """Version being received; 0 for none."""
     received_chunks: bytes
-    """Bitmap of the chunks of `transfer_version` that arrived, bit i of byte i // 8; at most 8 bytes."""
+    """Bitmap of the received chunks of `transfer_version`: chunk i is bit i % 8 of byte i // 8; at most 8 bytes."""
     refused_version: int
     """Newest version that was refused; 0 for none."""
     refusal: int
-    """protocol.messages.REFUSALS index that says why."""
+    """The reason, as an index into REFUSALS."""
     ticks: int
     missed_ticks: int
     pose_age_ms: int
-    """Age of the newest relayed pose; -1 when there was none."""
+    """Age of the newest relayed pose; -1 before the first one."""
     received: int
     """Datagrams accepted from the peer since start."""
     lost: int
-    """Sequence numbers of the peer that never came."""
+    """Sequence numbers of the peer that have not arrived."""
     rejected: int
 
     def __post_init__(self) -> None:
@@ -122,7 +122,7 @@ REFUSALS: Final[tuple[str, ...]] = (
     "stale",
     "not_accepting",
 )
-"""Why a feature version was refused on board; the index travels in Status."""
+"""The reasons for which onboard refuses a feature version; Status holds the index."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +146,10 @@ class FeatureChunk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Down: the motion capture's view of the vehicle, relayed."""
+    """Down: a pose of the vehicle from the motion capture, relayed by offboard."""
 
     time_ns: int
-    """When the pose was true, in the sender's clock."""
+    """When the vehicle had this pose, in the sender's clock."""
     position_ned_m: NDArray[np.float32]
     """[3], world NED."""
     quaternion: NDArray[np.float32]
@@ -161,7 +161,7 @@ class Pose:
         if self.position_ned_m.shape != (3,) or self.quaternion.shape != (4,):
             shapes = f"{self.position_ned_m.shape} and {self.quaternion.shape}"
             raise ValueError(f"position_ned_m and quaternion: shapes {shapes}, expected (3,) and (4,)")
-        # plain numbers: two small arrays a hundred times a second are cheaper without numpy; NaN fails every test
+        # plain numbers: checks of arrays this small are faster without numpy; NaN fails every check
         n, e, d = self.position_ned_m.tolist()
         if not (abs(n) <= ABSOLUTE_VALUE_MAX and abs(e) <= ABSOLUTE_VALUE_MAX and abs(d) <= ABSOLUTE_VALUE_MAX):
             raise ValueError("position_ned_m: a value is not finite or too large")
@@ -171,10 +171,10 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncRequest:
-    """Up, and down as a challenge: asks for the peer's clock. Answered at once by TimeSyncReply."""
+    """Up, and down as a challenge: asks for the clock of the peer, which answers with a TimeSyncReply."""
 
     origin_ns: int
-    """Clock of the asking side when it sent this; the reply repeats it, which proves that the reply is fresh."""
+    """Clock of the asking side when it sent this. The reply repeats it: a recording of a reply is not accepted."""
 
     def __post_init__(self) -> None:
         _require_counters("origin_ns", self.origin_ns)
@@ -182,14 +182,14 @@ class TimeSyncRequest:
 
 @dataclass(frozen=True, slots=True)
 class TimeSyncReply:
-    """Down, and up in answer to a challenge: offset = ((receive - origin) + (transmit - arrival)) / 2."""
+    """Down, and up as the answer to a challenge: offset = ((receive - origin) + (transmit - arrival)) / 2."""
 
     origin_ns: int
     """As in the request."""
     receive_ns: int
     """Clock of the answering side when the request arrived."""
     transmit_ns: int
-    """Clock of the answering side when this left, not before `receive_ns`."""
+    """Clock of the answering side when it sent this, not before `receive_ns`."""
 
     def __post_init__(self) -> None:
         _require_counters("origin_ns, receive_ns, transmit_ns", self.origin_ns, self.receive_ns, self.transmit_ns)

@@ -1,4 +1,4 @@
-"""The one msgpack shape the protocol takes: an array within stated limits, with no map and no extension type in it."""
+"""Parses the only msgpack shape that the protocol accepts: an array within limits, without maps and extensions."""
 
 from typing import Any
 
@@ -8,18 +8,18 @@ from protocol.errors import ProtocolError
 
 
 def unpack_array(data: bytes, reason: str, bin_max: int, array_max: int, str_max: int = 0) -> list[Any]:
-    """The fields of the msgpack array that `data` is.
+    """The fields of the msgpack array `data`.
 
     Parameters
     ----------
-    reason: what the error is counted as.
-    bin_max, str_max: most bytes of a binary field and of a text.
-    array_max: most fields, of an array within the array too.
+    reason: the reason of the error, see ProtocolError.
+    bin_max, str_max: most bytes of a binary field, and of a text.
+    array_max: most fields, also of an array within the array.
 
     Raises
     ------
     ProtocolError
-        With `reason`, when the bytes are anything else.
+        With `reason`, if the bytes are anything else.
     """
     try:
         fields = msgpack.unpackb(

@@ -1,15 +1,15 @@
 """Sessions and their replay windows: which datagrams of a genuine peer are new.
 
-A session is one life of a process. Its number is taken from the wall clock (`session_number`), so a restarted peer
-has a larger one. Rules, for a datagram whose MAC is right:
+A session is one run of a process. Its number comes from the wall clock (`session_number`), so a restarted peer has a
+larger one. Rules for a datagram whose MAC is right:
 
-1. A session above every one accepted before is a restarted peer: it is accepted and the current one retires.
-2. A session that retired never comes back, and neither does any other old one, so a recording cannot be replayed.
-3. Exception, so that a peer whose wall clock was set back is not locked out: an unknown older session comes in with
-   the answer to a time sync request of our own that is still open, once the current session has been silent for
-   `SILENCE_BEFORE_OLDER_NS`. No recording holds that answer. Onboard asks all the time anyway; offboard asks when
-   such a session knocks (`Endpoint.challenge`).
-4. Within a session each sequence number counts once; numbers more than `WINDOW` below the newest are too old.
+1. A session number above all accepted before is a restarted peer. It is accepted, and the current session is retired.
+2. Any other session is refused, so that a recording cannot be replayed.
+3. Exception, for a peer whose wall clock was set back: an unknown older session is accepted if its datagram answers an
+   open time sync request of this side, and the current session has been silent for `SILENCE_BEFORE_OLDER_NS`. No
+   recording contains that answer. Onboard sends requests regularly; offboard sends one when a datagram of such a
+   session was refused (`Endpoint.challenge`).
+4. Within a session each sequence number is accepted once; numbers `WINDOW` or more below the newest are too old.
 """
 
 from collections import deque
@@ -22,17 +22,17 @@ SILENCE_BEFORE_OLDER_NS: Final = 1_000_000_000
 
 
 def session_number(wall_clock_ns: int, entropy: int) -> int:
-    """A session number of 64 bits: 44 of wall-clock milliseconds, 20 of entropy against two starts within one."""
+    """A session number: 44 bits of wall-clock milliseconds, then 20 random bits for starts in the same millisecond."""
     return ((wall_clock_ns // 1_000_000) & (2**44 - 1)) << 20 | (entropy & (2**20 - 1))
 
 
 def session_start_ns(session: int) -> int:
-    """The wall clock at the start of a session, to the millisecond."""
+    """Wall clock, ns, at the start of a session, to the millisecond."""
     return (session >> 20) * 1_000_000
 
 
 class ReplayWindow:
-    """The sequence numbers seen in one session: the newest, a bitmap of the WINDOW before it, and counts."""
+    """The sequence numbers received in one session: the newest, a bitmap of the WINDOW before it, and counts."""
 
     __slots__ = ("_seen", "first", "newest", "received")
 
@@ -43,7 +43,7 @@ class ReplayWindow:
         self._seen = 0  # bit i stands for newest - i
 
     def verdict(self, sequence: int) -> str:
-        """Empty when the number is new, else why not: "duplicate", "too_old" or "sequence" (an absurd jump)."""
+        """Empty if the number is new, else the reason against it: "duplicate", "too_old" or "sequence" (huge jump)."""
         back = self.newest - sequence
         if back < 0:
             return "" if -back <= SEQUENCE_JUMP_MAX else "sequence"
@@ -52,7 +52,7 @@ class ReplayWindow:
         return "duplicate" if self._seen >> back & 1 else ""
 
     def accept(self, sequence: int) -> bool:
-        """Marks a new number as seen; True when it came out of order. Call only where `verdict` is ""."""
+        """Store a number as received; returns whether it came out of order. Call only if `verdict` is ""."""
         self.received += 1
         ahead = sequence - self.newest
         if ahead > 0:
@@ -65,12 +65,12 @@ class ReplayWindow:
 
     @property
     def lost(self) -> int:
-        """Numbers between the first and the newest that have not come."""
+        """Count of numbers between the first and the newest that have not arrived."""
         return self.newest - self.first + 1 - self.received
 
 
 class PeerSessions:
-    """The peer's current session and those that ended."""
+    """The current session of the peer, and the retired ones."""
 
     __slots__ = ("_lost_before", "_newest", "_retired", "current", "window")
 
@@ -82,15 +82,15 @@ class PeerSessions:
         self._lost_before = 0
 
     def is_newer(self, session: int) -> bool:
-        """Whether the session is above every one accepted before (rule 1)."""
+        """Whether the session number is above all accepted before (rule 1)."""
         return session > self._newest
 
     def may_return(self, session: int) -> bool:
-        """Whether rule 3 may let the session in: it is not known to have ended, nor can it have been forgotten."""
+        """Whether rule 3 may accept the session: it is not retired, and the list of retired ones is still complete."""
         return session not in self._retired and len(self._retired) < RETIRED_MAX
 
     def start(self, session: int, sequence: int) -> None:
-        """Retires the current session and begins another whose first heard number is `sequence`."""
+        """Retire the current session and start another, whose first received number is `sequence`."""
         if self.current is not None:
             self._retired.append(self.current)
             self._lost_before += self.window.lost
@@ -100,5 +100,5 @@ class PeerSessions:
 
     @property
     def lost(self) -> int:
-        """Lost datagrams of all sessions."""
+        """Lost datagrams, in all sessions."""
         return self._lost_before + (0 if self.current is None else self.window.lost)

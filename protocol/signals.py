@@ -1,7 +1,7 @@
-"""The vehicle's signal vector: every quantity a feature network may see, by name and unit, defined once.
+"""The signal vector: every quantity that can be an input of a feature network, with name and unit.
 
-A sample sent off board holds one such vector, and a feature network selects its inputs from it by name, so
-that both sides agree on what input 3 is without agreeing on anything else.
+A sample holds one such vector. A feature network selects its inputs from it by name, so that both sides use the same
+inputs.
 """
 
 from typing import Final
@@ -29,14 +29,14 @@ SIGNALS: Final[dict[str, str]] = {
     "battery_voltage": "V",
     "vibration": "m/s^2, high-passed accelerometer magnitude, smoothed",
 }
-"""Name and unit of each signal, in the order in which it stands in a signal vector."""
+"""Name and unit of each signal, in the order of the signal vector."""
 
 SIGNAL_NAMES: Final[tuple[str, ...]] = tuple(SIGNALS)
 SIGNAL_COUNT: Final[int] = len(SIGNAL_NAMES)
 SIGNAL_INDEX: Final[dict[str, int]] = {name: index for index, name in enumerate(SIGNAL_NAMES)}
 
 CHANNELS: Final[tuple[str, ...]] = ("position", "attitude")
-"""The adaptive channels, in the order in which arrays with a channel axis hold them.
+"""The adaptive channels, in the order of every array with a channel axis.
 
 position: u is an acceleration, world NED, m/s^2. attitude: u is an angular acceleration, body FRD, rad/s^2.
 """
@@ -48,11 +48,11 @@ def input_indices(names: tuple[str, ...]) -> list[int]:
     Raises
     ------
     ValueError
-        If a name is unknown or stands twice; the message lists what is allowed.
+        If a name is unknown or occurs twice; the message lists the allowed names.
     """
     unknown = [name for name in names if name not in SIGNAL_INDEX]
     if unknown:
         raise ValueError(f"unknown signal {unknown[0]!r}; allowed are {', '.join(SIGNAL_NAMES)}")
     if len(set(names)) != len(names):
-        raise ValueError(f"a signal stands twice in {names}")
+        raise ValueError(f"a signal occurs twice in {names}")
     return [SIGNAL_INDEX[name] for name in names]

@@ -1,25 +1,23 @@
-"""Feature sets across a lossy link: chunks down, a bitmap of what arrived up, selective repair, newest wins.
+"""Transfer of feature sets over a lossy link: chunks down, a bitmap of the received chunks up, selective repeat.
 
-The sender gives out each chunk once, at a pace, and then only those that the newest status shows missing, each not
-sooner than `resend_after_s` after it last left. When status falls silent the interval doubles from pass to pass up
-to `resend_max_s`; any status resets it. A newer version replaces the one on its way on both sides, an older one is
-ignored. The receiver holds one transfer, at most CHUNK_COUNT_MAX chunks, and gives out a feature set only when it
-is whole, its digest right and its decoding valid.
+The sender sends each chunk once, at a limited rate. Then it sends only the chunks that the newest status shows as
+missing, each at the earliest `resend_after_s` after it was last sent. When no status arrives, this interval doubles
+from pass to pass, up to `resend_max_s`; any status resets it. On both sides a newer version replaces the one being
+transferred, and an older one is ignored. The receiver stores one transfer of at most CHUNK_COUNT_MAX chunks. It
+returns a feature set only when all chunks have arrived, the digest is right and the bytes decode.
 
-Version numbers outlive a sender: one that starts anew numbers its feature sets from `next_version`, above all that
-the peer's status names, or the peer would take them for old ones.
+Version numbers continue when the sender restarts: it numbers its feature sets from `next_version`, above all numbers
+in the status of the peer, which would otherwise ignore them as old.
 """
 
 import hashlib
-from typing import Final
 
 from protocol.codec import decode_feature_set, encode_for_wire
 from protocol.config import TransferConfig
+from protocol.conventions import NEVER_NS
 from protocol.errors import ProtocolError
 from protocol.feature_set import FeatureSet
 from protocol.messages import CHUNK_COUNT_MAX, DIGEST_BYTES, REFUSALS, FeatureChunk, Status
-
-_NEVER: Final = -(10**18)
 
 
 def split(data: bytes, version: int, chunk_bytes: int) -> tuple[FeatureChunk, ...]:
@@ -39,12 +37,12 @@ def split(data: bytes, version: int, chunk_bytes: int) -> tuple[FeatureChunk, ..
 
 
 def digest_of(data: bytes) -> bytes:
-    """BLAKE2b, 16 bytes, unkeyed: the digest that travels in each chunk."""
+    """BLAKE2b of 16 bytes, without key: the digest in each chunk."""
     return hashlib.blake2b(data, digest_size=DIGEST_BYTES).digest()
 
 
 class FeatureSender:
-    """Sends the newest feature set until the peer has it, or has refused it."""
+    """Sends the newest feature set until the peer has received or refused it."""
 
     def __init__(self, config: TransferConfig) -> None:
         self._config = config
@@ -52,28 +50,28 @@ class FeatureSender:
         self._chunks: tuple[FeatureChunk, ...] = ()
         self._missing: list[int] = []
         self._last_sent_ns: list[int] = []
-        self._next_ns = _NEVER
-        self._status_ns = _NEVER
+        self._next_ns = NEVER_NS
+        self._status_ns = NEVER_NS
         self._interval_ns = 0
         self._started_ns = 0
         self._newest_version = 0
         self.chunks_sent = 0
-        """Chunks given out since start, repairs included."""
+        """Chunks sent since start, repeats included."""
         self.delivery_ns: int | None = None
-        """Time from offer to the first status that says whole, of the last version that arrived."""
+        """Time from the offer of the last delivered version to the first status that reports it as complete."""
 
     @property
     def next_version(self) -> int:
-        """The number to give the next feature set: above every one offered here or named in a status."""
+        """The number for the next feature set: above all offered here or named in a status."""
         return self._newest_version + 1
 
     @property
     def outstanding_version(self) -> int:
-        """The version on its way; 0 when the peer is known to have, or to have refused, the newest."""
+        """The version being transferred; 0 once the peer reports that it has received or refused the newest one."""
         return self._chunks[0].version if self._chunks else 0
 
     def offer(self, features: FeatureSet, now_ns: int) -> None:
-        """Begins to send a feature set in place of the one on its way.
+        """Start to send a feature set, in place of the one being transferred.
 
         Raises
         ------
@@ -86,12 +84,12 @@ class FeatureSender:
         self._chunks = split(data, features.version, self._config.chunk_bytes)
         self._newest_version = features.version
         self._missing = list(range(len(self._chunks)))
-        self._last_sent_ns = [_NEVER] * len(self._chunks)
+        self._last_sent_ns = [NEVER_NS] * len(self._chunks)
         self._interval_ns = round(self._config.resend_after_s * 1e9)
         self._started_ns = now_ns
 
     def receive_status(self, status: Status, now_ns: int) -> None:
-        """Takes in what the peer has."""
+        """Receive a status of the peer."""
         self._status_ns = now_ns
         named = max(status.feature_version, status.transfer_version, status.refused_version)
         self._newest_version = max(self._newest_version, named)
@@ -109,12 +107,12 @@ class FeatureSender:
             self._chunks = ()
 
     def poll(self, now_ns: int) -> list[FeatureChunk]:
-        """The chunks to send now: paced, at most `chunks_per_poll`, empty most of the time."""
+        """The chunks to send now, at most `chunks_per_poll`; mostly none."""
         out: list[FeatureChunk] = []
         if not self._chunks:
             return out
         burst_ns = (self._config.chunks_per_poll - 1) * self._period_ns
-        self._next_ns = max(self._next_ns, now_ns - burst_ns)  # no credit for more than one full poll
+        self._next_ns = max(self._next_ns, now_ns - burst_ns)  # at most one full poll is made up for
         while self._next_ns <= now_ns and (index := self._due(now_ns)) is not None:
             self._last_sent_ns[index] = now_ns
             self._next_ns += self._period_ns
@@ -123,25 +121,25 @@ class FeatureSender:
         return out
 
     def _due(self, now_ns: int) -> int | None:
-        """The missing chunk that has waited longest, if it may leave; a pass in silence doubles the interval."""
+        """The missing chunk sent longest ago, if it may be sent again; a pass without a status doubles the interval."""
         if not self._missing:
             return None
         index = min(self._missing, key=self._last_sent_ns.__getitem__)
         last_ns = self._last_sent_ns[index]
-        if last_ns != _NEVER and now_ns - last_ns < self._interval_ns:
+        if last_ns != NEVER_NS and now_ns - last_ns < self._interval_ns:
             return None
-        starts_pass_in_silence = last_ns != _NEVER and index == self._missing[0] and self._status_ns < last_ns
-        if starts_pass_in_silence:
+        pass_without_status = last_ns != NEVER_NS and index == self._missing[0] and self._status_ns < last_ns
+        if pass_without_status:
             self._interval_ns = min(2 * self._interval_ns, round(self._config.resend_max_s * 1e9))
         return index
 
 
 class FeatureReceiver:
-    """Gathers the chunks of the newest version."""
+    """Collects the chunks of the newest version."""
 
     def __init__(self) -> None:
         self.transfer_version = 0
-        """Version being received, or the last one that was whole; 0 for none."""
+        """Version being received, or the last complete one; 0 for none."""
         self.refused: tuple[int, int] = (0, 0)
         """Newest version refused here and its index in REFUSALS; (0, 0) for none."""
         self._digest = b""
@@ -149,21 +147,21 @@ class FeatureReceiver:
         self._pieces: dict[int, bytes] = {}
         self._bits = 0
         self.ignored = 0
-        """Chunks that brought nothing: duplicates, older versions, or at odds with the others of their version."""
+        """Unused chunks: duplicates, of older versions, or of another digest or count than the first of their version."""
 
     @property
     def received_chunks(self) -> bytes:
-        """Bitmap for Status: bit i of byte i // 8 stands for chunk i of `transfer_version`."""
+        """Bitmap for Status: chunk i of `transfer_version` is bit i % 8 of byte i // 8."""
         return self._bits.to_bytes(-(-self._count // 8), "little")
 
     def reset(self) -> None:
-        """Forgets everything, as after a restart of the peer, whose versions may begin anew."""
+        """Discard everything, as after a restart of the peer, whose version numbers may start anew."""
         self.transfer_version, self._digest, self._count, self._bits = 0, b"", 0, 0
         self._pieces = {}
         self.refused = (0, 0)
 
     def receive(self, chunk: FeatureChunk) -> FeatureSet | None:
-        """Takes in a chunk; the feature set when it is the last one missing and the whole is valid."""
+        """Receive a chunk; returns the feature set if it was the last missing chunk and the set is valid."""
         if chunk.version > self.transfer_version:
             self._begin(chunk)
         fits = chunk.version == self.transfer_version and chunk.digest == self._digest and chunk.count == self._count
@@ -183,7 +181,7 @@ class FeatureReceiver:
 
     def _finish(self) -> FeatureSet | None:
         data = b"".join(self._pieces[index] for index in range(self._count))
-        self._pieces = {}  # the bits stay: status goes on saying that all arrived
+        self._pieces = {}  # the bits are kept: status continues to report that all chunks arrived
         try:
             return self._verified(data)
         except ProtocolError as error:
@@ -195,5 +193,5 @@ class FeatureReceiver:
             raise ProtocolError("digest")
         features = decode_feature_set(data)
         if features.version != self.transfer_version:
-            raise ProtocolError("undecodable", "the version inside is another than outside")
+            raise ProtocolError("undecodable", "the version differs from that of its chunks")
         return features

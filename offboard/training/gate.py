@@ -111,6 +111,4 @@ def mean_and_error(values: Array, time_ns: NDArray[np.int64]) -> tuple[float, fl
 
 
 def _is_finite(candidate: FeatureSet) -> bool:
-    channels = [channel for channel in (candidate.position, candidate.attitude) if channel is not None]
-    arrays = [array for channel in channels for array in (*channel.weights, *channel.biases, channel.last_layer)]
-    return all(bool(np.isfinite(array).all()) for array in arrays)
+    return all(bool(np.isfinite(array).all()) for channel in candidate.channels for array in channel.parameters)

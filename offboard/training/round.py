@@ -199,10 +199,7 @@ class _Round:
             label_power=_power(labels, self._plan.channels),
             numpy_difference=self._numpy_difference(trained, table),
             spectral_norms=tuple(
-                float(np.linalg.norm(W, 2))
-                for channel in (candidate.position, candidate.attitude)
-                if channel is not None
-                for W in channel.weights
+                float(np.linalg.norm(W, 2)) for channel in candidate.channels for W in channel.weights
             ),
         )
 
@@ -212,9 +209,9 @@ class _Round:
         if not table.rows:
             return 0.0
         by_torch = layer_outputs(z, self._parameters)[-1].numpy()
-        channels = [channel for channel in (trained.position, trained.attitude) if channel is not None]
         differences = [
-            np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row].T).max() for row, channel in enumerate(channels)
+            np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row].T).max()
+            for row, channel in enumerate(trained.channels)
         ]
         return float(max(differences))
 

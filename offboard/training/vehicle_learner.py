@@ -155,8 +155,7 @@ class VehicleLearner:
         return numbered
 
     def _feature_function(self, network: NetworkState) -> FeatureFunction:
-        features = feature_set(network, self._plan, 1, 0, 0)
-        channels = [channel for channel in (features.position, features.attitude) if channel is not None]
+        channels = feature_set(network, self._plan, 1, 0, 0).channels
 
         def stacked(signals: NDArray[np.float32]) -> Array:
             parts = [phi(channel, signals) for channel in channels]

@@ -112,7 +112,7 @@ def test_a_datagram_thrown_back_is_not_genuine() -> None:
 
 def test_a_role_sends_only_its_own_messages() -> None:
     onboard, _ = ends()
-    with pytest.raises(ValueError, match="does not go this way"):
+    with pytest.raises(ValueError, match="is not sent in this direction"):
         onboard.encode(POSE, 0)
 
 
