@@ -147,7 +147,7 @@ class FeatureReceiver:
         self._pieces: dict[int, bytes] = {}
         self._bits = 0
         self.ignored = 0
-        """Unused chunks: duplicates, of older versions, or of another digest or count than the first of their version."""
+        """Unused chunks: duplicates, old versions, or at odds with the first chunk of their version."""
 
     @property
     def received_chunks(self) -> bytes:
