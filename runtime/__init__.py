@@ -1,4 +1,4 @@
-"""The thin shell around a core: sockets, signals, status lines and what a process asks of the kernel.
+"""What a process needs around its core: sockets, serial port, signals, pace, kernel settings, files and status lines.
 
-The only package of ours, besides the flight record, that touches the world; every `process.py` is built from it.
+Every `process.py` is built from this package. Besides the flight log it is the only package that does I/O.
 """

@@ -1,9 +1,9 @@
-"""Trouble that one line explains to the person at the terminal."""
+"""Errors whose message, one line, is shown to the user."""
 
 
 class PlainError(Exception):
-    """The command line prints its message and ends with status 2."""
+    """An error for the user: the command line prints its message and exits with status 2."""
 
 
 class StartError(PlainError):
-    """A process or flight that cannot be started. The message says why and, where possible, what to do."""
+    """A process or flight cannot be started. The message states the reason and, where possible, the remedy."""

@@ -1,7 +1,8 @@
-"""What a process asks of the kernel so that it wakes on time, and what it was granted.
+"""Settings of the kernel and the interpreter that make a process wake on time.
 
-Plain sleep to an absolute deadline is late by 400 us at p99; with a timer slack of 1 ns and the processor kept from
-deep sleep 110 us; with a short busy wait before the deadline 18 us. What this loop reaches: docs/realtime.md.
+The lateness of a sleep to an absolute deadline, at p99: 400 us without settings, 110 us with a timer slack of 1 ns and
+without deep sleep of the processor, 18 us with a short busy wait before the deadline as well. docs/realtime.md has the
+lateness of the 200 Hz loop.
 """
 
 import ctypes
@@ -15,26 +16,26 @@ from typing import Final
 
 _PR_SET_TIMERSLACK: Final = 29
 _MCL_CURRENT_FUTURE_ONFAULT: Final = 1 | 2 | 4
-"""Pages stay once touched; locking untouched ones too would cost tens of megabytes of thread stacks."""
+"""Locks pages when they are first touched; locking all at once would cost tens of megabytes of thread stacks."""
 THREAD_SWITCH_S: Final = 0.0005
-"""A waiting thread asks for the interpreter after this long; the default of 5 ms is a whole tick."""
+"""Time after which a waiting thread requests the interpreter; the default, 5 ms, is a whole tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """One thing asked of the kernel."""
+    """The outcome of one request to the kernel."""
 
     name: str
     granted: bool
     detail: str
-    """The value granted, or why it was not."""
+    """The value granted, or the reason for the refusal."""
 
     def __str__(self) -> str:
         return f"{self.name} {self.detail}" if self.granted else f"{self.name} NOT granted ({self.detail})"
 
 
 def prepare_interpreter() -> None:
-    """No collector pauses and quick thread hand-over. Call when everything long-lived has been built."""
+    """Stop garbage collection and shorten the thread switch interval. Call after all long-lived objects are built."""
     sys.setswitchinterval(THREAD_SWITCH_S)
     gc.collect()
     gc.freeze()
@@ -42,13 +43,13 @@ def prepare_interpreter() -> None:
 
 
 def request_realtime(priority: int) -> list[Grant]:
-    """Ask for everything that makes waking punctual; whatever is refused is reported and done without.
+    """Request every setting that makes the process wake on time; returns which were granted.
 
     Parameters
     ----------
-    priority: SCHED_FIFO priority of the calling thread, 1 to 99; 0 leaves the ordinary scheduler. Threads that run
-        already, such as the log's, get one less: one that was put aside by an ordinary process while it held the
-        interpreter would hold up the loop.
+    priority: SCHED_FIFO priority of the calling thread, 1 to 99; 0 keeps the ordinary scheduler. The threads that run
+        already, such as that of the log, get one less: if an ordinary process preempted such a thread while it holds
+        the interpreter, the loop would wait.
     """
     grants = [_timer_slack(), _cpu_latency(), _locked_memory()]
     if priority > 0:
@@ -57,7 +58,7 @@ def request_realtime(priority: int) -> list[Grant]:
 
 
 def resident_mb() -> float:
-    """Memory of this process that is in RAM now, MB (10^6 bytes)."""
+    """Resident memory of this process, MB (10^6 bytes)."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
@@ -68,7 +69,7 @@ def _timer_slack() -> Grant:
 
 
 _held_files: list[int] = []
-"""/dev/cpu_dma_latency counts for as long as it is open."""
+"""The setting of /dev/cpu_dma_latency holds as long as the file is open."""
 
 
 def _cpu_latency() -> Grant:

@@ -1,10 +1,10 @@
-"""The pace keeper of the 200 Hz loop: absolute deadlines, missed ticks skipped and counted, and its statistics.
+"""The pace of the 200 Hz loop: absolute deadlines, missed ticks skipped and counted, and statistics of durations.
 
-Theory of operation. Every deadline is start + k * period on the monotonic clock, so that being late once moves no
-later tick (setting the next tick from the moment of waking gives 177 to 182 Hz instead of 200). After a stall the
-deadlines that have wholly passed are skipped: running them back to back would feed the controller stale inputs
-with wrong time steps. What the kernel grants (timer slack, priority) decides how punctual the sleep is; a short
-busy wait before the deadline buys the rest.
+Theory of operation. Every deadline is start + k * period on the monotonic clock, so that a late tick does not delay
+the next one (computing the next deadline from the time of waking gives 177 to 182 Hz instead of 200). After a stall
+the deadlines that lie more than one period back are skipped: running those ticks back to back would give the
+controller outdated inputs and wrong time steps. The lateness of the sleep depends on the kernel's settings (timer
+slack, priority); a short busy wait before the deadline reduces it further.
 """
 
 import time
@@ -19,10 +19,10 @@ class PaceKeeper:
 
     Parameters
     ----------
-    period_ns: distance of the deadlines.
-    spin_ns: busy wait before each deadline; 0 sleeps all the way.
+    period_ns: time between deadlines.
+    spin_ns: duration of the busy wait before each deadline; 0 for none.
     start_ns: the first deadline, in the clock's time.
-    clock, sleep: the world's, or a test's.
+    clock, sleep: those of the system, or of a test.
     """
 
     __slots__ = ("_clock", "_deadline_ns", "_period_ns", "_sleep", "_spin_ns", "lateness_ns", "missed", "ticks")
@@ -42,12 +42,12 @@ class PaceKeeper:
         self._sleep = sleep
         self.ticks = 0
         self.missed = 0
-        """Deadlines that had wholly passed when the loop came back, and were skipped."""
+        """Deadlines skipped because the next one had passed too."""
         self.lateness_ns = 0
-        """How late the latest wake-up was."""
+        """Lateness of the latest wake-up."""
 
     def wait(self) -> int:
-        """Wait for the next deadline that has not wholly passed; returns the time of waking, ns."""
+        """Wait for the next deadline, skipping missed ones; returns the time of waking, ns."""
         clock = self._clock
         now = clock()
         skipped = (now - self._deadline_ns) // self._period_ns
@@ -68,7 +68,7 @@ class PaceKeeper:
 
 
 class DurationStatistics:
-    """Durations counted in bins of 1 us, exact quantiles up to 20 ms, at constant memory."""
+    """Statistics of durations: a histogram with bins of 1 us up to 20 ms, in constant memory."""
 
     __slots__ = ("_counts", "_maximum_ns", "_total")
 
@@ -85,7 +85,7 @@ class DurationStatistics:
             self._maximum_ns = duration_ns
 
     def quantile_us(self, fraction: float) -> float:
-        """The smallest whole number of microseconds that at least `fraction` of the durations stay below."""
+        """The smallest whole number of microseconds that at least `fraction` of the durations are below; 0 for none."""
         wanted, seen = fraction * self._total, 0
         for microseconds, count in enumerate(self._counts):
             seen += count
@@ -94,7 +94,7 @@ class DurationStatistics:
         return 0.0
 
     def summary(self) -> dict[str, float]:
-        """p50, p99 and max in us."""
+        """p50, p99 and max, us."""
         return {
             "p50": self.quantile_us(0.5),
             "p99": self.quantile_us(0.99),

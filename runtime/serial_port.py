@@ -1,4 +1,4 @@
-"""A serial line with the face of a datagram socket: whole frames in and out, never waiting."""
+"""A serial port with the interface of a datagram socket: sends and receives complete frames, without waiting."""
 
 import errno
 import fcntl
@@ -11,25 +11,25 @@ from runtime.errors import StartError
 
 READ_BYTES: Final = 4096
 READS_MAX: Final = 8
-"""Reads in one `receive`; more than 1 Mbit/s brings in a tick by far."""
+"""Most reads in one `receive`; enough for far more than 1 Mbit/s."""
 WAITING_MAX: Final = 256
-"""Frames that may wait for the next `receive`; the oldest are dropped beyond."""
+"""Most frames that wait for the next `receive`; beyond it the oldest are dropped."""
 
 
 class SerialPort:
-    """One open serial device in raw mode, 8N1. Sending never waits; what the line would not take is counted.
+    """An open serial device in raw mode, 8N1. Sending never waits; frames that could not be sent are counted.
 
     Parameters
     ----------
-    name: the option or the configuration's key that names the line, for messages.
+    name: the option or configuration key that sets the port, for messages.
     device: path, such as "/dev/ttyUSB0".
-    baud: bits per second, one of those the system knows.
-    cut: takes bytes as they come, gives whole frames (onboard.links.frame_stream.FrameStream.feed).
+    baud: bits per second, one of the system's speeds.
+    cut: gets received bytes, returns complete frames (onboard.links.frame_stream.FrameStream.feed).
 
     Raises
     ------
     StartError
-        If the device cannot be opened, is no serial line, is in use, or does not know the speed.
+        If the device cannot be opened, is not a serial port, is in use, or does not support the speed.
     """
 
     def __init__(self, name: str, device: str, baud: int, cut: Callable[[bytes], list[bytes]]) -> None:
@@ -40,17 +40,17 @@ class SerialPort:
         self.sent = 0
         self.unsent = 0
         self.dropped = 0
-        """Frames that came faster than they were fetched."""
+        """Frames dropped because more than WAITING_MAX were waiting."""
         self.hung_up = False
-        """The device has gone: unplugged, or its other end closed."""
+        """The device is gone: unplugged, or its other end closed."""
         self._descriptor = _open(name, device, baud)
 
     def fileno(self) -> int:
-        """The file descriptor, so that `select` takes the object itself."""
+        """The file descriptor, for `select`."""
         return self._descriptor
 
     def receive(self, limit: int) -> list[bytes]:
-        """The whole frames that have come, oldest first, at most `limit`."""
+        """The complete frames that have arrived, oldest first, at most `limit`."""
         for _ in range(READS_MAX):
             data = self._read()
             if not data:
@@ -64,7 +64,7 @@ class SerialPort:
         return frames
 
     def send(self, frame: bytes) -> None:
-        """Puts one frame on the line; drops and counts it while the one before is not out: half frames help nobody."""
+        """Send one frame; drop and count it while the one before is not completely sent."""
         if self._rest:
             self._rest = self._rest[self._write(self._rest) :]
         if self._rest:
@@ -78,7 +78,7 @@ class SerialPort:
         self.sent += 1
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
         os.close(self._descriptor)
 
     def _read(self) -> bytes:
@@ -86,7 +86,7 @@ class SerialPort:
             return os.read(self._descriptor, READ_BYTES)
         except BlockingIOError:
             return b""
-        except OSError:  # a pulled plug; the age of the sensors says the rest
+        except OSError:  # unplugged; onboard sees the sensors grow old
             self.hung_up = True
             return b""
 
@@ -105,7 +105,7 @@ def _open(name: str, device: str, baud: int) -> int:
     speed = getattr(termios, f"B{baud}", None)
     if speed is None:
         known = ", ".join(str(number) for number in _speeds())
-        raise StartError(f"{name} {device}: no speed of {baud} baud; known are {known}")
+        raise StartError(f"{name} {device}: {baud} baud is not supported; allowed are {known}")
     try:
         descriptor = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -117,7 +117,7 @@ def _open(name: str, device: str, baud: int) -> int:
         termios.tcflush(descriptor, termios.TCIOFLUSH)
     except (OSError, termios.error) as error:
         os.close(descriptor)
-        raise StartError(f"{name} {device}: no serial line: {error.args[-1]}") from None
+        raise StartError(f"{name} {device}: not a serial port: {error.args[-1]}") from None
     return descriptor
 
 

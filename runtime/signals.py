@@ -1,4 +1,4 @@
-"""How a process is asked to end, and how it never outlives the one that started it."""
+"""Signals: requests to stop, and the end of a child process when its parent ends."""
 
 import ctypes
 import os
@@ -11,7 +11,7 @@ _PR_SET_PDEATHSIG: Final = 1
 
 
 class StopRequest:
-    """Counts SIGINT and SIGTERM: the first asks for a clean end, the second for an end at once."""
+    """Counts SIGINT and SIGTERM: the first requests a clean stop, the second an immediate one."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -23,13 +23,13 @@ class StopRequest:
 
 
 def die_with_parent() -> Callable[[], None]:
-    """A function for `subprocess.Popen(preexec_fn=)`: the child is killed when this thread's process is gone."""
+    """A function for `subprocess.Popen(preexec_fn=)`: the kernel kills the child when its parent has ended."""
     parent = os.getpid()
-    prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up now: after fork only the call is left to do
+    prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up before the fork: the child only calls it
 
     def in_child() -> None:
         prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-        if os.getppid() != parent:  # it died before the kernel knew
+        if os.getppid() != parent:  # the parent ended before the call
             os._exit(1)
 
     return in_child

@@ -1,4 +1,4 @@
-"""Non-blocking datagram sockets of a process: bound to their own address, filtered to one peer, never waiting."""
+"""Non-blocking datagram sockets: bound to an own address, and connected to one peer where there is one."""
 
 import errno
 import socket
@@ -7,12 +7,12 @@ from typing import Final
 from runtime.errors import StartError
 
 DATAGRAM_MAX_BYTES: Final = 2048
-"""Anything longer is cut here; no message of ours is longer than 1200 bytes, so a cut one is refused by its core."""
+"""Longer datagrams are cut. No message of this project is longer than 1200 bytes, so the core refuses a cut one."""
 RECEIVE_BUFFER_BYTES: Final = 1 << 18
 
 
 class AddressInUseError(StartError):
-    """A local address cannot be bound. The message names it and says what to do."""
+    """A local address cannot be bound. The message names it and the remedy."""
 
 
 def split_address(address: str) -> tuple[str, int]:
@@ -22,15 +22,15 @@ def split_address(address: str) -> tuple[str, int]:
 
 
 class DatagramSocket:
-    """One bound UDP socket. Sending never waits and never raises; what the kernel would not take is counted.
+    """One bound UDP socket. Sending never waits and never raises; datagrams that the kernel refuses are counted.
 
-    With a `remote` the socket is connected: the kernel drops what other addresses send, and `send` needs no address.
+    With a `remote` the socket is connected: the kernel drops datagrams from other addresses.
 
     Parameters
     ----------
-    name: the option or the configuration's key that gives the address, for messages: "--bind-link", "network.x".
+    name: the option or configuration key that sets the address, for messages: "--bind-link", "network.x".
     local: "host:port" to bind; port 0 takes any free port.
-    remote: "host:port" of the only peer, or None to hear everybody and send nothing.
+    remote: "host:port" of the only peer; None to receive from every address and send nothing.
 
     Raises
     ------
@@ -56,17 +56,17 @@ class DatagramSocket:
             raise AddressInUseError(_explain(name, local, remote, error)) from None
 
     def fileno(self) -> int:
-        """The file descriptor, so that `select` takes the object itself."""
+        """The file descriptor, for `select`."""
         return self._socket.fileno()
 
     @property
     def local_address(self) -> str:
-        """The address that was really bound, as "host:port"."""
+        """The bound address, as "host:port"."""
         host, port = self._socket.getsockname()
         return f"{host}:{port}"
 
     def receive(self, limit: int) -> list[bytes]:
-        """The datagrams that wait, oldest first, at most `limit`."""
+        """The datagrams that have arrived, oldest first, at most `limit`."""
         datagrams: list[bytes] = []
         receive = self._socket.recv
         for _ in range(limit):
@@ -75,13 +75,13 @@ class DatagramSocket:
             except BlockingIOError:
                 break
             except ConnectionError:
-                continue  # the peer was absent when we sent; that is its affair, not a fault of ours
+                continue  # an earlier datagram found no peer; not an error of this side
         self.received += len(datagrams)
         return datagrams
 
     def send(self, datagram: bytes) -> None:
-        """Hand one datagram to the kernel; drop and count it if the kernel does not take it."""
-        for _ in range(2):  # a first refusal only reports that an earlier datagram found nobody
+        """Send one datagram; drop and count it if the kernel refuses it."""
+        for _ in range(2):  # the first refusal only reports that an earlier datagram found no peer
             try:
                 self._socket.send(datagram)
                 self.sent += 1
@@ -93,28 +93,28 @@ class DatagramSocket:
         self.unsent += 1
 
     def close(self) -> None:
-        """Free the address."""
+        """Close the socket."""
         self._socket.close()
 
 
 def require_free(addresses: dict[str, str]) -> None:
-    """Check that every address (by its name in the configuration's network) can be bound now.
+    """Check that every address (given by its name in `network`) can be bound now.
 
     Raises
     ------
     AddressInUseError
-        Naming the first that cannot.
+        If one cannot. The message names the first such address.
     """
     for name, address in addresses.items():
         DatagramSocket(f"network.{name}", address, None).close()
 
 
 def _explain(name: str, local: str, remote: str | None, error: OSError) -> str:
-    """One line that names what was given, what is wrong with it, and what to do."""
+    """One line with the address, the error and the remedy."""
     setting = f"{name} HOST:PORT" if name.startswith("--") else f"--set {name}=HOST:PORT"
     if error.errno == errno.EADDRINUSE:
         return (
-            f"{name}: {local} is in use by another program (perhaps a flight that still runs); "
+            f"{name}: {local} is in use by another program (perhaps by a flight that still runs); "
             f"end it, or choose another port with {setting}"
         )
     towards = f" (towards {remote})" if remote is not None else ""

@@ -1,4 +1,4 @@
-"""Status lines of a process: JSON for the program that supervises it, words for a person; never a wait."""
+"""Status lines of a process on standard output: as JSON for a supervising program, or as text. Writing never waits."""
 
 import json
 import os
@@ -6,18 +6,20 @@ import stat
 import sys
 from typing import Any, Final
 
+from runtime.files import plain_value
+
 STATUS_PERIOD_NS: Final = 333_000_000
 PLAIN_EVERY: Final = 6
-"""A person gets every sixth line, one in two seconds."""
+"""As text, only every sixth status is written: one in two seconds."""
 
 
 class StatusLines:
-    """Writes what a process reports of itself to standard output and drops it when nobody takes it.
+    """Writes status and events to standard output; lines are dropped if the reader does not keep up.
 
     Parameters
     ----------
     process: "onboard", "offboard" or "sim".
-    as_json: one JSON object a line, non-blocking when standard output is a pipe.
+    as_json: one JSON object per line; non-blocking if standard output is a pipe.
     """
 
     def __init__(self, process: str, as_json: bool) -> None:
@@ -31,14 +33,14 @@ class StatusLines:
             os.set_blocking(self._descriptor, False)
 
     def due(self, now_ns: int) -> bool:
-        """Whether a status is wanted now; at most three times a second."""
+        """Whether to write a status now; at most three times a second."""
         if now_ns < self._next_ns:
             return False
         self._next_ns = now_ns + STATUS_PERIOD_NS
         return True
 
     def write(self, values: dict[str, Any]) -> None:
-        """Report the values of the moment."""
+        """Write the current values."""
         self._count += 1
         if self._json:
             self._put({"process": self._process, "kind": "status", **values})
@@ -47,25 +49,20 @@ class StatusLines:
             self._line(f"{self._process}: {words}")
 
     def report(self, text: str) -> None:
-        """Report something that happened."""
+        """Write an event."""
         if self._json:
             self._put({"process": self._process, "kind": "event", "text": text})
         else:
             self._line(f"{self._process}: {text}")
 
     def _put(self, entry: dict[str, Any]) -> None:
-        self._line(json.dumps(entry, default=_plain))
+        self._line(json.dumps(entry, default=plain_value))
 
     def _line(self, line: str) -> None:
         try:
-            os.write(self._descriptor, line.encode() + b"\n")  # below PIPE_BUF: whole or not at all
+            os.write(self._descriptor, line.encode() + b"\n")  # shorter than PIPE_BUF: written completely or not at all
         except OSError:
             self.dropped += 1
-
-
-def _plain(value: Any) -> Any:
-    """JSON's view of a numpy scalar or array."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def _short(value: Any) -> str:

@@ -117,8 +117,8 @@ def test_a_pulled_plug_is_noted_and_raises_nothing():
     ("device", "baud", "said"),
     [
         ("/dev/does-not-exist", 115200, "cannot be opened: No such file"),
-        ("/dev/null", 115200, "no serial line"),
-        ("/dev/null", 123, "no speed of 123 baud; known are"),
+        ("/dev/null", 115200, "not a serial port"),
+        ("/dev/null", 123, "123 baud is not supported; allowed are"),
     ],
 )
 def test_a_line_that_cannot_be_used_is_named(device, baud, said):

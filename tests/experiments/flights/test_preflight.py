@@ -164,8 +164,8 @@ def test_a_silent_vehicle_ends_it_at_once():
         (("--vehicle", "http://a:1"), "serial:///dev/DEVICE"),
         (("--vehicle", "udp://127.0.0.1:24099"), "reserved by the Mambo"),
         (("--vehicle", "serial:///dev/does-not-exist"), "cannot be opened"),
-        (("--vehicle", "serial:///dev/null?baud=12345"), "no speed of 12345 baud"),
-        (("--vehicle", "serial:///dev/null"), "no serial line"),
+        (("--vehicle", "serial:///dev/null?baud=12345"), "12345 baud is not supported"),
+        (("--vehicle", "serial:///dev/null"), "not a serial port"),
         (
             ("--vehicle", "udp://nobody.invalid:1", "--bind", "127.0.0.1:0x1"),
             "--bind 127.0.0.1:0x1: expected HOST:PORT",
