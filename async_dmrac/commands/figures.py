@@ -19,19 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Exit status: 0 written, 2 not a campaign's folder."""
-    from experiments.results.campaign_data import load_data
-    from experiments.results.campaign_page import write_page
-    from experiments.results.figure_plan import draw_all
-    from experiments.results.tables import markdown_report
+    from experiments.results.campaign_page import write_report
 
-    console = Console()
-    data = load_data(arguments.folder)
+    console = Console(highlight=False, soft_wrap=True)
     out = arguments.out or arguments.folder / "figures"
-    out.mkdir(parents=True, exist_ok=True)
-    pictures, extra = draw_all(data, out, lambda text: console.print(text, highlight=False, soft_wrap=True))
-    write_page(out / "report.html", data, pictures, extra)
-    listed = [(picture.png.relative_to(out), picture.caption) for picture in pictures]
-    text = markdown_report(data, listed)
-    (out / "report.md").write_text(text + "\n".join(table.markdown() for table in extra), encoding="utf-8")
-    console.print(f"written: {out / 'report.html'}", soft_wrap=True, highlight=False)
+    write_report(arguments.folder, out, console.print)
+    console.print(f"written: {out / 'report.html'}")
     return 0

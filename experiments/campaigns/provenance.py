@@ -102,6 +102,12 @@ def by_place(lines: Iterable[str]) -> tuple[str, ...]:
     return tuple(_line(place, commits) for place, commits in places.items())
 
 
+def commits_of(lines: Iterable[str]) -> tuple[str, ...]:
+    """Return the commits that lines of `here` or `by_place` name, each once."""
+    found = (source for line in lines for source in line.partition(_COMMIT)[2].split(", "))
+    return tuple(dict.fromkeys(filter(None, found)))
+
+
 def here() -> str:
     """One line on this machine and what is installed on it."""
     packages = ", ".join(f"{name} {number}" for name, number in versions().items())

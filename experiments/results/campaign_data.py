@@ -1,4 +1,4 @@
-"""A flown campaign, for tables and figures: its rows, selected by case, controller and point, and its kept traces."""
+"""The flights of a campaign, for tables and figures: rows grouped by case, controller and point, and traces."""
 
 import io
 import json
@@ -21,13 +21,15 @@ from experiments.results.statistics import Estimate, median, paired_ratio, wilso
 from protocol.conventions import Array
 
 REPORT_SEED = 20_000
-"""Resampling draws from generators of its own, so that a report is the same whenever it is made."""
+"""Seed of the resampling: each number has its own generator, so that a report is repeatable."""
+OURS = "dmrac"
+"""The controller that the others are compared with."""
 CONTROLLER_ORDER = ("none", "pid", "indi", "l1", "bias", "paper_mrac", "mrac", "paper_dmrac", "dmrac")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Flights of one case, controller and point."""
+    """The flights of one case, controller and point."""
 
     case: str
     controller: str
@@ -36,12 +38,12 @@ class Group:
 
     @property
     def survivors(self) -> list[Row]:
-        """Rows of vehicles that survived."""
+        """Rows of the vehicles that survived."""
         return [row for row in self.rows if row["survived"]]
 
     @property
     def survival(self) -> Estimate:
-        """Share of vehicles that survived, Wilson interval."""
+        """Share of the vehicles that survived, with its Wilson interval."""
         return wilson(len(self.survivors), len(self.rows))
 
     @property
@@ -50,46 +52,51 @@ class Group:
         return outcomes(self.rows)
 
     def values(self, metric: str) -> dict[int, float]:
-        """Metric of the survivors, by seed."""
+        """Return the finite values of a metric of the survivors, by seed."""
         return {row["seed"]: float(row[metric]) for row in self.survivors if np.isfinite(row[metric])}
 
+    def median(self, metric: str) -> float:
+        """Return the median over the survivors; NaN for none."""
+        values = list(self.values(metric).values())
+        return float(np.median(values)) if values else math.nan
+
     def estimate(self, metric: str) -> Estimate:
-        """Median over survivors with its bootstrap interval."""
+        """Return the median over the survivors with its bootstrap interval."""
         return median(list(self.values(metric).values()), generator(self.case, self.controller, metric))
 
     def ratio(self, other: "Group", metric: str) -> Estimate:
-        """Ratio to another group, paired by seed, over seeds both survived."""
+        """Return the median ratio to another group, paired by seed, over the seeds that both survived."""
         rng = generator(self.case, self.controller, other.case, other.controller, metric)
         return paired_ratio(self.values(metric), other.values(metric), rng)
 
 
 def generator(*names: str) -> np.random.Generator:
-    """A generator for one number of the report."""
+    """Return the generator for one number of the report, from its names."""
     return np.random.default_rng([REPORT_SEED, *"|".join(names).encode()])
 
 
 @dataclass(frozen=True)
 class CampaignData:
-    """Everything a campaign's folder holds."""
+    """The content of a campaign's folder."""
 
     folder: Path
     name: str
     config: CampaignConfig
     rows: tuple[Row, ...]
-    """Flights that were flown; failed ones are in `failed`."""
+    """Flights without those that failed."""
     failed: tuple[Row, ...] = field(default=())
     flown_on: tuple[str, ...] = ()
-    """Machines and versions, a line each, with the commits that flew there."""
+    """One line for each machine and set of versions, with the commits that flew there."""
 
     @property
     def command(self) -> str:
-        """The command that flies the same."""
+        """The command that flies the same flights."""
         seeds = {row["seed"] for row in (*self.rows, *self.failed)}
         return f"dmrac campaign {self.name} --seeds {len(seeds)}"
 
     @cached_property
     def groups(self) -> list[Group]:
-        """All groups, in the campaign's order."""
+        """All groups, in the order of the campaign file."""
         sorted_rows: dict[tuple[str, str, str], list[Row]] = {}
         for row in self.rows:
             sorted_rows.setdefault((row["case"], row["point"], row["controller"]), []).append(row)
@@ -108,13 +115,13 @@ class CampaignData:
 
     @cached_property
     def controllers(self) -> list[str]:
-        """Controllers that flew, in the usual order."""
+        """Controllers that flew, in the order of CONTROLLER_ORDER."""
         return sorted({row["controller"] for row in self.rows}, key=rank)
 
     def select(
         self, case: str | None = None, controller: str | None = None, point: dict[str, Any] | None = None
     ) -> list[Group]:
-        """Groups that fit."""
+        """Return the groups with this case, controller and point; None fits all."""
         wanted = (point or {}).items()
         return [
             group
@@ -125,20 +132,42 @@ class CampaignData:
         ]
 
     def same_conditions(self, case: str) -> tuple[str, ...]:
-        """The case and those that differ from it only in how the vehicle is controlled."""
+        """Return the case and those that differ from it only in how the vehicle is controlled."""
         together = [cases for cases in self.config.same_conditions if case in cases]
         return together[0] if together else (case,)
 
+    def _together(self, case: str) -> list[Group]:
+        """Return the groups of a case and of those under the same conditions."""
+        return [group for one in self.same_conditions(case) for group in self.select(one)]
+
+    def rivals(self, ours: Group) -> list[Group]:
+        """Return the other controllers' groups under the same conditions, at the same point or not swept at all."""
+        groups = self._together(ours.case)
+        return [group for group in groups if group.point in (ours.point, ()) and group.controller != ours.controller]
+
+    def flown_once(self, case: str) -> list[Group]:
+        """Return the groups under the same conditions that are not swept."""
+        return [group for group in self._together(case) if not group.point]
+
+    @property
+    def title(self) -> str:
+        """Title of the campaign."""
+        return self.config.title or self.name
+
     def label(self, case: str) -> str:
-        """What a case is called in tables and figures."""
+        """Return the name of a case for tables and figures."""
         return self.config.case(case).label or case
 
+    def condition(self, group: Group) -> str:
+        """Return case and point of a group in words."""
+        return ", ".join([self.label(group.case), *(f"{name} {value}" for name, value in group.point)])
+
     def cases(self) -> list[str]:
-        """Cases that have flights."""
+        """Return the cases that have flights."""
         return list(dict.fromkeys(group.case for group in self.groups))
 
     def traces(self, group: Group) -> list["Trace"]:
-        """Kept traces of a group."""
+        """Return the traces of a group, of the flights that have one."""
         found = []
         for row in group.rows:
             path = self.folder / "traces" / f"{row['key'].replace('/', '__')}.npz"
@@ -148,18 +177,18 @@ class CampaignData:
 
 
 def rank(controller: str) -> tuple[int, str]:
-    """Where a controller stands in tables and legends."""
+    """Return the sort key of a controller in tables and legends."""
     known = CONTROLLER_ORDER.index(controller) if controller in CONTROLLER_ORDER else len(CONTROLLER_ORDER)
     return known, controller
 
 
 def load_data(folder: Path) -> CampaignData:
-    """Reads a campaign's folder.
+    """Read a campaign's folder.
 
     Raises
     ------
     ConfigError
-        If it is not one, or holds no flights.
+        If the folder is not a campaign's or has no flights.
     """
     if folder.is_file():
         raise ConfigError(f"{folder}: not a campaign's folder")
@@ -175,7 +204,7 @@ def load_data(folder: Path) -> CampaignData:
 
 
 def _presented(config: CampaignConfig, name: str) -> CampaignConfig:
-    """The campaign as flown, with titles, metrics, targets and figures as its file lists them now."""
+    """Return the campaign as flown, with titles, metrics, targets and figures from its file of today."""
     path = CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
     if not path.is_file():
         return config
@@ -187,26 +216,26 @@ def _presented(config: CampaignConfig, name: str) -> CampaignConfig:
 
 @dataclass(frozen=True)
 class Trace:
-    """Columns of one flight at 50 Hz."""
+    """Columns of one flight, at 50 Hz."""
 
     row: Row
     columns: dict[str, Array]
 
     @classmethod
     def read(cls, path: Path, row: Row) -> "Trace":
-        """From its file."""
+        """Read a trace file."""
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             return cls(row, {name: archive[name].astype(np.float64) for name in archive.files})
 
     def __getitem__(self, name: str) -> Array:
-        """One column."""
+        """Return one column, [n]."""
         return self.columns[name]
 
     def vector(self, name: str, axes: Sequence[str]) -> Array:
-        """[n, len(axes)]: the columns name_axis."""
+        """Return the columns name_axis, [n, len(axes)]."""
         return np.stack([self.columns[f"{name}_{axis}"] for axis in axes], axis=1)
 
     @property
     def time_s(self) -> Array:
-        """[n]."""
+        """Time of each row, [n], s."""
         return self.columns["time_s"]

@@ -1,9 +1,9 @@
-"""Do the learnt features tell flight regimes apart? Silhouette, a linear probe, t-SNE and PCA, before and after.
+"""Measures whether features distinguish flight regimes: silhouette, a linear probe, t-SNE and PCA.
 
-"Before" is the network the trainer started from, "after" the last version it sent, "rbf" the radial basis functions of
-configs/controllers/mrac.yaml, "rbf_same" as many of the same width that see what the network sees and no more: motor
-thrusts alone may tell a regime. All see the same flight. The regime of a sample is known from its time. The probe is
-trained and tested on blocks of time that are apart, so that it cannot profit from neighbouring samples.
+"before" is the network that the trainer started from, "after" the last version it sent, "rbf" the radial basis
+functions of configs/controllers/mrac.yaml, and "rbf_same" the same number of the same width with the network's inputs
+only (motor thrusts alone may identify a regime). All are evaluated on the same flight. The time of a sample gives its
+regime. The probe is trained and tested on separate blocks of time, so that it cannot profit from neighbouring samples.
 """
 
 import io
@@ -29,7 +29,7 @@ from protocol.signals import CHANNELS, SIGNAL_NAMES
 
 SAMPLES_MAX: Final = 700
 ROUND_S: Final = 6.0
-"""Once round the figure-8 of the scenarios: what is left out of every regime at a time holds all places."""
+"""One lap of the figure-8 of the scenarios. A fold leaves out one lap of every regime, so it contains all places."""
 PROBE_SEED: Final = 7
 KIND_LABELS: Final = {
     "before": "before training",
@@ -38,24 +38,24 @@ KIND_LABELS: Final = {
     "rbf": "radial basis functions of mrac",
 }
 DRAWN: Final = ("before", "after", "rbf_same")
-"""Kinds that see the same inputs."""
+"""Kinds with the same inputs."""
 
 
 @dataclass(frozen=True)
 class Regimes:
-    """Samples of one flight with the regime each belongs to."""
+    """Samples of one flight with their regimes."""
 
     signals: Array
     """[n, SIGNAL_COUNT]."""
     regime: Array
     """[n], number of the regime."""
     round: Array
-    """[n], number of the round of the path within the regime."""
+    """[n], number of the lap within the regime."""
     names: tuple[str, ...]
 
 
 def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]], round_s: float = ROUND_S) -> Regimes:
-    """Samples of a trace within whole rounds of the spans (s of flight time), thinned to about SAMPLES_MAX."""
+    """Return the samples of a trace within whole laps of the spans (s of flight time), thinned to about SAMPLES_MAX."""
     time = trace.time_s
     regime, number_of_round = np.full(time.size, -1), np.zeros(time.size)
     for number, (start, end) in enumerate(spans.values()):
@@ -69,7 +69,7 @@ def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]], round_s: flo
 
 
 def signals_of(trace: Trace) -> Array:
-    """[n, SIGNAL_COUNT]: the signal vectors, from the trace's columns."""
+    """Return the signal vectors of a trace, [n, SIGNAL_COUNT]."""
     w, x, y, z = trace.vector("tick_quaternion", "wxyz").T
     rotation = np.stack(
         [
@@ -97,7 +97,7 @@ def signals_of(trace: Trace) -> Array:
 
 @dataclass(frozen=True)
 class LearntFlight:
-    """What a flight's network was made from, and what it became."""
+    """The network of a flight: how it started, and what was learnt."""
 
     network: NetworkConfig
     seed: int
@@ -106,7 +106,7 @@ class LearntFlight:
 
 
 def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
-    """The maps to compare, for channel 0 (position) or 1 (attitude).
+    """Return the features to compare, for channel 0 (position) or 1 (attitude).
 
     Raises
     ------
@@ -119,7 +119,7 @@ def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
     before = feature_set(start, InputPlan.of(flight.network), 1, 0, 0)
     with np.load(io.BytesIO(flight.learnt), allow_pickle=False) as archive:
         if "features" not in archive.files:
-            raise ConfigError("the flight sent no features, there is nothing to probe")
+            raise ConfigError("the flight sent no features to probe")
         after = decode_feature_set(archive["features"].tobytes())
     first, last = (_of(features, channel) for features in (before, after))
     radial, width = _rbf(channel)
@@ -135,7 +135,7 @@ def _of(features: FeatureSet, channel: int) -> ChannelFeatures:
 
 
 def _rbf(channel: int) -> tuple[RadialFeatures, float]:
-    """Those of mrac, and their width in scaled inputs."""
+    """Return the radial basis functions of mrac, and their width in scaled inputs."""
     from configs.loader import CONFIG_DIRECTORY
     from onboard.control.cascade import CascadeSettings
 
@@ -149,18 +149,18 @@ def _rbf(channel: int) -> tuple[RadialFeatures, float]:
 
 
 def phi(features: Features, signals: Array) -> Array:
-    """[n, k - 1]: features of signal vectors, without the constant, standardised."""
+    """Return the standardised features of signal vectors, without the constant, [n, k - 1]."""
     values = features.evaluate(features.select(signals.T))[:-1].T
     standard: Array = (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-9)
     return standard
 
 
 def probe_accuracy(values: Array, samples: Regimes) -> float:
-    """Balanced accuracy of a linear probe (multinomial logistic regression), left out round by round of the path.
+    """Return the balanced accuracy of a linear probe (multinomial logistic regression), cross-validated lap by lap.
 
-    The same round of every regime is left out, and regimes weigh alike: of every place as much is left of each regime.
-    Otherwise features that know nothing but the place make the probe guess the regime of which more is left there,
-    which is never the one that was left out, and fall far below chance.
+    Each fold leaves out the same lap of every regime, and all regimes have the same weight. So the training set has
+    the same number of samples of each regime at every place. Otherwise features that depend only on the place would
+    score far below chance: the probe would guess the regime with more samples left there, never the one left out.
     """
     from sklearn.linear_model import LogisticRegression
     from sklearn.metrics import balanced_accuracy_score
@@ -176,7 +176,7 @@ def probe_accuracy(values: Array, samples: Regimes) -> float:
 
 
 def silhouette(values: Array, samples: Regimes) -> float:
-    """Mean silhouette of the regimes in feature space (-1 to 1)."""
+    """Return the mean silhouette of the regimes in feature space (-1 to 1)."""
     from sklearn.metrics import silhouette_score
 
     return float(silhouette_score(values, samples.regime))
@@ -194,7 +194,7 @@ def _flights(data_folder: Path, keys: tuple[str, ...]) -> tuple[LearntFlight, ..
 
 
 def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, float]]) -> Table:
-    """Silhouette and probe accuracy over the flights of a case, medians with intervals."""
+    """Return silhouette and probe accuracy over the flights of a case, as medians with intervals."""
     traces = [trace for group in data.select(case, "dmrac") for trace in data.traces(group)]
     flights = _flights(data.folder, tuple(trace.row["key"] for trace in traces))
     sampled = [regimes_of(trace, spans) for trace in traces]
@@ -211,7 +211,7 @@ def probe_table(data: CampaignData, case: str, spans: dict[str, tuple[float, flo
             rows.append((name, label, str(inputs), str(len(scores)), *cells))
     chance = f"linear probe, balanced accuracy (chance {1 / len(spans):.2f})"
     header = ("channel", "features", "inputs", "flights", "silhouette", chance)
-    return Table(f"How well features tell {', '.join(spans)} apart", header, tuple(rows))
+    return Table(f"How well features distinguish {', '.join(spans)}", header, tuple(rows))
 
 
 def _cell(values: list[float]) -> str:
@@ -221,7 +221,7 @@ def _cell(values: list[float]) -> str:
 
 
 def feature_figure(data: CampaignData, case: str, spans: dict[str, tuple[float, float]], channel: int) -> Any:
-    """t-SNE and PCA in three dimensions, before and after training and for radial functions; one flight."""
+    """Draw t-SNE and PCA in three dimensions, before and after training and for radial functions; one flight."""
     from sklearn.decomposition import PCA
     from sklearn.manifold import TSNE
 

@@ -1,4 +1,4 @@
-"""Which figures a campaign gets: the `figures` entries of its file, each a kind with the options of its function."""
+"""Draws the figures of a campaign: the `figures` entries of its file, each a kind and the options of its function."""
 
 import json
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from configs.loader import ConfigError
-from experiments.results import row_figures, trace_figures
+from experiments.results import row_figures, sweep_figures, trace_figures
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_style import drawn_for, save
 from experiments.results.tables import Table
@@ -27,47 +27,55 @@ class Picture:
     png: Path
 
 
-KEPT: Final = "kept as it was drawn before, the traces it shows are not here"
-BAND: Final = "Mean and standard deviation over the seeds kept; grey: onsets of the fault; dotted: vehicle lost."
+KEPT: Final = "not redrawn, its traces are not in this folder"
+COMPARED: Final = "{metric}: median over survivors with 95 % bootstrap interval; dots: single flights."
+BAND: Final = "Mean and standard deviation over the seeds with traces; grey: onsets of the fault; dotted: vehicle lost."
 KINDS: Final[dict[str, tuple[Drawer, str]]] = {
     "survival": (
-        row_figures.survival,
-        "Survival with 95 % Wilson intervals; lines: logistic fit through all flights.",
+        sweep_figures.survival,
+        "Survival with 95 % Wilson intervals; lines: logistic fit to all flights.",
     ),
-    "sweep": (row_figures.sweep_metric, "{metric}: median over survivors with bootstrap interval."),
-    "compare": (row_figures.compare, "{metric}: median over survivors with bootstrap interval; dots: flights."),
-    "cases": (row_figures.compare_cases, "{metric}: median over survivors with bootstrap interval; dots: flights."),
+    "sweep": (sweep_figures.sweep_metric, "{metric}: median over survivors with 95 % bootstrap interval."),
+    "compare": (
+        row_figures.compare,
+        COMPARED,
+    ),
+    "cases": (
+        row_figures.compare,
+        COMPARED,
+    ),
     "laps": (row_figures.laps, "Position RMSE lap by lap, {case}: median and the middle half of the seeds."),
     "age": (
         row_figures.age,
-        "Settled RMSE against the age of the features; crosses: flights in which no version was swapped in.",
+        "Settled RMSE against the age of the features; crosses: flights that never activated a version.",
     ),
     "swaps": (
         row_figures.swaps,
-        "Jump of nu_ad at swaps against the bound that refuses them; live bound against norm(e).",
+        "Left: jump of nu_ad at a swap, relative to the limit above which a swap is refused. "
+        "Right: live bound on norm(e) against norm(e).",
     ),
     "position": (trace_figures.position, "Position, {case}. " + BAND),
     "attitude": (trace_figures.attitude, "Roll and pitch, {case}. " + BAND),
     "torques": (
         trace_figures.torques,
-        "Commands split into feedback, feed-forward and adaptive part, means over 0.18 s, {case}.",
+        "Commands split into feedback, feed-forward and adaptive part, moving average over 0.18 s, {case}.",
     ),
-    "path": (trace_figures.path, "Path in space, {case}."),
+    "path": (trace_figures.path, "Flown path in three dimensions, {case}."),
     "training": (trace_figures.training, "Training, validation and test loss along a flight, {case}."),
     "position_cases": (trace_figures.position_cases, "Distance to the target. " + BAND),
 }
 
 
 def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) -> tuple[list[Picture], list[Table]]:
-    """Draws what the campaign's file lists.
+    """Draw the figures that the campaign's file lists; return them and the tables among them.
 
-    A figure whose flights or traces are missing stays as it was drawn before for the same entry, or is left out; both
+    A figure whose flights or traces are missing is left out, unless it was drawn before for the same entry. Both cases
     are reported.
 
     Raises
     ------
     ConfigError
-        If an entry has an unknown kind, or options its function does not know.
+        If an entry has an unknown kind or an unknown option.
     """
     pictures: list[Picture] = []
     tables: list[Table] = []
@@ -95,7 +103,7 @@ def draw_all(data: CampaignData, folder: Path, report: Callable[[str], None]) ->
         elif drawn_for(picture.png) == asked:
             report(f"{name}: {KEPT}")
         else:
-            report(f"{name}: left out, the flights it shows were not flown or kept no traces")
+            report(f"{name}: left out, its flights are missing or have no traces")
             continue
         pictures.append(picture)
     return pictures, tables
@@ -157,5 +165,5 @@ def _draw_features(
         cells = json.loads(numbers.read_bytes())
         rows = tuple(tuple(row) for row in cells["rows"])
         return pictures, [Table(cells["caption"], tuple(cells["header"]), rows)]
-    report(f"{name}: left out, no traces were kept")
+    report(f"{name}: left out, its flights have no traces")
     return [], []

@@ -1,15 +1,21 @@
-"""How figures look: one colour, line and marker for each controller, told apart in black and white too."""
+"""The style of the figures: a colour, line and marker for each controller, distinct in black and white too."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from experiments.results.statistics import Estimate
+
 WIDTH_IN: Final = 8.0
 DPI: Final = 130
 ASKED: Final = "Description"
-"""Keyword of a PNG under which it says what it was drawn for."""
+"""Keyword of the PNG metadata that holds the entry a picture was drawn for."""
 LABEL_CHARACTERS: Final = 36
-"""Longer labels of an upright axis take two lines."""
+"""Longer labels of a vertical axis take two lines."""
+LOGARITHMIC_FROM: Final = 8.0
+"""Ratio of the largest to the smallest value from which `upward_axis` is logarithmic."""
 
 
 class Style(NamedTuple):
@@ -35,14 +41,14 @@ SPARE: Final = (Style("#000000", "-", "*"), Style("#f0e442", "--", "<"), Style("
 
 
 def style(controller: str) -> Style:
-    """A controller's style; unknown ones get a spare one by name."""
+    """Return a controller's style; an unknown controller gets a spare one, chosen by its name."""
     if controller in STYLES:
         return STYLES[controller]
     return SPARE[sum(controller.encode()) % len(SPARE)]
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Any:
-    """An empty figure with a canvas of its own: no global state of pyplot."""
+    """Return an empty figure with its own canvas, without the global state of pyplot."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -52,7 +58,7 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Any:
 
 
 def finish(panel: Any, x_label: str = "", y_label: str = "", title: str = "") -> None:
-    """Labels and a light grid."""
+    """Add labels and a light grid to a panel."""
     panel.grid(alpha=0.25, linewidth=0.6)
     if x_label:
         panel.set_xlabel(x_label)
@@ -63,10 +69,53 @@ def finish(panel: Any, x_label: str = "", y_label: str = "", title: str = "") ->
         panel.set_title(title, fontsize=10)
 
 
-def legend_below(figure: Any, panels: Sequence[Any], columns: int = 7, neutral: str = "") -> None:
-    """One legend for all panels, outside them, so that it covers nothing.
+def draw_intervals(
+    panel: Any,
+    x: Sequence[float],
+    estimates: Sequence[Estimate],
+    controller: str,
+    joined: bool = False,
+) -> None:
+    """Draw a controller's estimates with their intervals, joined by its line or not."""
+    look = style(controller)
+    values = np.array([(one.value, one.value - one.low, one.high - one.value) for one in estimates]).reshape(-1, 3)
+    panel.errorbar(
+        x,
+        values[:, 0],
+        np.nan_to_num(values[:, 1:].T) if estimates else None,
+        marker=look.marker,
+        color=look.colour,
+        linestyle=look.line if joined else "none",
+        linewidth=1.1,
+        markersize=4.5,
+        elinewidth=0.9,
+        capsize=2,
+        label=controller,
+    )
 
-    neutral: the label whose line is drawn black, because each panel shows it in another colour.
+
+def upward_axis(panel: Any, values: Sequence[float]) -> None:
+    """Start the vertical axis at zero; make it logarithmic if the values span a wide range."""
+    if not values or min(values) <= 0.0 or max(values) < LOGARITHMIC_FROM * min(values):
+        panel.set_ylim(bottom=0.0)
+        return
+    panel.set_yscale("log")
+    plain_ticks(panel.yaxis, (1.0, 2.0, 5.0))
+
+
+def plain_ticks(axis: Any, of_a_decade: tuple[float, ...]) -> None:
+    """Give a logarithmic axis few ticks, with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=of_a_decade))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def legend_below(figure: Any, panels: Sequence[Any], columns: int = 7, neutral: str = "") -> None:
+    """Add one legend for all panels, below them.
+
+    neutral: label whose line is drawn black, because each panel shows it in another colour.
     """
     from matplotlib.lines import Line2D
 
@@ -88,9 +137,9 @@ def legend_below(figure: Any, panels: Sequence[Any], columns: int = 7, neutral: 
 
 
 def save(figure: Any, folder: Path, name: str, asked: str = "") -> None:
-    """Writes PNG and SVG; the SVG carries no date, so that it only changes when its content does.
+    """Write PNG and SVG; the SVG has no date, so that it changes only with its content.
 
-    asked: what it was drawn for; the PNG keeps it, for `drawn_for`.
+    asked: the entry it was drawn for; stored in the PNG, for `drawn_for`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / f"{name}.png", dpi=DPI, metadata={ASKED: asked})
@@ -101,11 +150,11 @@ def save(figure: Any, folder: Path, name: str, asked: str = "") -> None:
 
 
 def drawn_for(png: Path) -> str | None:
-    """What a picture was drawn for, as `save` was told; None if there is no picture that says so."""
+    """Return the entry that a picture was drawn for, as given to `save`; None if there is none."""
     from PIL import Image
 
     try:
         with Image.open(png) as image:
             return image.info.get(ASKED)
-    except OSError:  # there is none, or no picture
+    except OSError:  # no such file, or not a picture
         return None

@@ -2,20 +2,21 @@
 
 import math
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.flown import is_campaign, publish, read_about, unpublish
+from experiments.campaigns.provenance import commits_of
 from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
-from experiments.results.campaign_data import CampaignData, load_data
-from experiments.results.campaign_page import write_page
-from experiments.results.figure_plan import Picture, draw_all
-from experiments.results.losses import comparisons, first_paragraph
-from experiments.results.tables import TARGET_HEADER, Table, markdown_report, target_rows
+from experiments.results.campaign_data import OURS
+from experiments.results.campaign_page import CampaignReport, write_report
+from experiments.results.comparisons import BETTER, OPEN, WORSE, Comparison, judged, verdict_counts
+from experiments.results.figure_style import save
+from experiments.results.heat_map import HEAT_MAP_CAPTION, draw_heat_map
+from experiments.results.tables import TARGET_HEADER, Table
 from runtime.files import write_atomically
 
 CAMPAIGNS: Final = (
@@ -23,6 +24,10 @@ CAMPAIGNS: Final = (
     *("sim_to_real", "features", "dropouts", "shared_trainer", "paper_preset", "ablations"),
 )
 """In the order of docs/results.md."""
+
+PICTURES: Final = Path("pictures") / "results"
+"""Folder of the pictures, beside the page."""
+HEAT_MAP: Final = "heat_map"
 
 
 @dataclass(frozen=True)
@@ -64,34 +69,6 @@ class Reproduction:
         return CampaignRun(campaign, name, self.folder / name, seeds)
 
 
-@dataclass(frozen=True)
-class Section:
-    """One campaign of the page."""
-
-    data: CampaignData
-    pictures: tuple[Picture, ...]
-    extra: tuple[Table, ...]
-
-    @cached_property
-    def losses(self) -> str:
-        """Its line of the page's first paragraph; "" if DMRAC flew alone."""
-        if not any(comparisons(self.data)):
-            return ""
-        return f"- {self.data.config.title or self.data.name}: {first_paragraph(self.data, brief=True)}"
-
-    @cached_property
-    def report(self) -> str:
-        """Its part of the page, worked out once: the page is written anew after every campaign."""
-        listed = [(Path("pictures/results") / one.png.name, one.caption) for one in self.pictures]
-        return "\n".join([markdown_report(self.data, listed), *(table.markdown() for table in self.extra)])
-
-    @cached_property
-    def targets(self) -> list[tuple[str, ...]]:
-        """Its rows of the table of targets."""
-        title = self.data.config.title or self.data.name
-        return [(title, *row) for row in target_rows(self.data)]
-
-
 def fly(
     plan: Reproduction, name: str, open_workers: Callable[[], Workers], report: Callable[[Progress], None]
 ) -> Progress:
@@ -102,23 +79,25 @@ def fly(
         return run_campaign(run, store, open_workers(), report)
 
 
-def draw(plan: Reproduction, name: str, report: Callable[[str], None]) -> Section:
-    """Figures and page of one campaign; its PNGs, and tables that need traces, are copied beside results.md."""
-    data = load_data(plan.folder / name)
+def draw(plan: Reproduction, name: str, report: Callable[[str], None]) -> CampaignReport:
+    """Draw one campaign, write its own page, and copy pictures, rows and tables made from traces beside results.md."""
     out = plan.folder / name / "figures"
-    pictures, extra = draw_all(data, out, report)
-    write_page(out / "report.html", data, pictures, extra)
-    shown = picture_folder(plan)
-    shown.mkdir(parents=True, exist_ok=True)
-    for path in [*(picture.png for picture in pictures), *out.glob(f"{name}_[0-9][0-9]_*.json")]:
-        shutil.copyfile(path, shown / path.name)
+    made = write_report(plan.folder / name, out, report)
+    _show(plan, [*(picture.png for picture in made.pictures), *out.glob(f"{name}_[0-9][0-9]_*.json")])
     publish_rows(plan, name)
-    return Section(data, tuple(pictures), tuple(extra))
+    return made
+
+
+def _show(plan: Reproduction, files: Iterable[Path]) -> None:
+    """Copy files into the page's folder of pictures."""
+    picture_folder(plan).mkdir(parents=True, exist_ok=True)
+    for path in files:
+        shutil.copyfile(path, picture_folder(plan) / path.name)
 
 
 def picture_folder(plan: Reproduction) -> Path:
     """Where the page's pictures lie."""
-    return plan.page.parent / "pictures" / "results"
+    return plan.page.parent / PICTURES
 
 
 def row_file(plan: Reproduction, name: str) -> Path:
@@ -150,42 +129,63 @@ def take_up(plan: Reproduction, name: str) -> int:
     return unpublish(file, folder)
 
 
-def write_results(plan: Reproduction, sections: Sequence[Section]) -> None:
-    """Writes the page, complete or not at all."""
-    parts = ["# Results\n", _opening(sections), _provenance(plan, sections)]
-    targets = _targets(sections)
+def write_results(plan: Reproduction, reports: Sequence[CampaignReport]) -> None:
+    """Write the page: heat map, provenance, targets, number of verdicts, then a section for each campaign."""
+    compared = judged([one for report in reports for one in report.compared])
+    of = {report.data.title: [one for one in compared if one.campaign == report.data.title] for report in reports}
+    parts = ["# Results\n", _heat_map(plan, reports), _provenance(plan, reports)]
+    targets = _targets(reports)
     parts += [targets.markdown()] if targets.rows else []
-    for section in sections:
-        parts.append(section.report)
-        rows = row_file(plan, section.data.name).relative_to(plan.page.parent)
-        parts.append(f"All of these flights, a row each: [{rows}]({rows}). {_flown_on(section.data)}\n")
+    parts += [_verdicts(of).markdown(), _statistics(len(compared))]
+    for report in reports:
+        rows = row_file(plan, report.data.name).relative_to(plan.page.parent)
+        flown_on = " and on ".join(report.data.flown_on)
+        where = f"All flights of this campaign, one per row: [{rows}]({rows}). "
+        where += f"Flown on {flown_on}.\n" if flown_on else "\n"
+        parts.append(report.markdown(of[report.data.title], PICTURES, where))
     write_atomically(plan.page, "\n".join(parts).encode())
 
 
-def _opening(sections: Sequence[Section]) -> str:
-    """The first paragraph: where DMRAC loses, campaign by campaign."""
-    lines = [section.losses for section in sections if section.losses]
-    return "\n".join(lines or ["These campaigns fly DMRAC alone: there is no other controller to lose against."]) + "\n"
+def _heat_map(plan: Reproduction, reports: Sequence[CampaignReport]) -> str:
+    rows = [row for report in reports for row in report.heat_map]
+    if not rows:
+        return ""
+    folder = plan.folder / "figures"
+    save(draw_heat_map(rows), folder, HEAT_MAP)
+    _show(plan, [folder / f"{HEAT_MAP}.png"])
+    picture = f"{(PICTURES / HEAT_MAP).as_posix()}.png"
+    return f"![Heat map of the errors by controller and condition]({picture})\n\n*{HEAT_MAP_CAPTION}*\n"
 
 
-def _provenance(plan: Reproduction, sections: Sequence[Section]) -> str:
-    flights = sum(len(section.data.rows) for section in sections)
-    failed = sum(len(section.data.failed) for section in sections)
-    used = [row["cpu_s"] for section in sections for row in section.data.rows if math.isfinite(row["cpu_s"])]
+def _provenance(plan: Reproduction, reports: Sequence[CampaignReport]) -> str:
+    flights = sum(len(report.data.rows) for report in reports)
+    failed = sum(len(report.data.failed) for report in reports)
+    used = [row["cpu_s"] for report in reports for row in report.data.rows if math.isfinite(row["cpu_s"])]
+    commits = commits_of(line for report in reports for line in report.data.flown_on)
     return (
-        f"Made by `{plan.command}`, no number or picture is edited by hand. "
-        f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying; each section says where. "
-        "Medians are over survivors, with 95 % bootstrap intervals (six flights at least); survival has Wilson "
-        "intervals; ratios are paired by seed, and so is the test of survival (McNemar's, exact). Nothing is "
-        "corrected for the number of comparisons: between equals, one in forty would be called a loss. "
-        "What each column means: [experiments.md](experiments.md).\n"
+        f"Flown with the code of commits {', '.join(commits) or 'unknown'}; each section lists its own. "
+        f"Made by `{plan.command}`; no number or picture is edited by hand. "
+        f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying.\n"
     )
 
 
-def _flown_on(data: CampaignData) -> str:
-    return f"Flown on {' and on '.join(data.flown_on)}." if data.flown_on else ""
+def _verdicts(of: Mapping[str, Sequence[Comparison]]) -> Table:
+    rows = tuple((title, str(len(found)), *map(str, verdict_counts(found))) for title, found in of.items() if found)
+    caption = f"Comparisons of {OURS} with every other controller: survival, and each error in the tables"
+    return Table(caption, ("campaign", "comparisons", BETTER, WORSE, OPEN), rows)
 
 
-def _targets(sections: Sequence[Section]) -> Table:
-    rows = tuple(row for section in sections for row in section.targets)
+def _statistics(comparisons: int) -> str:
+    return (
+        "A comparison pairs the flights by seed and uses the exact sign test; for survival this is McNemar's test. "
+        "The verdicts are significant at the 5 % level after Holm's correction (1979) for all "
+        f"{comparisons} comparisons of this page: if no two controllers differed, the probability of a single verdict "
+        "would be below 5 %. Targets are compared with the medians, without a test. Medians are over survivors, with "
+        "95 % bootstrap intervals (from six flights on); survival has Wilson intervals; ratios are medians of ratios "
+        "paired by seed. The intervals are not corrected. [experiments.md](experiments.md) explains each column.\n"
+    )
+
+
+def _targets(reports: Sequence[CampaignReport]) -> Table:
+    rows = tuple(row for report in reports for row in report.targets)
     return Table("Targets", ("campaign", *TARGET_HEADER), rows)

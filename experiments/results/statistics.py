@@ -1,6 +1,6 @@
-"""Statistics of campaigns: how sure a number is. Survivors and crashes are always told apart.
+"""Statistics of campaigns: estimates with intervals, and paired tests. Survivors and crashes are never mixed.
 
-Every resampling takes its generator as an argument, so that a report is the same whenever it is made.
+Every resampling gets its generator as an argument, so that a report is repeatable.
 """
 
 import math
@@ -15,14 +15,16 @@ from scipy.stats import binomtest
 from protocol.conventions import Array
 
 CONFIDENCE: Final = 0.95
+SIGNIFICANT: Final = 0.05
+"""A verdict needs a corrected p value below this."""
 Z_95: Final = 1.959963984540054
 """Normal quantile at 0.975."""
 RESAMPLES: Final = 4000
 INTERVAL_COUNT: Final = 6
-"""Of fewer values no interval of the median is stated: even from the least to the greatest of five covers only 94 %.
+"""Fewest values for an interval of the median: the range of five values covers it in only 94 % of the cases.
 
-The percentile bootstrap's interval is narrower than it should be where values are few: with six to ten it covers the
-true median of normal samples in 86 to 94 % of cases, with twenty to a hundred in 94 % (2000 simulated samples each).
+With few values the percentile bootstrap gives intervals that are too narrow: with six to ten values they cover the
+true median of normal samples in 86 to 94 % of the cases, with twenty to a hundred in 94 % (2000 simulations each).
 """
 
 
@@ -34,11 +36,11 @@ class Estimate:
     low: float
     high: float
     count: int
-    """What it rests on: flights, or pairs."""
+    """Number of flights, or of pairs."""
 
 
 def wilson(successes: int, trials: int, z: float = Z_95) -> Estimate:
-    """Share of successes with the Wilson score interval (Wilson 1927).
+    """Return the share of successes with the Wilson score interval (Wilson 1927).
 
     Raises
     ------
@@ -59,7 +61,7 @@ def wilson(successes: int, trials: int, z: float = Z_95) -> Estimate:
 
 
 def median(values: Sequence[float], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:
-    """Median of the finite values with its percentile bootstrap interval."""
+    """Return the median of the finite values with its percentile bootstrap interval."""
     known = _finite(values)
     return _bootstrap(known, lambda rows: np.median(rows, axis=1), rng, resamples)
 
@@ -67,37 +69,41 @@ def median(values: Sequence[float], rng: np.random.Generator, resamples: int = R
 def paired_ratio(
     ours: Mapping[int, float], theirs: Mapping[int, float], rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Estimate:
-    """Median over seeds of ours / theirs, seeds that both have, with its bootstrap interval over seeds.
+    """Return the median of ours / theirs over the seeds that both have, with its bootstrap interval over seeds.
 
-    Flights that were lost are not in the mappings, or are NaN; the caller states how many there were.
+    Vehicles that crashed are not in the mappings, or are NaN; the caller states their number.
     """
     seeds = sorted(set(ours) & set(theirs))
     ratios = [ours[seed] / theirs[seed] for seed in seeds if theirs[seed] > 0.0]
     return median(ratios, rng, resamples)
 
 
-def outcomes_differ(ours: Mapping[int, bool], theirs: Mapping[int, bool]) -> bool:
-    """Whether two shares of survivors differ at the 95 % level, paired by seed: McNemar's test in its exact form.
+def sign_test(ours: Mapping[int, float], theirs: Mapping[int, float]) -> tuple[int, int, float]:
+    """Compare two quantities on the seeds that both have by the exact sign test.
 
-    Of the seeds on which the outcomes differ, half should go either way if the shares are equal (McNemar 1947; the
-    binomial tail instead of chi squared). Fewer than six such seeds never suffice.
+    For survival (bool) this is McNemar's test (McNemar 1947) with the binomial tail instead of chi squared.
+
+    Returns
+    -------
+    Number of seeds on which ours is less and more, and the two-sided p value that both are equally likely.
     """
-    only_ours, only_theirs = _discordant(ours, theirs)
-    discordant = only_ours + only_theirs
-    return discordant > 0 and float(binomtest(only_ours, discordant).pvalue) < 1.0 - CONFIDENCE
-
-
-def survives_less(ours: Mapping[int, bool], theirs: Mapping[int, bool]) -> bool:
-    """Whether the outcomes differ in that sense, to our disadvantage; seeds that only one flew say nothing."""
-    only_ours, only_theirs = _discordant(ours, theirs)
-    return only_ours < only_theirs and outcomes_differ(ours, theirs)
-
-
-def _discordant(ours: Mapping[int, bool], theirs: Mapping[int, bool]) -> tuple[int, int]:
-    """On how many seeds only ours survived, and on how many only theirs."""
     seeds = set(ours) & set(theirs)
-    only_ours = sum(ours[seed] and not theirs[seed] for seed in seeds)
-    return only_ours, sum(theirs[seed] and not ours[seed] for seed in seeds)
+    less = sum(ours[seed] < theirs[seed] for seed in seeds)
+    more = sum(ours[seed] > theirs[seed] for seed in seeds)
+    return less, more, float(binomtest(less, less + more).pvalue) if less + more else 1.0
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Correct p values for their number: the probability of one false rejection or more stays below the level.
+
+    Step-down method of Holm (1979), "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6:
+    in ascending order, p_(k) becomes the maximum over j <= k of min(1, (n - j + 1) p_(j)).
+    """
+    corrected, largest = [1.0] * len(p_values), 0.0
+    for rank, index in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[index]))
+        corrected[index] = largest
+    return corrected
 
 
 def _finite(values: Sequence[float]) -> Array:
@@ -128,21 +134,21 @@ class LogisticFit:
 
     @property
     def half_point(self) -> float:
-        """Where half survive; NaN for a flat curve."""
+        """Return x where half survive; NaN for a flat curve."""
         return -self.intercept / self.slope if self.slope != 0.0 else math.nan
 
     def probability(self, x: ArrayLike) -> Array:
-        """At x [n]."""
+        """Return the survival probability at x [n]."""
         return _sigmoid(self.intercept + self.slope * np.asarray(x, dtype=np.float64))
 
 
 def logistic_fit(x: ArrayLike, survived: ArrayLike, ridge: float = 0.0) -> LogisticFit:
-    """Maximum likelihood by Newton's method (iteratively reweighted least squares), x standardised inside.
+    """Fit by maximum likelihood: Newton's method (iteratively reweighted least squares) on standardised x.
 
     Parameters
     ----------
-    ridge: penalty on the standardised slope, 0.5 ridge slope^2, which keeps the fit finite where a threshold
-        separates the outcomes perfectly.
+    ridge: penalty on the standardised slope, 0.5 ridge slope^2; keeps the fit finite if a threshold separates the
+        outcomes perfectly.
 
     Raises
     ------
@@ -152,7 +158,7 @@ def logistic_fit(x: ArrayLike, survived: ArrayLike, ridge: float = 0.0) -> Logis
     position: Array = np.asarray(x, dtype=np.float64)
     outcome: Array = np.asarray(survived, dtype=np.float64)
     if np.ptp(position) == 0.0 or np.ptp(outcome) == 0.0:
-        raise ValueError("a logistic fit needs two places and both outcomes")
+        raise ValueError("a logistic fit needs two values of x and both outcomes")
     mean, spread = float(position.mean()), float(position.std())
     design = np.stack([np.ones_like(position), (position - mean) / spread], axis=1)
     penalty = np.diag([0.0, ridge])
@@ -172,20 +178,20 @@ def logistic_fit(x: ArrayLike, survived: ArrayLike, ridge: float = 0.0) -> Logis
 
 
 SEPARATION_RIDGE: Final = 0.05
-"""Of the survival fits: small against the information of ten flights, enough for a perfect threshold."""
+"""Ridge of the survival fits: small compared with the information of ten flights, enough for a perfect threshold."""
 
 
 def half_survival_point(
     x: ArrayLike, survived: ArrayLike, seeds: ArrayLike, rng: np.random.Generator, resamples: int = 1000
 ) -> Estimate:
-    """Where half survive, by logistic fit, with its bootstrap interval over seeds; NaN if one outcome is missing.
+    """Return x where half survive, by logistic fit, with its bootstrap interval; NaN if one outcome is missing.
 
-    A seed's vehicle flies at every x, so its outcomes are not independent: it is drawn with all its flights or not
-    at all. A resample in which only one outcome occurs counts as a point beyond the range on that side.
+    A seed's vehicle flies at every x, so its outcomes are not independent: a resample contains all of its flights or
+    none. If only one outcome occurs in a resample, its point is infinite, on the corresponding side.
 
     Parameters
     ----------
-    x, survived, seeds: [n], a flight each.
+    x, survived, seeds: [n], one element for each flight.
     """
     position: Array = np.asarray(x, dtype=np.float64)
     outcome = np.asarray(survived, dtype=bool)

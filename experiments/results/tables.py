@@ -1,38 +1,36 @@
-"""Tables of a campaign: Markdown and HTML from the same cells."""
+"""The tables of a campaign, as Markdown or HTML."""
 
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from experiments.campaigns.campaign import Flown, Target
-from experiments.results.campaign_data import CampaignData, Group, generator
-from experiments.results.losses import OURS, first_paragraph
+from experiments.results.campaign_data import OURS, CampaignData, Group, generator
 from experiments.results.statistics import Estimate, half_survival_point
 from experiments.results.wording import counted, metric_name, show
 
 ROWS_TO_JOIN = 3
-"""Cases with so few rows share one table."""
+"""Cases with at most so many rows share one table."""
 TARGET_HEADER: Final = ("ratio", "reached", "pairs", "target", "met")
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text under a header."""
+    """A table of texts."""
 
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
     def markdown(self) -> str:
-        """As a GitHub table."""
+        """Return the table in GitHub's Markdown."""
         lines = [f"**{self.caption}**", "", "| " + " | ".join(self.header) + " |", "|---" * len(self.header) + "|"]
         lines += ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in self.rows]
         return "\n".join(lines) + "\n"
 
     def html(self) -> str:
-        """As an HTML table."""
+        """Return the table in HTML."""
         head = "".join(f"<th>{html.escape(cell)}</th>" for cell in self.header)
         body = "".join("<tr>" + "".join(f"<td>{_strong(cell)}</td>" for cell in row) + "</tr>" for row in self.rows)
         return (
@@ -47,7 +45,7 @@ def _strong(cell: str) -> str:
 
 
 def tables(data: CampaignData) -> list[Table]:
-    """All tables of a campaign."""
+    """Return all tables of a campaign."""
     cases = data.cases()
     few = max(len(data.select(case)) for case in cases) <= ROWS_TO_JOIN
     made = [_results(data, cases)] if few else [_results(data, [case]) for case in cases]
@@ -58,7 +56,7 @@ def tables(data: CampaignData) -> list[Table]:
 
 
 def _results(data: CampaignData, cases: Sequence[str]) -> Table:
-    """One table for a case, or for several whose cases are what is compared."""
+    """Return one table for a case, or for several cases that are compared with each other."""
     metrics = data.config.metrics
     groups = [group for case in cases for group in data.select(case)]
     swept = list(dict.fromkeys(name for group in groups for name, _ in group.point))
@@ -75,12 +73,12 @@ def _results(data: CampaignData, cases: Sequence[str]) -> Table:
                 str(len(group.rows)),
                 show(group.survival, percent=True),
                 *(show(group.estimate(metric)) for metric in metrics),
-                _ratio(group, base, _main(metrics)),
+                _ratio(group, base, main_metric(metrics)),
             )
         )
     against = data.config.compare_to or data.config.controllers[-1]
     header = (*header, *(metric_name(metric) for metric in metrics), f"ratio to {against}")
-    which = f"ratio: {metric_name(_main(metrics))}, paired by seed"
+    which = f"ratio: {metric_name(main_metric(metrics))}, paired by seed"
     title = data.config.title if joined else data.label(cases[0])
     return Table(f"{title}: medians of the survivors [95 % interval]; {which}", header, tuple(rows))
 
@@ -95,15 +93,15 @@ def _ratio(group: Group, base: Group | None, metric: str) -> str:
     return show(ratio, 2) + pairs
 
 
-def _main(metrics: Sequence[str]) -> str:
-    """The metric that ratios are formed of."""
+def main_metric(metrics: Sequence[str]) -> str:
+    """Return the metric that ratios are formed of."""
     return metrics[0] if len(metrics) == 1 else metrics[1]
 
 
 def _base(data: CampaignData, group: Group) -> Group | None:
-    """What a group is compared to: the named controller, else the named case, else the named point of the sweep.
+    """Return the group that a group's ratio is formed with; the group itself if it is the base; None if there is none.
 
-    Itself, where it is what the others are compared to; None if there is nothing.
+    The campaign's `compare_to` names a controller, a case, or a point of the sweep; the first that exists counts.
     """
     name = data.config.compare_to or data.config.controllers[-1]
     point = dict(group.point)
@@ -140,7 +138,7 @@ def _half_points(data: CampaignData) -> Table:
 
 
 def _band(data: CampaignData, case: str, controller: str) -> str:
-    """Values of the sweep where nearly all of ours survive and at most half of the other's."""
+    """Return the values of the sweep where 95 % of ours survive and at most half of the other's."""
     found = []
     for ours in data.select(case, OURS):
         for theirs in data.select(case, controller, dict(ours.point)):
@@ -155,7 +153,7 @@ def _group(data: CampaignData, flown: Flown) -> Group | None:
 
 
 def target_ratio(data: CampaignData, target: Target) -> Estimate | None:
-    """The ratio a target speaks of; None if its flights were not flown."""
+    """Return the ratio of a target; None if its flights were not flown."""
     ours, theirs = _group(data, target.ours), _group(data, target.theirs)
     return ours.ratio(theirs, target.metric) if ours is not None and theirs is not None else None
 
@@ -165,7 +163,7 @@ def _targets(data: CampaignData) -> Table:
 
 
 def target_rows(data: CampaignData) -> list[tuple[str, ...]]:
-    """Of each target of a campaign that has flights: what TARGET_HEADER says."""
+    """Return the rows of the table of targets, for the targets that have flights."""
     rows: list[tuple[str, ...]] = []
     for target in data.config.targets:
         ratio = target_ratio(data, target)
@@ -177,13 +175,8 @@ def target_rows(data: CampaignData) -> list[tuple[str, ...]]:
 
 def _failures(data: CampaignData) -> Table:
     rows = tuple((row["key"], row["error"], row["command"]) for row in data.failed[:20])
-    return Table(f"{len(data.failed)} flights failed and are in no number above", ("flight", "error", "command"), rows)
-
-
-def markdown_report(data: CampaignData, pictures: Sequence[tuple[Path, str]]) -> str:
-    """A campaign's section of docs/results.md. pictures: (path relative to the page, caption)."""
-    title = data.config.title or data.name
-    parts = [f"## {title}\n", first_paragraph(data) + "\n", data.config.description + "\n", f"`{data.command}`\n"]
-    parts += [table.markdown() for table in tables(data)]
-    parts += [f"![{caption}]({path.as_posix()})\n\n*{caption}*\n" for path, caption in pictures]
-    return "\n".join(parts)
+    return Table(
+        f"{len(data.failed)} flights failed; they are in none of the numbers above",
+        ("flight", "error", "command"),
+        rows,
+    )

@@ -1,13 +1,13 @@
-"""How much thrust a chipped rotor must keep for the vehicle to hover without turning.
+"""Computes how much thrust a chipped rotor must keep so that the vehicle can hover without turning.
 
-Hovering level without turning takes a quarter of the weight from every rotor: with less from one, the rotor opposite
-must give less too, and yaw is lost (a slow turn makes up for a hundredth or so). The chipped rotor gives at most
+To hover level without turning, every rotor must give a quarter of the weight. If one gives less, the opposite rotor
+must give less too, and yaw cannot be held (a slow turn makes up for about a hundredth). The chipped rotor gives at most
 
-    f g (V / V_rated)^2 T_max        f: thrust factor, g: gain of its motor,
+    f g (V / V_rated)^2 T_max        f: thrust factor, g: gain of its motor.
 
-and the voltage V falls with the power of all four, as the simulated battery has it (sim_vehicle/physics/motors.py):
-V = V_open - (R + R_slow)(I_idle + k sum(T^1.5) / V), T the thrust that a sound rotor would
-give. What is left over is the reserve, with which the attitude is held.
+The voltage V falls with the power of all four motors, as in the simulated battery (sim_vehicle/physics/motors.py):
+V = V_open - (R + R_slow)(I_idle + k sum(T^1.5) / V), where T is the thrust of an undamaged rotor. The rest is the
+reserve, which holds the attitude.
 """
 
 import json
@@ -26,16 +26,16 @@ from sim_vehicle.physics import layout as at
 from sim_vehicle.physics.packing import GRAVITY
 
 LONG_AFTER_NS = 10**15
-"""Every fault of the scenario is present."""
+"""A time at which every fault of the scenario is present."""
 
 
 def reserve(vehicle: SimVehicleConfig, seed: int) -> float:
-    """Thrust that the chipped rotor can give above a quarter of the weight, as a share of that; negative: it turns.
+    """Return the thrust of the chipped rotor above a quarter of the weight, as a share of it; negative: it must turn.
 
     Parameters
     ----------
-    vehicle: with one chipped rotor among its disturbances.
-    seed: of the flight; it draws the rotor and the motors' gains.
+    vehicle: its disturbances include one chipped rotor.
+    seed: of the flight; determines the rotor and the gains of the motors.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def reserve(vehicle: SimVehicleConfig, seed: int) -> float:
 
 
 def loaded_voltage(vehicle: SimVehicleConfig, thrusts: Sequence[float], volts: float) -> float:
-    """Terminal voltage of a charged battery under four sound-rotor thrusts [N]; one step of the iteration in V."""
+    """Return the voltage of a full battery under four thrusts of undamaged rotors [N]; one step of the iteration."""
     battery = vehicle.battery
     amperes = battery.idle_a + battery.power_w_n15 * sum(thrust * sqrt(thrust) for thrust in thrusts) / volts
     open_circuit = battery.full_v + (battery.empty_v - battery.full_v) * battery.charge_used
@@ -68,7 +68,7 @@ def loaded_voltage(vehicle: SimVehicleConfig, thrusts: Sequence[float], volts: f
 
 
 def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
-    """For each step of the sweep: how many of the campaign's seeds can hover without turning, and who survives."""
+    """Return for each step of the sweep how many seeds can hover without turning, and how many survive."""
     reserves: dict[Any, dict[int, float]] = {}
     seeds = len({row["seed"] for row in data.rows})
     first = data.controllers[0]
@@ -94,9 +94,9 @@ def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
         )
     label = next(one.label or one.name for one in data.config.sweeps if one.name == sweep)
     caption = (
-        "The limit of thrust: with how much the chipped rotor, at full command, exceeds the quarter of the weight that "
-        "hovering without turning takes (fully charged battery under that load). Below each controller its survivors: "
-        "of the flights that can + of those that cannot"
+        "The limit of thrust. Reserve: thrust of the chipped rotor at full command beyond the quarter of the weight "
+        "that hovering without turning takes (fully charged battery under that load). Below each controller its "
+        "survivors: of the flights that can hover without turning + of those that cannot"
     )
     header = (label, "flights that can hover without turning", "reserve, median", *data.controllers)
     return Table(caption, header, tuple(rows))

@@ -1,4 +1,4 @@
-"""Figures from kept traces, in the paper's form: means with variance bands over the seeds, faults marked."""
+"""Figures from traces, in the paper's form: means with variance bands over the seeds, and marked faults."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,7 +22,7 @@ def _groups(
 
 
 def _band(panel: Any, traces: list[Trace], columns: list[Array], colour: str, line: Any, label: str) -> None:
-    """Mean and one standard deviation over the flights that are still in the air."""
+    """Draw mean and standard deviation over the flights that are still in the air."""
     longest = max((trace.time_s for trace in traces), key=len)
     stacked = np.full((len(traces), longest.size), np.nan)
     for row, column in enumerate(columns):
@@ -37,7 +37,7 @@ def _band(panel: Any, traces: list[Trace], columns: list[Array], colour: str, li
 
 
 def _mark(panel: Any, traces: list[Trace]) -> None:
-    """Onset of the fault in each flight, and where vehicles were lost."""
+    """Mark the onsets of the fault, and the times of crashes."""
     onsets = [float(onset) for trace in traces for onset in trace["onsets_s"]]
     if len(traces) == 1:
         for onset in onsets:
@@ -50,7 +50,7 @@ def _mark(panel: Any, traces: list[Trace]) -> None:
 
 
 def _columns_of_panels(figure: Any, rows: int, groups: list[Group]) -> list[list[Any]]:
-    """[row][group], sharing axes along a row."""
+    """Return panels[row][group], with a shared vertical axis along each row."""
     panels: list[list[Any]] = []
     for row in range(rows):
         line: list[Any] = []
@@ -64,7 +64,7 @@ def _columns_of_panels(figure: Any, rows: int, groups: list[Group]) -> list[list
 
 
 def _within(panels: list[list[Any]], limit: float) -> None:
-    """Cuts off what lies beyond +-limit: lost vehicles. Once all columns are drawn: they share the axis."""
+    """Limit the vertical axes to +-limit, which crashed vehicles exceed. Call it when all columns are drawn."""
     for line in panels:
         low, high = line[0].get_ylim()
         line[0].set_ylim(max(low, -limit), min(high, limit))
@@ -78,7 +78,7 @@ def _title(group: Group, traces: list[Trace]) -> str:
 def position(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
-    """North, east, height against time: target, mean and standard deviation over the seeds."""
+    """Draw north, east and height against time: target, mean and standard deviation over the seeds."""
     groups = _groups(data, case, controllers, point)
     figure = new_figure(6.2, 2.2 + 2.9 * len(groups))
     panels = _columns_of_panels(figure, 3, groups)
@@ -122,7 +122,7 @@ def _angles(trace: Trace, name: str) -> Array:
 def attitude(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
-    """Roll and pitch against time: commanded and flown, mean and standard deviation."""
+    """Draw roll and pitch against time: commanded and flown, mean and standard deviation."""
     groups = _groups(data, case, controllers, point)
     figure = new_figure(4.6, 2.2 + 2.9 * len(groups))
     panels = _columns_of_panels(figure, 2, groups)
@@ -144,7 +144,7 @@ def attitude(
 def torques(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
-    """Commands split into feedback, feed-forward and adaptive part: roll, pitch and east, one flight."""
+    """Draw the commands of one flight: feedback, feed-forward and adaptive part, for roll, pitch and east."""
     groups = _groups(data, case, controllers, point)
     figure = new_figure(6.4, 2.2 + 2.9 * len(groups))
     panels = _columns_of_panels(figure, 3, groups)
@@ -177,7 +177,7 @@ _PART_STYLES = (("#0072b2", "-"), ("0.35", ":"), ("#d55e00", "--"))
 
 
 def _parts(trace: Trace, channel: str, axis: str) -> dict[str, Array]:
-    """U = feedback + feed-forward - nu_ad; the attitude channel has no feed-forward."""
+    """Split a command u = feedback + feed-forward - nu_ad; the attitude channel has no feed-forward."""
     demand, nu = trace[f"tick_{channel}_demand_{axis}"], trace[f"tick_{channel}_adaptive_{axis}"]
     forward = trace[f"tick_feed_forward_{axis}"] if channel == "position" else np.zeros_like(demand)
     return {"feedback": demand - forward + nu, "feed-forward": forward, "adaptive (-nu_ad)": -nu}
@@ -201,7 +201,7 @@ def _limit(panel: Any, parts: list[Array]) -> None:
 def path(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
-    """The path in space: target and one flight of each controller."""
+    """Draw the path in three dimensions: target and one flight of each controller."""
     groups = _groups(data, case, controllers, point)
     figure = new_figure(3.9, 3.4 * len(groups))
     panels = []
@@ -233,7 +233,7 @@ def path(
 
 
 def training(data: CampaignData, case: str, controllers: Sequence[str] | None = None) -> Any:
-    """Training, validation and test loss of both channels over the flight."""
+    """Draw training, validation and test loss of both channels over one flight."""
     groups = [group for group in _groups(data, case, controllers, None) if data.traces(group)[0]["epochs"].size]
     figure = new_figure(3.8)
     panels = [figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)]
@@ -255,7 +255,7 @@ def training(data: CampaignData, case: str, controllers: Sequence[str] | None = 
 
 
 def position_cases(data: CampaignData, cases: Sequence[str], controllers: Sequence[str] | None = None) -> Any:
-    """Distance to the target against time for several cases of one controller: mean and standard deviation."""
+    """Draw the distance to the target against time for several cases: mean and standard deviation."""
     figure = new_figure(3.8)
     panel = figure.add_subplot()
     looks = (("#0072b2", "-"), ("#d55e00", "--"), ("#009e73", ":"), ("0.3", "-."))

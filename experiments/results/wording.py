@@ -1,4 +1,4 @@
-"""Metrics and estimates in words, the same in tables, sentences and figures."""
+"""Names of metrics and formatting of estimates, the same in tables, sentences and figures."""
 
 import math
 
@@ -23,12 +23,12 @@ METRIC_NAMES = {
 
 
 def metric_name(metric: str) -> str:
-    """A metric in words, with its unit."""
+    """Return a metric in words, with its unit."""
     return METRIC_NAMES.get(metric, metric.replace("_", " "))
 
 
 def show(estimate: Estimate, digits: int = 3, percent: bool = False) -> str:
-    """`value [low, high]`, or a dash."""
+    """Return `value [low, high]`, or a dash if there is no value."""
     if not math.isfinite(estimate.value):
         return "–"
     if percent:
@@ -39,5 +39,5 @@ def show(estimate: Estimate, digits: int = 3, percent: bool = False) -> str:
 
 
 def counted(count: int, thing: str) -> str:
-    """`1 pair`, `2 pairs`."""
+    """Return `1 pair`, `2 pairs`."""
     return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

@@ -8,22 +8,19 @@ import pytest
 
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.flight_row import Row, empty_row
-from experiments.link.link_page import (
+from experiments.link.link_page import MARKS, PAGE, draw, main, replace_between_marks
+from experiments.link.link_tables import (
     CAMPAIGN,
     GROUPS,
-    MARKS,
-    PAGE,
     PERFECT_POINT,
-    Cell,
     age_table,
-    draw,
-    is_below,
-    main,
+    group_of,
+    links_below,
     name_of,
-    replace_between_marks,
     sweep_table,
     verdict,
 )
+from experiments.results.campaign_data import Group
 
 
 def flight(link: str, controller: str, seed: int, survived: bool = True, **values: float) -> Row:
@@ -33,40 +30,40 @@ def flight(link: str, controller: str, seed: int, survived: bool = True, **value
     return empty_row() | about | defaults | shares | {"feature_age_median_s": 0.9, "pose_age_median_s": 0.01} | values
 
 
-def cell(link: str, controller: str, alive: int, dead: int = 0, **values: float) -> Cell:
-    return Cell(tuple(flight(link, controller, seed, seed < alive, **values) for seed in range(alive + dead)))
+def group(link: str, alive: int, dead: int = 0, **values: float) -> Group:
+    return group_of(
+        link, "dmrac", [flight(link, "dmrac", seed, seed < alive, **values) for seed in range(alive + dead)]
+    )
 
 
-CELLS = {
-    ("loss_0", "dmrac"): cell("loss_0", "dmrac", 20),
-    ("loss_50", "dmrac"): cell("loss_50", "dmrac", 19, 1, position_rmse_m=0.06, feature_age_median_s=3.0),
-    ("loss_100", "dmrac"): cell("loss_100", "dmrac", 8, 12, feature_age_median_s=math.nan),
-    ("silent_3_before", "dmrac"): cell("silent_3_before", "dmrac", 20),
+FLIGHTS = {
+    ("loss_0", "dmrac"): group("loss_0", 20),
+    ("loss_50", "dmrac"): group("loss_50", 19, 1, position_rmse_m=0.06, feature_age_median_s=3.0),
+    ("loss_100", "dmrac"): group("loss_100", 8, 12, feature_age_median_s=math.nan),
+    ("silent_3_before", "dmrac"): group("silent_3_before", 20),
 }
 
 
 def test_a_link_is_below_only_if_pairs_of_seeds_say_so() -> None:
-    perfect = CELLS["loss_0", "dmrac"]
-    assert not is_below(CELLS["loss_50", "dmrac"], perfect)
-    assert is_below(CELLS["loss_100", "dmrac"], perfect)
-    said = verdict(CELLS, ["dmrac"])
-    assert said.startswith("80 flights, 20 seeds, 13 vehicles lost. Survival is below")
-    assert said.endswith("for: dmrac at loss_100.")
-    assert "nowhere below" in verdict({key: CELLS[key] for key in CELLS if key[0] != "loss_100"}, ["dmrac"])
+    assert links_below(FLIGHTS) == {("loss_100", "dmrac")}
+    text = verdict(FLIGHTS)
+    assert text.startswith("80 flights, 20 seeds, 13 vehicles lost. Survival is significantly below")
+    assert text.endswith(": dmrac at loss_100.")
+    assert "nowhere significantly below" in verdict({key: FLIGHTS[key] for key in FLIGHTS if key[0] != "loss_100"})
 
 
 def test_the_table_of_a_sweep() -> None:
-    lines = sweep_table(CELLS, "loss", ["dmrac"]).splitlines()
+    lines = sweep_table(FLIGHTS, "loss", ["dmrac"]).splitlines()
     assert len(lines) == 2 + 3
     assert lines[2].startswith("| perfect | 10% / 20% | 20/20 (84% to 100%) | 3.0 cm | 2.0 cm | 5.0 cm | 0.90 s |")
     assert lines[3].startswith("| 50 % | 10% / 20% | 19/20 (76% to 99%) | 6.0 cm |")
     assert "**8/20 (22% to 61%) below**" in lines[4]
     assert lines[4].endswith("| - | 0.01 s | 8.0 kB/s | 12.0 kB/s |")
-    assert len(sweep_table(CELLS, "silent", ["dmrac"]).splitlines()) == 2 + 2, "the perfect link stands first"
+    assert len(sweep_table(FLIGHTS, "silent", ["dmrac"]).splitlines()) == 2 + 2, "the perfect link stands first"
 
 
 def test_the_table_by_age() -> None:
-    lines = age_table(CELLS, "dmrac").splitlines()
+    lines = age_table(FLIGHTS, "dmrac").splitlines()
     assert lines[2].startswith("| 0 to 1 s | 40 | 3.0 cm |")
     assert lines[4].startswith("| 2 to 4 s | 19 | 6.0 cm |")
     assert lines[-1].startswith("| none ever arrived | 8 |")
@@ -116,5 +113,5 @@ def test_a_folder_without_flights_leaves_the_page_as_it_is(tmp_path: Path, capsy
 
 
 def test_the_figure(tmp_path: Path) -> None:
-    draw(CELLS, "dmrac", tmp_path / "pictures" / "figure.png")
+    draw(FLIGHTS, "dmrac", tmp_path / "pictures" / "figure.png")
     assert (tmp_path / "pictures" / "figure.png").stat().st_size > 10_000

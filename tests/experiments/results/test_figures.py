@@ -18,17 +18,17 @@ from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
 from experiments.results import trace_figures
 from experiments.results.campaign_data import CampaignData, Trace, load_data
-from experiments.results.campaign_page import write_page
+from experiments.results.campaign_page import CampaignReport, write_report
+from experiments.results.comparisons import WORSE, comparisons, judged, losses, summary
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
-from experiments.results.losses import comparisons, first_paragraph, losses
+from experiments.results.heat_map import draw_heat_map, heat_map_rows
 from experiments.results.reproduction import (
     Reproduction,
-    Section,
     publish_rows,
     write_results,
 )
-from experiments.results.row_figures import sweep_metric
+from experiments.results.sweep_figures import sweep_metric
 from experiments.results.tables import tables, target_ratio
 from protocol.signals import SIGNAL_INDEX
 from runtime.files import write_atomically
@@ -124,23 +124,36 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_loss_is_said_first(folder: Path) -> None:
+def test_the_losses_are_complete(folder: Path) -> None:
     data = load_data(folder)
-    sure = losses(list(comparisons(data)), certain=True)
-    assert any(sentence.startswith("a chip, factor 0.7: dmrac survives 0 % [0, 24] of its") for sentence in sure)
-    assert any(", mrac " in sentence for sentence in sure)
-    assert not any("factor 0.9" in sentence for sentence in sure)
+    compared = judged(list(comparisons(data)))
+    table = losses(compared)
+    assert table is not None
+    quantity = "survival, dmrac 0 % [0, 24]"
+    assert table.rows == (
+        ("a chip, factor 0.6", quantity, "–", "pid 8 % [1, 35]; mrac 8 % [1, 35]"),
+        ("a chip, factor 0.7", quantity, "pid 75 % [47, 91]; mrac 75 % [47, 91]", "–"),
+    )
     # At 0.6 and 0.7 no dmrac flight survives to be compared: three survivals and two errors, with two rivals each.
-    assert first_paragraph(data).startswith("**DMRAC loses here** (2 of 10 comparisons): a chip, factor 0.7")
+    counts = "10 comparisons: DMRAC is better in 4, **worse in 2**, and does not differ significantly in 4."
+    assert summary(data, compared).endswith(counts)
 
 
 def test_every_error_in_the_table_is_compared(folder: Path) -> None:
     data = load_data(folder)
     slow = [row | {"recovery_s": 2.0 if row["controller"] == "dmrac" else 1.0} for row in data.rows]
     config = data.config.model_copy(update={"metrics": ("settled_rmse_m", "recovery_s", "feature_age_median_s")})
-    told = losses(list(comparisons(replace(data, config=config, rows=tuple(slow)))), certain=True)
-    assert "a chip, factor 0.9: recovery time [s] 2.00 [2.00, 2.00] times that of pid" in told[-1]
-    assert not any("age" in sentence for sentence in told)
+    table = losses(judged(list(comparisons(replace(data, config=config, rows=tuple(slow))))))
+    assert table is not None
+    assert table.rows[-1][:2] == ("a chip, factor 0.9", "recovery time [s]")
+    assert table.rows[-1][2].startswith("pid 2.00 [2.00, 2.00]; mrac 2.00")
+    assert not any("age" in row[1] for row in table.rows)
+
+
+def test_verdicts_depend_on_the_number_of_comparisons(folder: Path) -> None:
+    compared = list(comparisons(load_data(folder)))
+    assert [one.verdict for one in judged(compared)].count(WORSE) == 2
+    assert [one.verdict for one in judged(compared * 30)].count(WORSE) == 0
 
 
 def test_cases_under_the_same_conditions_are_compared(folder: Path) -> None:
@@ -164,7 +177,7 @@ def flown_once_beside(data: CampaignData, together: tuple[tuple[str, ...], ...])
 
 def test_a_case_that_is_not_swept_is_compared_at_every_point(folder: Path) -> None:
     compared = list(comparisons(flown_once_beside(load_data(folder), (("chip", "others"),))))
-    assert {one.place.rpartition(" ")[2] for one in compared} == {"0.6", "0.7", "0.9"}
+    assert {one.condition.rpartition(" ")[2] for one in compared} == {"0.6", "0.7", "0.9"}
     assert {one.rival for one in compared} == {"mrac"}
 
 
@@ -218,10 +231,12 @@ def test_every_kind_of_figure_is_drawn(folder: Path, tmp_path: Path) -> None:
         assert picture.png.stat().st_size > 5_000
         assert "<dc:date>" not in picture.png.with_suffix(".svg").read_text()
         assert "{" not in picture.caption
-    write_page(tmp_path / "report.html", data, pictures, [])
+    assert write_report(folder, tmp_path, lambda text: None).pictures == tuple(pictures)
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(pictures)
-    assert page.index("DMRAC loses here") < page.index("<table>")
+    assert (
+        page.index("DMRAC is better in") < page.index("Where DMRAC is worse") < page.index("medians of the survivors")
+    )
     assert 'src="http' not in page
     assert "thrust_factor" in page  # the configuration
 
@@ -235,15 +250,28 @@ def test_unknown_figures_and_options_are_named(folder: Path, tmp_path: Path) -> 
             draw_all(wrong, tmp_path, lambda text: None)
 
 
-def test_results_page_begins_with_the_losses(folder: Path, tmp_path: Path) -> None:
+def test_the_results_page_has_its_order(folder: Path, tmp_path: Path) -> None:
     plan = Reproduction(folder.parent, tmp_path / "results.md", quick=True)
-    write_results(plan, [Section(load_data(folder), (), ())])
+    write_results(plan, [CampaignReport(load_data(folder))])
     text = plan.page.read_text()
-    assert text.split("\n")[2].startswith("- Made up: **DMRAC loses here** (")
-    assert "`dmrac reproduce --quick`" in text
     data = load_data(folder)
-    assert f"[data/{data.name}.parquet](data/{data.name}.parquet)" in text
-    assert "numpy" in text
+    rows = f"[data/{data.name}.parquet](data/{data.name}.parquet)"
+    order = ("heat_map.png", "`dmrac reproduce --quick`", "**Targets**", "| Made up | 10 | 4 | 2 | 4 |", "Holm")
+    order += ("## Made up", "**Where DMRAC is worse", "<details>", "medians of the survivors", rows, "numpy")
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    assert (tmp_path / "pictures" / "results" / "heat_map.png").stat().st_size > 10_000
+
+
+def test_the_heat_map_compares_with_the_best_other(folder: Path) -> None:
+    """At 0.9 all survive and the errors are 0.10, 0.05 and 0.02 times the same spread."""
+    rows = heat_map_rows(load_data(folder))
+    assert [row.condition for row in rows] == [f"a chip, factor {factor}" for factor in (0.6, 0.7, 0.9)]
+    assert rows[-1].ratios == pytest.approx({"pid": 5.0, "mrac": 2.5, "dmrac": 0.4})
+    assert math.isnan(rows[0].ratios["dmrac"])
+    assert rows[0].survival["dmrac"] == 0.0
+    (panel, _) = draw_heat_map(rows).axes
+    assert {"5.00", "2.50", "0.40", "–"} <= {text.get_text() for text in panel.texts}
 
 
 def test_the_rows_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
