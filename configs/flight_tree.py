@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, merge, read_tree, set_path
 from configs.parts import named_file, read_part
+from configs.vehicle import read_vehicle
 
 DEFAULT_SCENARIO: Final = "figure8_wind"
 
@@ -81,13 +82,17 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     choices = choices or Choices()
     _check_choices(choices)
     path = named_file("scenarios", scenario)
-    file = fill(ScenarioFile, read_part("scenarios", scenario), str(path))
-    tree = compose(file, path.stem, choices)
+    tree = compose(read_scenario(scenario), path.stem, choices)
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)
     for assignment in choices.assignments:
         tree = set_path(tree, assignment)
     return tree, str(path) + "".join(f" --set {item}" for item in choices.assignments)
+
+
+def read_scenario(name: str) -> ScenarioFile:
+    """A scenario by its name in configs/scenarios, or by its file. Raises ConfigError."""
+    return fill(ScenarioFile, read_part("scenarios", name), str(named_file("scenarios", name)))
 
 
 def _check_choices(choices: Choices) -> None:
@@ -128,7 +133,9 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     law = read_part("controllers", controller)
     onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
     onboard = merge(onboard, {"seed": seed, "controller": law})
-    vehicle = merge(read_part("vehicles", file.vehicle), {"disturbances": list(file.disturbances)})
+    vehicle = read_vehicle(file.vehicle)
+    onboard["airframe"] = vehicle.airframe
+    simulated = merge(vehicle.simulated, {"disturbances": list(file.disturbances)})
     return {
         "scenario": name,
         "description": file.description,
@@ -139,7 +146,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "experience": file.experience,
         "onboard": merge(merge(onboard, file.onboard), careful),
         "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
-        "vehicle": merge(vehicle, file.vehicle_values),
+        "vehicle": merge(simulated, file.vehicle_values),
         "radio": merge(read_part("radio", file.radio), file.radio_values),
         "network": read_tree(CONFIG_DIRECTORY / "network.yaml"),
     }

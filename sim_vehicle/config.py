@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field
 
 from configs.loader import ConfigRecord, fill, merge
-from configs.parts import read_part
+from configs.vehicle import read_vehicle
 from sim_vehicle.disturbances.records import Disturbance
 from sim_vehicle.link.radio import RadioConfig
 from sim_vehicle.physics.parameters import (
@@ -44,4 +44,4 @@ class SimVehicleConfig(ConfigRecord):
 
 def load_vehicle(name: str | Path = "mambo", over: Mapping[str, Any] | None = None) -> SimVehicleConfig:
     """A vehicle's configuration with `over` (a plain tree) laid over it. Raises ConfigError."""
-    return fill(SimVehicleConfig, merge(read_part("vehicles", str(name)), over or {}), str(name))
+    return fill(SimVehicleConfig, merge(read_vehicle(str(name)).simulated, over or {}), str(name))

@@ -10,14 +10,17 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from configs.flight_tree import read_scenario
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load
+from configs.vehicle import read_vehicle
 
 DRAW_STREAM = 401
+VEHICLE_ROOT = "vehicle."
 PRESENTATION = (
     "title",
     "description",
@@ -44,19 +47,25 @@ class Draw(ConfigRecord):
     """Low and high."""
     choice: tuple[Any, ...] | None = None
     """One of these, all equally likely."""
+    range: Literal["vehicle"] | None = None
+    """The range that the vehicle's file gives for the value at `path`, which starts with `vehicle.`."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        if (self.uniform is None) == (self.choice is None):
-            raise ValueError("give either uniform or choice")
+        if [self.uniform, self.choice, self.range].count(None) != 2:
+            raise ValueError("give one of uniform, choice and range")
+        if self.range is not None and not self.path.startswith(VEHICLE_ROOT):
+            raise ValueError(f"path: {self.path!r}: expected one that starts with {VEHICLE_ROOT}, as range is given")
         return self
 
-    def value(self, rng: np.random.Generator) -> Any:
-        """The value for one seed."""
+    def value(self, rng: np.random.Generator, scenario: str) -> Any:
+        """The value for one seed. Raises ConfigError if the scenario's vehicle has no such range."""
         if self.choice is not None:
             return self.choice[int(rng.integers(len(self.choice)))]
-        assert self.uniform is not None
-        return round(float(rng.uniform(*self.uniform)), 6)
+        if self.uniform is not None:
+            return round(float(rng.uniform(*self.uniform)), 6)
+        vehicle = read_vehicle(read_scenario(scenario).vehicle)
+        return vehicle.drawn(self.path.removeprefix(VEHICLE_ROOT), float(rng.uniform()))
 
 
 class Case(ConfigRecord):
@@ -251,7 +260,7 @@ def flights_of_seed(
 ) -> Iterator[FlightJob]:
     """A case's flights at every point and with every controller, for the number-th seed."""
     drawn = {
-        draw.path: draw.value(np.random.default_rng([seed, DRAW_STREAM, index]))
+        draw.path: draw.value(np.random.default_rng([seed, DRAW_STREAM, index]), case.scenario)
         for index, draw in enumerate(case.draws)
     }
     sweeps = campaign.sweeps if case.swept else ()

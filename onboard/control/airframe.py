@@ -15,7 +15,7 @@ GRAVITY: Final = 9.81
 
 
 class AirframeConfig(ConfigRecord):
-    """Nominal values; sources stand beside the numbers in configs/onboard.yaml."""
+    """Nominal values. They come from the vehicle's file (configs/vehicle.py), where each has its source."""
 
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]

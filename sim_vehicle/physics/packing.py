@@ -25,7 +25,8 @@ def pack_parameters(config: SimVehicleConfig, step_s: float = SUBSTEP_NS * 1e-9)
     P[at.STEP] = step_s
     P[at.KEEP_UP : at.KEEP_UP + 2] = exp(-0.5 * step_s / motors.lag_up_s), exp(-step_s / motors.lag_up_s)
     P[at.KEEP_DOWN : at.KEEP_DOWN + 2] = exp(-0.5 * step_s / motors.lag_down_s), exp(-step_s / motors.lag_down_s)
-    P[at.NOMINAL_KEEP : at.NOMINAL_KEEP + 2] = exp(-step_s / nominal.lag_up_s), exp(-step_s / nominal.lag_down_s)
+    assumed = nominal.motors
+    P[at.NOMINAL_KEEP : at.NOMINAL_KEEP + 2] = exp(-step_s / assumed.lag_up_s), exp(-step_s / assumed.lag_down_s)
     P[at.MAX_THRUST : at.THRUST_SLOPE + 1] = (
         motors.max_thrust_n,
         motors.torque_ratio_m,
@@ -51,13 +52,13 @@ def pack_parameters(config: SimVehicleConfig, step_s: float = SUBSTEP_NS * 1e-9)
         floor.foot_y_m,
         floor.foot_drop_m,
     )
-    P[at.NOMINAL_MASS] = nominal.mass_kg
-    P[at.NOMINAL_INERTIA : at.NOMINAL_INERTIA + 3] = nominal.inertia_kg_m2
+    P[at.NOMINAL_MASS] = nominal.body.mass_kg
+    P[at.NOMINAL_INERTIA : at.NOMINAL_INERTIA + 3] = nominal.body.inertia_kg_m2
     P[at.NOMINAL_MAX_THRUST : at.NOMINAL_ARM_Y + 1] = (
-        nominal.max_thrust_n,
-        nominal.torque_ratio_m,
-        nominal.arm_x_m,
-        nominal.arm_y_m,
+        assumed.max_thrust_n,
+        assumed.torque_ratio_m,
+        nominal.body.arm_x_m,
+        nominal.body.arm_y_m,
     )
     return P
 

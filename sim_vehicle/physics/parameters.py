@@ -75,19 +75,13 @@ class FloorConfig(ConfigRecord):
 
 
 class NominalConfig(ConfigRecord):
-    """What a designer without measurements would believe: the reference of the truth's disturbance force and torque.
+    """The nominal vehicle: true disturbance force and torque are those that it does not explain.
 
-    The onboard side has its own configuration; this one should agree with it.
+    configs/vehicle.py fills it, and onboard's airframe, with the nominal values of the vehicle's file.
     """
 
-    mass_kg: float = Field(gt=0.0, description="kg")
-    inertia_kg_m2: PositiveVector3 = Field(description="Jxx, Jyy, Jzz, kg m^2")
-    arm_x_m: float = Field(gt=0.0, description="m")
-    arm_y_m: float = Field(gt=0.0, description="m")
-    max_thrust_n: float = Field(gt=0.0, description="N per motor at full command")
-    torque_ratio_m: float = Field(ge=0.0, description="m, drag torque per thrust")
-    lag_up_s: float = Field(gt=0.0, description="s")
-    lag_down_s: float = Field(gt=0.0, description="s")
+    body: BodyConfig
+    motors: MotorConfig
 
 
 class ImuConfig(ConfigRecord):

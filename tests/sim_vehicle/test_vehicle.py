@@ -183,7 +183,7 @@ def test_disturbance_of_a_payload_drag_and_chip(vehicle, motors):
         "floor": {"ground_effect": 0.0},
         "motors": {"torque_ratio_m": 0.002414},
         "body": {"inertia_kg_m2": [0.01, 0.01, 0.01]},
-        "nominal": {"inertia_kg_m2": [0.01, 0.01, 0.01]},
+        "nominal": {"body": {"inertia_kg_m2": [0.01, 0.01, 0.01]}},
         "initial": {"position_ned_m": [0.0, 0.0, -4.0]},
     }
     still = {"drag": {"linear_n_s_m": 0.0, "quadratic_n_s2_m2": 0.0}}
@@ -237,7 +237,7 @@ def test_the_real_one_is_weaker():
     assert 1.4 < sum(real.motors.gain) * real.motors.max_thrust_n / (real.body.mass_kg * GRAVITY) < 1.8
     assert 2.1 < 4 * ideal.motors.max_thrust_n / (ideal.body.mass_kg * GRAVITY) < 2.13
     assert ideal.motors.thrust_slope_n_s2 * 13840.8 * 500 == pytest.approx(ideal.motors.max_thrust_n, rel=2e-3)
-    assert ideal.motors.torque_ratio_m == pytest.approx(1.5 * ideal.nominal.torque_ratio_m)
+    assert ideal.motors.torque_ratio_m == pytest.approx(1.5 * ideal.nominal.motors.torque_ratio_m)
     assert real.nominal == ideal.nominal
 
 

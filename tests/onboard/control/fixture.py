@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from configs.loader import CONFIG_DIRECTORY, fill, merge, read_tree
+from configs.vehicle import read_vehicle
 from onboard.control.actuators import ActuatorModel
 from onboard.control.airframe import GRAVITY, AirframeConfig
 from onboard.control.interface import ControllerConfig
@@ -22,7 +23,7 @@ from onboard.sampling.signal_vector import SignalVector
 DT = 0.005
 SUBSTEPS = 5
 REST = (0.0, 0.0, 0.0)
-AIRFRAME = fill(AirframeConfig, read_tree(CONFIG_DIRECTORY / "onboard.yaml")["airframe"], "onboard.yaml")
+AIRFRAME = fill(AirframeConfig, read_vehicle("mambo").airframe, "mambo.yaml")
 
 
 def _both(position: dict[str, Any], attitude: dict[str, Any]) -> dict[str, Any]:

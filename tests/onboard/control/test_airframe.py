@@ -7,12 +7,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from configs.loader import CONFIG_DIRECTORY, fill, read_tree
+from configs.loader import fill
+from configs.vehicle import read_vehicle
 from onboard.control.actuators import ActuatorModel
 from onboard.control.airframe import GRAVITY, AirframeConfig
 from onboard.control.mixer import Mixer
 
-AIRFRAME = fill(AirframeConfig, read_tree(CONFIG_DIRECTORY / "onboard.yaml")["airframe"], "onboard.yaml")
+AIRFRAME = fill(AirframeConfig, read_vehicle("mambo").airframe, "mambo.yaml")
 DRIVEN = AIRFRAME.model_copy(update={"motor_response_s": 0.02})
 LOW, HIGH = AIRFRAME.motor_thrust_min_share * AIRFRAME.motor_thrust_max_n, AIRFRAME.motor_thrust_max_n
 SETTINGS = settings(max_examples=200, deadline=None, derandomize=True)
