@@ -30,15 +30,15 @@ from onboard.flight.modes import AIRBORNE, SPINNING, Command, FlightMode
 from onboard.flight.supervisor import Supervisor, SupervisorInputs
 from onboard.links.ground import GroundLink
 from onboard.links.offboard import DatedPose, OffboardLink, PeerRestarted
-from onboard.links.readings import BatteryReading, Reading
-from onboard.links.vehicle import VehicleLink
+from onboard.links.vehicle import Reading, VehicleLink
 from onboard.preflight.certificate import CLEAR, Clearance
 from onboard.record.tick import TICK, age_s, write_tick
 from onboard.sampling.sampler import SampleQueue
 from onboard.sampling.signal_vector import SignalVector
 from protocol.clock import ForwardClock
 from protocol.conventions import NEVER_NS, Array
-from protocol.mavlink_frames import SigningClock
+from protocol.mavlink.signing import SigningClock
+from protocol.mavlink.status import BatteryReading
 from protocol.messages import FeatureChunk
 from protocol.session import session_start_ns
 

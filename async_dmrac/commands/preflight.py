@@ -25,7 +25,7 @@ from onboard.preflight.checks import Check, MotorAnswer, PreflightConfig, Result
 from onboard.preflight.recorder import PoseSample, StepRecorder
 from onboard.process import open_vehicle
 from protocol.keys import load_key
-from protocol.mavlink_frames import SigningClock
+from protocol.mavlink.signing import SigningClock
 from runtime.errors import StartError
 from runtime.files import write_atomically
 from runtime.kernel import request_realtime

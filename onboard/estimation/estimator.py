@@ -29,9 +29,9 @@ from onboard.estimation.error_state_filter import ATTITUDE, GYRO_BIAS, POSITION,
 from onboard.estimation.imu_conditioning import StillStart, VibrationMeter
 from onboard.estimation.state import VehicleState
 from onboard.estimation.state_output import publish, publish_attitude, publish_sigmas
-from onboard.links.readings import FlowReading, ImuReading, RangeReading, Reading
 from protocol.conventions import NEVER_NS, Array
 from protocol.geometry import Vector3, quaternion_of, rotation_between, squared_length, turned_about_vertical
+from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading, SensorReading
 from protocol.messages import Pose
 
 __all__ = ["Estimator", "EstimatorConfig"]
@@ -99,8 +99,8 @@ class Estimator:
         events, self._events = self._events, []
         return events
 
-    def receive(self, reading: Reading) -> None:
-        """One reading of a sensor of the vehicle. Battery readings are not the estimator's business."""
+    def receive(self, reading: SensorReading) -> None:
+        """One reading of a sensor of the vehicle."""
         if isinstance(reading, ImuReading):
             self._take_imu(reading)
         elif isinstance(reading, FlowReading):
@@ -133,7 +133,7 @@ class Estimator:
             config.accelerometer_bias_walk,
         )
         self._filter.predict(reading.time_ns, dt, reading.accelerometer, reading.gyroscope, noise, config.gyro_delay_s)
-        if reading.pressure_pa > 0.0:
+        if reading.pressure_pa is not None:
             self._pressure_sum += reading.pressure_pa
             self._pressure_count += 1
         self._turn = (self._turn + 1) % _ROTA

@@ -4,8 +4,8 @@ import math
 from typing import Final
 
 from onboard.estimation.error_state_filter import GRAVITY_M_S2
-from onboard.links.readings import ImuReading
 from protocol.geometry import Vector3
+from protocol.mavlink.sensors import ImuReading
 
 _CORNER: Final = 0.2
 """Weight of a sample in the low-pass that the high-pass subtracts: a corner of 8 Hz at 200 Hz."""

@@ -4,8 +4,8 @@ import math
 
 from onboard.estimation.error_state_filter import ErrorStateFilter
 from onboard.estimation.state import VehicleState
-from onboard.links.readings import ImuReading
 from protocol.geometry import tilt_angle
+from protocol.mavlink.sensors import ImuReading
 
 
 def publish(state: VehicleState, source: ErrorStateFilter, reading: ImuReading) -> None:

@@ -1,31 +1,35 @@
-"""Cuts a byte stream (a serial line) into whole MAVLink 2 frames, so that each can be treated like a datagram.
+"""Frame stream: splits a byte stream (a serial line) into whole MAVLink 2 frames, which are then handled as datagrams.
 
-Theory of operation. The marker byte also occurs inside frames, so a frame counts only when its checksum agrees.
-When it does not, only the marker is given up and the search goes on behind it: a false start never swallows the good
-frame that begins inside it. Bytes wait only while the frame they seem to begin is not complete, and a frame has at
-most 280 bytes, so neither memory nor delay grows.
+The marker byte also occurs inside frames, so a frame counts only if its checksum is right. If it is wrong, the search
+goes on at the byte after the marker: a false start never hides a good frame that begins inside it. Bytes wait only
+until the frame that they may belong to is complete. A frame has at most 280 bytes, so memory and delay are bounded.
 """
 
 from collections import Counter
-from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink_frames import CHECKSUM_BYTES, HEADER_BYTES, MARKER, SIGNATURE_BYTES, SIGNED_FLAG
-
-_checksum: Any = mavlink.mcrf4xx
-_SEEDS: Final[dict[int, bytes]] = {number: bytes([kind.crc_extra]) for number, kind in mavlink.mavlink_map.items()}
+from protocol.mavlink.frames import (
+    CHECKSUM_BYTES,
+    HEADER_BYTES,
+    MARKER,
+    SIGNED_FLAG,
+    checked_fields,
+    frame_length,
+    layout_of,
+    message_id_of,
+)
 
 
 class FrameStream:
-    """Takes bytes as they come; gives whole frames. `skipped` counts bytes that belonged to none, by reason."""
+    """Collects bytes and returns whole frames. `skipped` counts the bytes outside frames, by reason."""
 
     def __init__(self) -> None:
         self._waiting = b""
         self.skipped: Counter[str] = Counter()
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The frames that are complete now. Never raises for what is in the bytes."""
+        """The frames that `data` completes. No bytes raise."""
         data = self._waiting + data
         frames: list[bytes] = []
         start, end = 0, len(data)
@@ -43,7 +47,7 @@ class FrameStream:
                 start += 1
             elif stop > end:
                 break
-            elif _is_whole(data, start):
+            elif checked_fields(data[start:stop], layout_of(message_id_of(data, start))) is not None:
                 frames.append(data[start:stop])
                 start = stop
             else:
@@ -55,21 +59,11 @@ class FrameStream:
 
 
 def _frame_end(data: bytes, start: int) -> int:
-    """Where the frame that seems to begin here ends, as far as can be seen; -1: none of ours begins here."""
-    head = data[start : start + HEADER_BYTES]
-    if len(head) > 2 and head[2] & ~SIGNED_FLAG:
+    """End of the frame that may begin at `start`, as far as known; -1: no frame begins here."""
+    if len(data) > start + 2 and data[start + 2] & ~SIGNED_FLAG:
         return -1
-    if len(head) < HEADER_BYTES:
+    if len(data) < start + HEADER_BYTES:
         return start + HEADER_BYTES + CHECKSUM_BYTES
-    if int.from_bytes(head[7:10], "little") not in _SEEDS:
+    if message_id_of(data, start) not in mavlink.mavlink_map:
         return -1
-    signature = SIGNATURE_BYTES if head[2] & SIGNED_FLAG else 0
-    return start + HEADER_BYTES + head[1] + CHECKSUM_BYTES + signature
-
-
-def _is_whole(data: bytes, start: int) -> bool:
-    """Whether the checksum of a complete frame agrees."""
-    end = start + HEADER_BYTES + data[start + 1]
-    seed = _SEEDS[int.from_bytes(data[start + 7 : start + 10], "little")]
-    checksum: int = _checksum(seed, _checksum(data[start + 1 : end]))
-    return checksum == data[end] | data[end + 1] << 8
+    return start + frame_length(data, start)

@@ -5,10 +5,11 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from onboard.links.readings import BatteryReading, FlowReading, ImuReading, RangeReading
 from onboard.links.vehicle import VehicleLink, VehicleLinkConfig
 from protocol.conventions import Array
-from protocol.mavlink_frames import SigningClock
+from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading
+from protocol.mavlink.signing import SigningClock
+from protocol.mavlink.status import BatteryReading
 
 RowT = TypeVar("RowT")
 
@@ -96,7 +97,7 @@ class StepRecorder:
             if isinstance(reading, ImuReading):
                 delay_s = (now_ns - reading.time_ns) * 1e-9
                 stamp_s = self._link.newest_stamp_ns * 1e-9
-                row = (now_s, stamp_s, delay_s, *reading.accelerometer, *reading.gyroscope, reading.pressure_pa)
+                row = (now_s, stamp_s, delay_s, *reading.accelerometer, *reading.gyroscope, reading.pressure_pa or 0.0)
                 _keep(self._imu, row, IMU_MAX)
             elif isinstance(reading, FlowReading):
                 _keep(self._flow, (*reading[2:6], reading.integration_s, reading.quality, now_s), OTHERS_MAX)

@@ -5,10 +5,10 @@ import pty
 import time
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from onboard.links.frame_stream import FrameStream
-from protocol.mavlink_frames import FrameWriter
+from protocol.mavlink.frames import FrameWriter
+from protocol.mavlink.status import encode_heartbeat
 from runtime.errors import StartError
 from runtime.serial_port import WAITING_MAX, SerialPort
 
@@ -26,7 +26,7 @@ def line():
 
 
 def heartbeat(number=0):
-    return FrameWriter(1, 1).write(mavlink.MAVLink_heartbeat_message, (number, 2, 8, 0, 3, 3), 0)
+    return FrameWriter(1, 1).write(encode_heartbeat(number, 8, 0, False, 3), 0)
 
 
 def wait_for(receive, count):

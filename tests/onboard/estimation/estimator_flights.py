@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.estimator import Estimator, EstimatorConfig
-from onboard.links.readings import FlowReading, ImuReading, RangeReading
+from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading
 from protocol.messages import Pose
 
 RATE = 200

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from onboard.estimation.estimator import EstimatorConfig
-from onboard.links.readings import ImuReading
+from protocol.mavlink.sensors import ImuReading
 from protocol.messages import Pose
 from tests.onboard.estimation.estimator_flights import RATE, STEP_NS, Flight, Noise, Truth
 

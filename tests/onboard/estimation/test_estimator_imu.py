@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from onboard.estimation.estimator import Estimator, EstimatorConfig
-from onboard.links.readings import ImuReading
+from protocol.mavlink.sensors import ImuReading
 from tests.onboard.estimation.estimator_flights import RATE, STEP_NS, Flight, Truth
 
 

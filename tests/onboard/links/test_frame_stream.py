@@ -4,17 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import common as mavlink
 
 from onboard.links.frame_stream import FrameStream
-from protocol.mavlink_frames import FrameWriter
+from protocol.mavlink.frames import FrameWriter
+from protocol.mavlink.motors import encode_motors
 
 
 def frames(count, key=None):
     writer = FrameWriter(1, 1, key)
-    kind = mavlink.MAVLink_hil_actuator_controls_message
     values = np.random.default_rng(3).random((count, 4))
-    return [writer.write(kind, (7, 0, *map(float, row), *(0.0,) * 12, 128), 7000) for row in values]
+    return [writer.write(encode_motors(7, tuple(map(float, row)), True), 7000) for row in values]
 
 
 @pytest.mark.parametrize("key", [None, b"k" * 32])

@@ -4,7 +4,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from onboard.links.vehicle import VehicleLink, VehicleLinkConfig
-from protocol.mavlink_frames import SigningClock
+from protocol.mavlink.signing import SigningClock
 from tests.onboard.links.pymavlink_vehicle import KEY, OTHER_KEY, STEP_NS, Link, Vehicle
 
 

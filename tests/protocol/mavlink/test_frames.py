@@ -1,4 +1,4 @@
-"""Frames against pymavlink's own: the same bytes out, the same fields in, for every message that is used."""
+"""Frames have the bytes that pymavlink writes, and decode to the same fields, for every message in use."""
 
 import struct
 
@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink_frames import FrameReader, FrameWriter, SigningClock, checked_fields, layout_of
+from protocol.mavlink.frames import FrameReader, FrameWriter, Message, checked_fields, layout_of
+from protocol.mavlink.signing import SigningClock
 
 KEY = bytes(range(32))
 KINDS = [
@@ -41,7 +42,7 @@ def by_pymavlink(kind, fields):
 @given(data=st.data())
 def test_frames_equal_those_of_pymavlink_bit_for_bit(kind, data):
     fields = random_fields(kind, data)
-    ours = FrameWriter(7, 9).write(kind, fields, 0)
+    ours = FrameWriter(7, 9).write(Message(kind, fields), 0)
     assert ours == bytes(by_pymavlink(kind, fields).pack(mavlink.MAVLink(None, 7, 9)))
     read = mavlink.MAVLink(None).decode(bytearray(ours))
     assert ours == bytes(read.pack(mavlink.MAVLink(None, 7, 9)))
@@ -51,13 +52,13 @@ def test_frames_equal_those_of_pymavlink_bit_for_bit(kind, data):
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.msgname)
-def test_a_spoilt_or_cut_frame_has_no_fields(kind):
+def test_a_corrupted_or_cut_frame_has_no_fields(kind):
     layout = layout_of(kind.id)
-    frame = FrameWriter(7, 9).write(kind, layout.payload.unpack(bytes(range(layout.payload.size))), 0)
+    frame = FrameWriter(7, 9).write(Message(kind, layout.payload.unpack(bytes(range(layout.payload.size)))), 0)
     for place in range(1, len(frame)):
-        spoilt = bytearray(frame)
-        spoilt[place] ^= 0x10
-        assert checked_fields(bytes(spoilt), layout) is None
+        corrupted = bytearray(frame)
+        corrupted[place] ^= 0x10
+        assert checked_fields(bytes(corrupted), layout) is None
         assert checked_fields(frame[:place], layout) is None if place > 1 else True
 
 
@@ -68,7 +69,7 @@ def test_signed_frames_are_pymavlinks():
     clock = SigningClock()
     clock.catch_up(99)
     kind, fields = mavlink.MAVLink_heartbeat_message, (5, 2, 8, 81, 4, 3)
-    ours = FrameWriter(1, 1, KEY, clock).write(kind, fields, 0)
+    ours = FrameWriter(1, 1, KEY, clock).write(Message(kind, fields), 0)
     theirs = bytes(by_pymavlink(kind, fields).pack(codec))
     assert ours[-12:-6] in ((99).to_bytes(6, "little"), (100).to_bytes(6, "little"))
     assert ours[:-12] == theirs[:-12]
@@ -76,6 +77,6 @@ def test_signed_frames_are_pymavlinks():
     assert FrameReader([kind.id], bytes(32), SigningClock()).read(ours, 0) == []
 
 
-def test_a_field_that_does_not_fit_is_our_own_mistake():
+def test_a_field_that_does_not_fit_raises():
     with pytest.raises(struct.error):
-        FrameWriter(1, 1).write(mavlink.MAVLink_heartbeat_message, (0, 300, 0, 0, 0, 0), 0)
+        FrameWriter(1, 1).write(Message(mavlink.MAVLink_heartbeat_message, (0, 300, 0, 0, 0, 0)), 0)
