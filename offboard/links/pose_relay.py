@@ -40,8 +40,8 @@ REASONS: Final = {
     "too_far": "position beyond position_limit_m",
     "quaternion": "length of the quaternion is not 1",
     "old": "time does not increase",
-    "late": "late",
-    "frozen": "frozen, the same pose again and again",
+    "late": "late datagram",
+    "frozen": "repeats one pose (frozen)",
 }
 """Reasons to refuse a datagram, and their text in the event."""
 

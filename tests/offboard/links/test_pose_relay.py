@@ -76,7 +76,7 @@ def test_a_capture_that_repeats_one_pose_is_not_relayed_until_it_sees_again() ->
     relayed = [taker.receive(odometry(10_000 * k, x=0.7), 10 * k * MS) is not None for k in range(1, 41)]
     assert relayed == [True] * FROZEN_POSES + [False] * (40 - FROZEN_POSES)
     assert taker.rejected == {"frozen": 40 - FROZEN_POSES}
-    assert texts(taker) == ["motion capture: frozen, the same pose again and again, pose ignored"]
+    assert texts(taker) == ["motion capture: repeats one pose (frozen), pose ignored"]
     assert taker.receive(odometry(410_000, x=0.70001), 410 * MS) is not None
 
 
