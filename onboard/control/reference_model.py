@@ -14,7 +14,15 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from protocol.conventions import Array
-from protocol.geometry import Quaternion, Vector3, quaternion_multiply, quaternion_to_rotation_vector, rotate
+from protocol.geometry import (
+    Quaternion,
+    Vector3,
+    cross,
+    quaternion_multiply,
+    quaternion_to_rotation_vector,
+    rotate,
+    vector,
+)
 
 
 class ChannelGains(ConfigRecord):
@@ -52,34 +60,33 @@ class PositionReferenceModel:
         self.velocity: Array = np.zeros(3)
 
     def reset(self, position: Array, velocity: Array) -> None:
-        """Starts over at the vehicle's state [3], [3]."""
+        """Set the reference to the vehicle's state [3], [3]."""
         self.position[:] = position
         self.velocity[:] = velocity
 
     def shift(self, jump: Array) -> None:
-        """Follows a jump [3] of the position estimate, which is no motion."""
+        """Move with a jump [3] of the position estimate, which is no motion."""
         self.position += jump
 
     def error(self, position: Array, velocity: Array, out: Array) -> None:
-        """E = x_rm - x [6] against the vehicle's position and velocity [3], m and m/s."""
+        """Compute e = x_rm - x [6] against the vehicle's position and velocity [3], m and m/s."""
         np.subtract(self.position, position, out=out[:3])
         np.subtract(self.velocity, velocity, out=out[3:])
 
     def step(self, command: Vector3, hedge: Vector3, dt: float) -> None:
-        """Advances one period.
+        """Advance one period: v_rm_dot = K_r r - K_1 p_rm - K_2 v_rm - (u - u_hat).
 
         Parameters
         ----------
         command: K_r r, m/s^2.
         hedge: u - u_hat, m/s^2.
         """
-        x, v = self.position, self.velocity
-        positions, velocities = x.tolist(), v.tolist()
-        for axis in (0, 1, 2):
-            at, speed = positions[axis], velocities[axis]
-            acceleration = command[axis] - self._k1[axis] * at - self._k2[axis] * speed - hedge[axis]
-            x[axis] = at + (dt * speed + (0.5 * dt * dt) * acceleration)
-            v[axis] = speed + dt * acceleration
+        p, v = self.position.tolist(), self.velocity.tolist()
+        each_axis = zip(command, self._k1, p, self._k2, v, hedge, strict=True)
+        a = [K_r_r - k1 * p_i - k2 * v_i - h for K_r_r, k1, p_i, k2, v_i, h in each_axis]
+        half = 0.5 * dt * dt
+        self.position[:] = [p_i + (dt * v_i + half * a_i) for p_i, v_i, a_i in zip(p, v, a, strict=True)]
+        self.velocity[:] = [v_i + dt * a_i for v_i, a_i in zip(v, a, strict=True)]
 
 
 class AttitudeReferenceModel:
@@ -103,7 +110,7 @@ class AttitudeReferenceModel:
         self._vehicle_rates: Vector3 = (0.0, 0.0, 0.0)
 
     def reset(self, quaternion: Array, rates: Array) -> None:
-        """Starts over at the vehicle's attitude [4] and rates [3]."""
+        """Set the reference to the vehicle's attitude [4] and rates [3]."""
         w, x, y, z = quaternion.tolist()
         self.quaternion = (w, x, y, z)
         p, q, r = rates.tolist()
@@ -112,7 +119,7 @@ class AttitudeReferenceModel:
         self._e = (0.0,) * 6
 
     def error(self, quaternion: Array, rates: Array, out: Array) -> None:
-        """E = [e_1; e_2] [6] against the vehicle's attitude [4] and rates [3], rad and rad/s."""
+        """Compute e = [e_1; e_2] [6] against the vehicle's attitude [4] and rates [3], rad and rad/s."""
         w, x, y, z = quaternion.tolist()
         p, q, r = rates.tolist()
         self._turn = quaternion_multiply((w, -x, -y, -z), self.quaternion)
@@ -123,25 +130,24 @@ class AttitudeReferenceModel:
         out[:] = self._e
 
     def step(self, command: Vector3, hedge: Vector3, dt: float) -> None:
-        """Advances one period from where `error` last saw the vehicle.
+        """Advance one period: omega_rm_dot = R(e_1)' (K_r r - K x - (u - u_hat) - K e + omega x e_2).
+
+        The vehicle's attitude and rates are those of the last call of `error`.
 
         Parameters
         ----------
         command: K_r r - K x in the vehicle's axes, that is u + nu_ad; rad/s^2.
         hedge: u - u_hat, rad/s^2.
         """
-        e1, e2, e3, e4, e5, e6 = self._e
-        k1, k2 = self._k1, self._k2
-        p, q, r = self._vehicle_rates
-        ax = command[0] - hedge[0] - k1[0] * e1 - k2[0] * e4 + (q * e6 - r * e5)
-        ay = command[1] - hedge[1] - k1[1] * e2 - k2[1] * e5 + (r * e4 - p * e6)
-        az = command[2] - hedge[2] - k1[2] * e3 - k2[2] * e6 + (p * e5 - q * e4)
+        e_1, e_2 = self._e[:3], self._e[3:]
+        gyration = cross(self._vehicle_rates, vector(e_2))
+        each_axis = zip(command, hedge, self._k1, e_1, self._k2, e_2, gyration, strict=True)
+        alpha = vector(c - h - k1 * e1 - k2 * e2 + g for c, h, k1, e1, k2, e2, g in each_axis)
         w, x, y, z = self._turn
-        ap, aq, ar = rotate((w, -x, -y, -z), (ax, ay, az))
-        p, q, r = self.rates
+        alpha_rm = rotate((w, -x, -y, -z), alpha)
         h = 0.5 * dt
-        step = (1.0, h * (p + h * ap), h * (q + h * aq), h * (r + h * ar))
-        nw, nx, ny, nz = quaternion_multiply(self.quaternion, step)
+        turn = vector(h * (w_i + h * a_i) for w_i, a_i in zip(self.rates, alpha_rm, strict=True))
+        nw, nx, ny, nz = quaternion_multiply(self.quaternion, (1.0, *turn))
         norm = (nw * nw + nx * nx + ny * ny + nz * nz) ** 0.5
         self.quaternion = (nw / norm, nx / norm, ny / norm, nz / norm)
-        self.rates = (p + dt * ap, q + dt * aq, r + dt * ar)
+        self.rates = vector(w_i + dt * a_i for w_i, a_i in zip(self.rates, alpha_rm, strict=True))

@@ -15,7 +15,7 @@ from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures
-from protocol.geometry import Vector3
+from protocol.geometry import Vector3, vector
 from protocol.signals import SIGNAL_COUNT, input_indices
 
 EPS_1_MEMORY_S = 2.0
@@ -72,7 +72,7 @@ class AdaptiveAugmentation:
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
         self._ticks = 0
-        self._residual: Vector3 = (0.0, 0.0, 0.0)
+        self._Delta_hat: Vector3 = (0.0, 0.0, 0.0)
         self._eps_1_squared = 0.0
         self._eps_2 = 0.0
 
@@ -88,13 +88,13 @@ class AdaptiveAugmentation:
         return NetworkFeatures(random_channel(inputs, offset, scale, config.hidden, rng))
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """Updates W at the present state, then answers nu_ad where the vehicle will be."""
+        """Update W with Phi(x); returns nu_ad = W'Phi(x_ahead), [3]."""
         dt = channel.dt
         self._signals = channel.signals
         Phi = self.features.evaluate(self.features.select(channel.signals))
         if channel.adapt:
-            self._filter_residual(channel.residual, dt)
-            self.last_layer.step(Phi[:, 0], channel.model_error, self._residual, dt)
+            self._filter_residual(channel.residual.tolist(), dt)
+            self.last_layer.step(Phi[:, 0], channel.model_error, self._Delta_hat, dt)
             if self._ticks % self._ring_period == 0:
                 self._recent.push(channel.signals[:, 0])
             self._ticks += 1
@@ -102,28 +102,27 @@ class AdaptiveAugmentation:
         self._report(nu, dt, telemetry)
         return nu[:, 1]
 
-    def _filter_residual(self, raw: Array, dt: float) -> None:
-        """Delta_hat, the measured uncertainty behind a first-order filter."""
+    def _filter_residual(self, residual: list[float], dt: float) -> None:
+        """Delta_hat_dot = (r - Delta_hat) / T, exact for a residual r that is constant over dt."""
         share = 1.0 - exp(-dt / self._filter_s)
-        (x, y, z), (rx, ry, rz) = self._residual, raw.tolist()
-        self._residual = (x + share * (rx - x), y + share * (ry - y), z + share * (rz - z))
+        self._Delta_hat = vector(D + share * (r - D) for D, r in zip(self._Delta_hat, residual, strict=True))
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
-        (x, x_ahead), (y, y_ahead), (z, z_ahead) = nu.tolist()
-        rx, ry, rz = self._residual
-        misfit2 = (x - rx) ** 2 + (y - ry) ** 2 + (z - rz) ** 2
+        """eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x)): parts of the live bound."""
+        now, ahead = nu.T.tolist()
+        misfit2 = sum((nu_i - D) ** 2 for nu_i, D in zip(now, self._Delta_hat, strict=True))
         self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
-        adaptive, residual = telemetry.adaptive_now, telemetry.residual
-        adaptive[0], adaptive[1], adaptive[2] = x, y, z
-        residual[0], residual[1], residual[2] = rx, ry, rz
+        telemetry.adaptive_now[:] = now
+        telemetry.residual[:] = self._Delta_hat
         telemetry.weight_norm = self.last_layer.weight_norm
-        eps_1, eps_3 = sqrt(self._eps_1_squared), sqrt((x_ahead - x) ** 2 + (y_ahead - y) ** 2 + (z_ahead - z) ** 2)
+        eps_1 = sqrt(self._eps_1_squared)
+        eps_3 = sqrt(sum((there - here) ** 2 for there, here in zip(ahead, now, strict=True)))
         telemetry.eps_1, telemetry.eps_2, telemetry.eps_3 = eps_1, self._eps_2, eps_3
         telemetry.live_bound = self._bound_factor * (eps_1 + self._eps_2 + eps_3)
 
     def reset(self) -> None:
-        """Filters start over; what was learnt stays."""
-        self._residual = (0.0, 0.0, 0.0)
+        """Reset the filter. W and the features stay."""
+        self._Delta_hat = (0.0, 0.0, 0.0)
 
     @property
     def learns(self) -> bool:

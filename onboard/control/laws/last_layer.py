@@ -166,39 +166,34 @@ class LastLayer:
         self._change = np.zeros(W.shape)
         self._keep_in_ball()
 
-    def step(self, Phi: Array, e: Array, residual: Vector3, dt: float) -> None:
-        """One step of the law at the present state.
+    def step(self, Phi: Array, e: Array, Delta_hat: Vector3, dt: float) -> None:
+        """One step of W_dot = -Gamma Phi (gamma e'PB + lambda (W'Phi - Delta_hat)') / m^2 - sigma (W - theta_n).
 
         Parameters
         ----------
         Phi: [k], features at the present state.
         e: [n], x_rm - x; the second half is the rate of the first.
-        residual: Delta_hat, filtered x_dot - A x - B u_hat.
+        Delta_hat: [3], filtered residual, units of u.
         dt: s.
         """
-        # Three numbers at a time are quicker without numpy.
         config, W = self.config, self.W
         s = self._gain_along(Phi)
         m2 = config.normalisation_floor + s
-        # Tracking term, implicit in what it does to e_2 one step later.
         gamma, lambda_ = config.tracking_gain, config.composite_gain
+        # Tracking term, implicit in its own effect on e_2 one step later.
         tracking = gamma / (1.0 + gamma * self._rate_weight * dt * dt) / m2
-        px, py, pz = e.dot(self._PB).tolist()
-        dx, dy, dz = -tracking * px, -tracking * py, -tracking * pz
+        d = [-tracking * ePB for ePB in e.dot(self._PB).tolist()]
         if lambda_ > 0.0:
-            # Composite term, implicit in the rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
-            # The tracking step comes first; its effect on W'Phi is s * direction * dt.
+            # Composite term, implicit in its rank-one part: W+ = W - a Gamma Phi (W+'Phi - Delta_hat)'.
+            # The tracking term acts first; it changes W'Phi by s d dt.
             a = lambda_ * dt / m2
-            composite, done = lambda_ / m2 / (1.0 + a * s), s * dt
-            nx, ny, nz = Phi.dot(W).tolist()
-            rx, ry, rz = residual
-            dx -= composite * (nx + done * dx - rx)
-            dy -= composite * (ny + done * dy - ry)
-            dz -= composite * (nz + done * dz - rz)
-        if not (s < SQUARE_MAX and dx * dx + dy * dy + dz * dz < SQUARE_MAX):  # NaN fails too
+            composite = lambda_ / m2 / (1.0 + a * s)
+            each_axis = zip(d, Phi.dot(W).tolist(), Delta_hat, strict=True)
+            d = [di - composite * (nu + s * dt * di - Delta) for di, nu, Delta in each_axis]
+        if not (s < SQUARE_MAX and sum(di * di for di in d) < SQUARE_MAX):  # NaN fails too
             return
         direction = self._direction
-        direction[0], direction[1], direction[2] = dt * dx, dt * dy, dt * dz
+        direction[:] = [dt * di for di in d]
         change = np.multiply(Phi[:, None], direction, out=self._change)
         change[-1] *= config.bias_weight
         if self._norm2 > self._bound2:
