@@ -41,7 +41,7 @@ OPTIONS: Final = {
     "vehicle_key_file": "--vehicle-key-file",
     "ground_key_file": "--ground-key-file",
 }
-"""What overrules which key of the configuration's network."""
+"""The option that overrides each key of the configuration's `network` section."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
     parser.add_argument("--vehicle", metavar="URL", help="the vehicle: udp://HOST:PORT or serial:///dev/ttyX?baud=N")
-    parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio towards it")
+    parser.add_argument("--offboard", metavar="HOST:PORT", help="the offboard process, or the radio in front of it")
     parser.add_argument("--ground", metavar="HOST:PORT", help="ground station that gets telemetry")
     parser.add_argument("--bind-vehicle", metavar="HOST:PORT", help="own address towards the vehicle")
     parser.add_argument("--bind-link", metavar="HOST:PORT", help="own address towards offboard")

@@ -1,10 +1,10 @@
-"""The cascade all built-in controllers share: position over attitude, each with its augmentation.
+"""The cascade of all built-in controllers: a position loop and an attitude loop, each with a law.
 
     position:  u = K_r r - K x - nu_ad     -> thrust and attitude command
     attitude:  u = K_1 e_R - K_2 omega - nu_ad -> torque = J u + omega x J omega
 
-Order within a step (k): the reference models advance with what was commanded at k-1 and delivered since; then
-residual, error and augmentation at the present; then the command.
+Order within tick k: the reference models advance with the command of tick k-1 and what was delivered since; then error
+and law at the present; then the command.
 """
 
 from typing import Annotated
@@ -46,18 +46,18 @@ BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
 YAW_ERROR_MAX_RAD = 0.5
 MODEL_ERROR_MAX_RAD = 0.6
-"""Beyond this the attitude error is no longer linear: the reference model starts over at the vehicle."""
+"""Above this attitude error the linear error model does not hold: the reference is set to the vehicle's attitude."""
 
 
 class ChannelSettings(ConfigRecord):
-    """One channel: its poles and its augmentation."""
+    """Settings of one channel."""
 
     gains: ChannelGains
     augmentation: AugmentationConfig
 
 
 class CascadeSettings(ConfigRecord):
-    """The whole cascade."""
+    """Settings of the cascade."""
 
     position: ChannelSettings
     attitude: ChannelSettings
@@ -92,7 +92,7 @@ class CascadedController:
         self._airframe = airframe
         rng = np.random.default_rng([seed, 101])
         self.augmentations = (_augmentation(settings.position, rng), _augmentation(settings.attitude, rng))
-        """Of the position and of the attitude channel."""
+        """Position and attitude channel."""
         self._has_features = any(isinstance(one, AdaptiveAugmentation) for one in self.augmentations)
         self._position_model = PositionReferenceModel(settings.position.gains)
         self._attitude_model = AttitudeReferenceModel(settings.attitude.gains)
@@ -115,7 +115,7 @@ class CascadedController:
     # --- the interface -------------------------------------------------------------------------------------------
 
     def step(self, inputs: ControlInputs) -> ControlOutput:
-        """One step of both loops."""
+        """One tick of both loops."""
         self._read(inputs)
         self._advance_models(inputs)
         acceleration = self._position_loop(inputs)
@@ -126,7 +126,7 @@ class CascadedController:
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
-        """Reference models to the vehicle's state, integrals and filters to zero."""
+        """Set the reference models to the vehicle's state, integrals and filters to zero."""
         self._restart_models(inputs)
         self._limits.reset()
         for augmentation in self.augmentations:
@@ -138,7 +138,7 @@ class CascadedController:
         return any(isinstance(one, AdaptiveAugmentation) and one.learns for one in self.augmentations)
 
     def offer_features(self, features: FeatureSet) -> str:
-        """Swaps both channels in one tick, or refuses."""
+        """Swap the features of both channels in one tick, or refuse."""
         plans = []
         for augmentation, channel in zip(self.augmentations, (features.position, features.attitude), strict=True):
             if channel is None or not isinstance(augmentation, AdaptiveAugmentation) or not augmentation.learns:
@@ -161,7 +161,7 @@ class CascadedController:
         return position, attitude
 
     def start_from(self, last_layers: tuple[Array | None, Array | None]) -> None:
-        """Takes over W of an earlier flight with the same features; raises ValueError if the shapes differ."""
+        """Start with W of an earlier flight with the same features. Raises ValueError if the shapes differ."""
         for augmentation, W in zip(self.augmentations, last_layers, strict=True):
             if W is None or not isinstance(augmentation, AdaptiveAugmentation):
                 continue
@@ -185,7 +185,7 @@ class CascadedController:
         self._track(inputs)
 
     def _track(self, inputs: ControlInputs) -> None:
-        """Tracking error of the position channel, bounded so that a far target asks for no more than a near one."""
+        """Tracking error of the position channel; the position part is limited per axis."""
         north, east, down = inputs.state.position.tolist()
         vn, ve, vd = inputs.state.velocity.tolist()
         (target_n, target_e, target_d), (target_vn, target_ve, target_vd), _ = inputs.target.now
@@ -203,7 +203,7 @@ class CascadedController:
         self._see_ahead(inputs, inputs.target.attitude_ahead, attitude.signals)
 
     def _see_ahead(self, inputs: ControlInputs, there: PathPoint, signals: Array) -> None:
-        """Signals at the present and there, [SIGNAL_COUNT, 2]."""
+        """Fill `signals` [SIGNAL_COUNT, 2]: at the present, and with the motion of the target until `there` added."""
         (now, now_rate, _), (ahead, ahead_rate, _) = inputs.target.now, there
         signals[:, :] = inputs.signals[:, None]
         column = signals[:, 1]
@@ -249,10 +249,10 @@ class CascadedController:
         return vector(u - u_hat for u, u_hat in each_axis)
 
     def _follow_jump(self, inputs: ControlInputs) -> bool:
-        """A jump of the estimate is no motion: the references jump along (True), or start over where they cannot."""
+        """Move the references with a jump of the estimate (True), or reset them where its size is not known (False)."""
         state = inputs.state
         if state.position_reset_count != self._resets_seen + 1 or state.yaw_jump != 0.0:
-            self._restart_models(inputs)  # the frame has turned, or the size of a jump in between is not known
+            self._restart_models(inputs)  # yaw has jumped as well, or the position more than once
             return False
         self._position_model.shift(state.position_jump)
         each_axis = zip(self._command, self._k1, state.position_jump.tolist(), strict=True)
@@ -290,7 +290,7 @@ class CascadedController:
         return u
 
     def _thrust_vector(self, inputs: ControlInputs, u: Vector3) -> tuple[float, Quaternion]:
-        """Collective thrust [N] along the present body axis, and the attitude that would realise u, within limits."""
+        """Collective thrust [N] along the present body axis, and the attitude for u, within the limits."""
         self._limits.step(inputs.saturated, inputs.adapt, inputs.dt)
         fx, fy, fz = self._limits.specific_thrust(u, float(self._output.position.adaptive[2]))
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5

@@ -1,13 +1,13 @@
-"""How much the position loop may ask for: acceleration up and down, tilt, and less of both while the motors fall short.
+"""Limits of the position loop: vertical acceleration and tilt, with lower limits while the motors saturate.
 
-The limits are on what the loop asks for; what nu_ad makes up for (weak motors, a payload) comes on top vertically.
+The limits apply to the demand of the loop. The vertical part of nu_ad (weak motors, a payload) is added on top.
 
-A motor that has lost thrust holds the attitude with little to spare. A position loop that then asks for a wide tilt
-and a hard climb spends what is left: the attitude is lost, and with it the vehicle. So while the mixer has to give up
-thrust, roll or pitch, the loop asks for little tilt and climb, and gets its limits back gradually after.
+After a loss of thrust the motors have little reserve for attitude control. If the position loop then demands a large
+tilt and a fast climb, it uses up this reserve and the vehicle crashes. So while the mixer reduces thrust, roll or
+pitch, the limits of tilt and climb are low; afterwards they return gradually.
 
-Until the laws adapt, above the floor, nothing makes up for motors weaker than believed or a vehicle heavier: a take-off
-may ask for more climb, or it would not lift.
+Before the laws adapt, nothing compensates motors that are weaker, or a vehicle that is heavier, than the nominal ones.
+So take-off has a higher climb limit: the vehicle would not lift off otherwise.
 """
 
 from math import tan
@@ -20,11 +20,11 @@ from onboard.control.airframe import GRAVITY
 from protocol.geometry import Vector3
 
 FALL_MIN_M_S2 = 2.0
-"""Specific thrust never falls below this: without thrust there is no torque and no direction to tilt to."""
+"""Lower limit of the specific thrust: without thrust there is no torque, and tilt has no effect."""
 
 
 class DemandLimitsConfig(ConfigRecord):
-    """The limits with motors that deliver, and with motors that fall short."""
+    """Limits in normal flight, and while the motors saturate ("short")."""
 
     tilt_max_rad: Annotated[float, Field(gt=0, le=1.2)] = 0.7
     climb_acceleration_max_m_s2: Annotated[float, Field(gt=0, le=20)] = 2.0
@@ -33,15 +33,15 @@ class DemandLimitsConfig(ConfigRecord):
     ] = 5.0
     sink_acceleration_max_m_s2: Annotated[float, Field(gt=0, le=9)] = 5.0
     short_tilt_max_rad: Annotated[
-        float, Field(gt=0, le=1.2, description="tilt while the motors fall short; tilt_max_rad or more: no difference")
+        float, Field(gt=0, le=1.2, description="tilt while the motors saturate, at most tilt_max_rad")
     ] = 0.15
-    short_climb_max_m_s2: Annotated[float, Field(gt=0, le=20, description="climb while the motors fall short")] = 1.0
-    short_after_s: Annotated[float, Field(gt=0, le=10, description="time constant of the limits' falling")] = 0.05
-    recovered_after_s: Annotated[float, Field(gt=0, le=60, description="time constant of their coming back")] = 1.0
+    short_climb_max_m_s2: Annotated[float, Field(gt=0, le=20, description="climb while the motors saturate")] = 1.0
+    short_after_s: Annotated[float, Field(gt=0, le=10, description="time constant of lowering the limits")] = 0.05
+    recovered_after_s: Annotated[float, Field(gt=0, le=60, description="time constant of raising them again")] = 1.0
 
 
 class DemandLimits:
-    """The limits as they are at present."""
+    """The limits at the present."""
 
     def __init__(self, config: DemandLimitsConfig) -> None:
         self._config = config
@@ -50,10 +50,10 @@ class DemandLimits:
         self._climbs = climb, min(config.short_climb_max_m_s2, climb)
         self._lifted = False
         self.shortage = 0.0
-        """0: the motors have delivered what was asked for a while; 1: they have fallen short for a while."""
+        """From 0, the motors deliver the demand, to 1, they have saturated for some time."""
 
     def step(self, saturated: bool, adapting: bool, dt: float) -> None:
-        """Takes note of a tick: whether the mixer gave up part of the demand, and whether the laws adapted."""
+        """Update with one tick: whether the mixer reduced the demand, and whether the laws adapted."""
         self._lifted = self._lifted or adapting
         if saturated:
             self.shortage += (1.0 - self.shortage) * min(dt / self._config.short_after_s, 1.0)
@@ -61,14 +61,14 @@ class DemandLimits:
             self.shortage -= self.shortage * min(dt / self._config.recovered_after_s, 1.0)
 
     def reset(self) -> None:
-        """As at the beginning of a flight."""
+        """Start over, as at the beginning of a flight."""
         self.shortage = 0.0
         self._lifted = False
 
     def specific_thrust(self, u: Vector3, nu_z: float) -> Vector3:
-        """The specific thrust to hold up, m/s^2 (world NED, negated), for the acceleration u within the limits.
+        """The specific thrust for the acceleration u, within the limits: m/s^2, world NED, negated.
 
-        nu_z: nu_ad along the vertical, part of u, which the vertical limits leave alone.
+        nu_z: vertical component of nu_ad. It is part of u; the vertical limits do not apply to it.
         """
         share = self.shortage
         if self._lifted:

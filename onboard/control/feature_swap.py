@@ -1,18 +1,18 @@
-"""Changing the features in flight without a kick: the bumpless swap.
+"""The bumpless swap: new features in flight without a jump of nu_ad.
 
 New inner layers change Phi to Phi_bar. Keeping W would make nu_ad jump by eps_2(x) = W'Phi_bar(x) - W'Phi(x). Instead
 W_new is the minimiser of
 
     sum over recent states norm(W_new' Phi_bar(x_i) - W' Phi(x_i))^2 + mu norm(W_new - W_bar)^2,
 
-continuous where the vehicle is and has just been, W_bar elsewhere. The states are those of the last second, the
-present one, and the one looked ahead to, whose nu_ad is what is commanded. eps_2 is then measured on the same states,
-and a swap that would still jump is refused.
+so that nu_ad is continuous at the recent states, and W is near W_bar elsewhere. The recent states are those of the last
+second, the present state, and the look-ahead state, where the commanded nu_ad is evaluated. eps_2 is then measured on
+the same states. A swap with too large an eps_2 is refused.
 
-W_bar lies between the trained memory theta_n and W. What adaptation has put into W since the samples were taken is
-worth keeping, but belongs to the old features: W_bar = theta_n + s (W - theta_n), with s how much the new features
-resemble the old ones. Features learnt afresh come with theta_n; features that were only refined keep W. s is measured
-on the recent states, too: features that agree there and differ elsewhere keep W elsewhere, as a naive swap does.
+W_bar is between the trained last layer theta_n and W: W_bar = theta_n + s (W - theta_n). s is the resemblance of the
+new features to the old ones, from 0 to 1. W contains what adaptation has learnt since the samples were taken, but it
+belongs to the old features. So entirely new features start from theta_n, and features that were only refined keep W. s
+is measured on the recent states too: features that agree there and differ elsewhere keep W elsewhere.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class SwapConfig(ConfigRecord):
 
 
 class RecentStates:
-    """A ring of the newest signal vectors, all of one channel's recent past."""
+    """Ring buffer of recent signal vectors."""
 
     def __init__(self, size: int, signal_count: int) -> None:
         self._ring: Array = np.zeros((size, signal_count))
@@ -47,13 +47,13 @@ class RecentStates:
         self._next = 0
 
     def push(self, signals: Array) -> None:
-        """Adds one signal vector, [SIGNAL_COUNT]; the oldest leaves."""
+        """Add one signal vector, [SIGNAL_COUNT]; it replaces the oldest."""
         self._ring[self._next] = signals
         self._next = (self._next + 1) % self._ring.shape[0]
         self._filled = min(self._filled + 1, self._ring.shape[0])
 
     def columns(self, now: Array) -> Array:
-        """[SIGNAL_COUNT, n + m], in any order: the ring's and the m of `now`; none while the ring is empty."""
+        """[SIGNAL_COUNT, n + m]: the n of the ring and the m of `now`, unordered; no column while the ring is empty."""
         if self._filled == 0:
             return np.zeros((self._ring.shape[1], 0))
         return np.hstack([self._ring[: self._filled].T, now])
@@ -61,24 +61,24 @@ class RecentStates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SwapPlan:
-    """What a swap would do, worked out before anything changes."""
+    """The result of planning a swap."""
 
     W: Array
-    """[k, 3], the last layer that goes with the new features."""
+    """[k, 3], the last layer for the new features."""
     jump: float
     """eps_2: largest norm of the change of nu_ad over the recent states, units of u."""
     refusal: str
-    """Empty when the swap may be committed, else a name from protocol.messages.REFUSALS."""
+    """Empty if the swap may be carried out, else a name of protocol.messages.REFUSALS."""
 
 
 def plan_swap(
     config: SwapConfig, old: Features, W: Array, new: Features, memory: Array, weight_norm_max: float, recent: Array
 ) -> SwapPlan:
-    """Works out the swap from `old` with W [k, 3] to `new` with theta_n `memory` [k_new, 3].
+    """Plan the swap from `old` with W [k, 3] to `new` with theta_n `memory` [k_new, 3].
 
     Parameters
     ----------
-    recent: [SIGNAL_COUNT, n], recent states; with n = 0 there is nothing to be continuous with and W_new = theta_n.
+    recent: [SIGNAL_COUNT, n], recent states; with n = 0, W_new = theta_n.
     weight_norm_max: W_max; a theta_n outside the ball is refused.
     """
     if new.lipschitz > config.lipschitz_max:
@@ -105,11 +105,11 @@ def plan_swap(
 
 
 def resemblance(Phi: Array, Phi_bar: Array) -> float:
-    """How much of the old features is in the new: 1 - norm(Phi_bar - Phi) / norm(Phi), at least 0.
+    """Resemblance of new to old features: 1 - norm(Phi_bar - Phi) / norm(Phi), at least 0.
 
     Parameters
     ----------
-    Phi, Phi_bar: [k, n] features of the same states. The last row, the bias, is the same in all and does not count.
+    Phi, Phi_bar: [k, n] features of the same states. The last row, the bias, does not count.
     """
     size = float(np.linalg.norm(Phi[:-1]))
     change = float(np.linalg.norm(Phi_bar[:-1] - Phi[:-1]))
@@ -121,7 +121,7 @@ def bumpless_last_layer(Phi_bar: Array, nu: Array, W_bar: Array, mu: float) -> A
 
     Parameters
     ----------
-    Phi_bar: [k, n] new features of the recent states. nu: [3, n] what nu_ad was there. W_bar: [k, 3].
+    Phi_bar: [k, n] new features of the recent states. nu: [3, n] nu_ad at these states before the swap. W_bar: [k, 3].
     """
     k = Phi_bar.shape[0]
     gram: Array = Phi_bar @ Phi_bar.T

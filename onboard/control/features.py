@@ -1,8 +1,8 @@
-"""Features Phi(x, c): what the last layer weighs. Learnt network, radial basis functions, or the bias alone.
+"""Features Phi(x, c), the inputs of the last layer: a learnt network, radial basis functions, or the bias alone.
 
-All kinds share one interface: `select` picks and scales the inputs from the signal vector, `evaluate` maps columns
-of scaled inputs to columns of features. The last feature is always the constant 1. Evaluating the present state and
-the look-ahead state together costs little more than one of them, so columns are the rule.
+All kinds have one interface. `select` takes the inputs from the signal vector and scales them; `evaluate` maps columns
+of scaled inputs to columns of features. The last feature is always the constant 1. The present state and the look-ahead
+state are evaluated together, as two columns, which costs little more than one.
 """
 
 from typing import Protocol
@@ -15,7 +15,7 @@ from protocol.signals import input_indices
 
 RBF_COUNT = 20
 INPUT_LIMIT = 3.0
-"""Scaled inputs are clipped here: beyond it nothing was learnt, and the features are not to extrapolate."""
+"""Scaled inputs are clipped to +- this value, so that the features do not extrapolate."""
 
 
 class Features(Protocol):
@@ -33,7 +33,7 @@ class Features(Protocol):
 
 
 class _Selection:
-    """Which signals a network sees, and their scaling to about unit size."""
+    """Selects the inputs from the signal vector and scales them to about unit size."""
 
     def __init__(self, inputs: tuple[str, ...], offset: Array, scale: Array) -> None:
         self._indices = np.array(input_indices(inputs), dtype=np.intp)
@@ -42,7 +42,7 @@ class _Selection:
         self._full = self._repeated(2)
 
     def select(self, signals: Array) -> Array:
-        """Z = (x - offset) / scale, clipped to +-INPUT_LIMIT."""
+        """z = (x - offset) / scale, clipped to +-INPUT_LIMIT."""
         z: Array = signals.take(self._indices, axis=0)
         columns = z if z.ndim == 2 else z[:, None]
         if columns.shape != self._full[0].shape:
@@ -55,7 +55,7 @@ class _Selection:
         return z
 
     def _repeated(self, columns: int) -> tuple[Array, Array, Array, Array]:
-        """Offset, 1 / scale and the limits as [m, columns]: operands of one shape are the quickest."""
+        """Offset, 1 / scale and the limits as [m, columns]: numpy is fastest with operands of one shape."""
         shape = (len(self._indices), columns)
         offset, inverse = (np.repeat(vector[:, None], columns, axis=1) for vector in (self._offset, self._inverse))
         return offset, inverse, np.full(shape, INPUT_LIMIT), np.full(shape, -INPUT_LIMIT)
@@ -66,7 +66,7 @@ class NetworkFeatures(_Selection):
 
     def __init__(self, channel: ChannelFeatures) -> None:
         super().__init__(channel.inputs, channel.offset, channel.scale)
-        # [W, b] with a row of ones below the layer's input: one product less a layer, into arrays that are kept.
+        # [W, b], with a row of ones below the input of the layer: one product per layer, into preallocated arrays.
         self._layers = [
             np.ascontiguousarray(np.hstack([W, b[:, None]]))
             for W, b in zip(channel.weights, channel.biases, strict=True)
@@ -76,7 +76,7 @@ class NetworkFeatures(_Selection):
         self.lipschitz = channel.lipschitz_bound()
 
     def _prepare(self, columns: int) -> None:
-        """The arrays of a pass over so many columns: below each layer its inputs and a row of ones; on top Phi."""
+        """Allocate the arrays for this number of columns: the inputs of each layer with a row of ones, and Phi."""
         heights = [layer.shape[1] for layer in self._layers] + [self._layers[-1].shape[0] + 1]
         levels = [np.ones((height, columns)) for height in heights]
         self._inputs, self._Phi = levels[0][:-1], levels[-1]
@@ -127,18 +127,18 @@ class RadialFeatures(_Selection):
         return self._Phi.copy()
 
     def _prepare(self, columns: int) -> None:
-        """The arrays of a pass over so many columns: [z; z^2; 1] and Phi."""
+        """Allocate the arrays for this number of columns: [z; z^2; 1] and Phi."""
         self._work, self._Phi = (np.ones((rows, columns)) for rows in self._rows)
 
 
 class BiasFeatures:
-    """The constant 1 alone: adaptive bias, that is, an integrator with the same law and bandwidth."""
+    """The constant 1 alone. W is then an adaptive bias: an integrator with the same law and bandwidth."""
 
     feature_count = 1
     lipschitz = 0.0
 
     def select(self, signals: Array) -> Array:
-        """No inputs."""
+        """Returns no inputs: [0] or [0, n]."""
         return np.zeros((0, *signals.shape[1:]))
 
     def evaluate(self, z: Array) -> Array:
@@ -169,7 +169,7 @@ def halton(count: int, dimensions: int) -> Array:
 def random_channel(
     inputs: tuple[str, ...], offset: Array, scale: Array, widths: tuple[int, ...], rng: np.random.Generator
 ) -> ChannelFeatures:
-    """The features a flight starts with before anything was learnt: Xavier-normal inner layers, last layer zero.
+    """Random features for the start of a flight: Xavier-normal inner layers, last layer zero.
 
     widths: outputs of each inner layer, the constant feature not counted.
     """

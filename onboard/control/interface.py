@@ -1,4 +1,4 @@
-"""The interface every controller fulfils, and how a configuration entry finds its class.
+"""The interface of a controller, and how a configuration entry names its class.
 
 A controller of your own is a class with a nested pydantic `Settings` record and the methods of `Controller`. Name it in
 a controller file, `configs/controllers/<name>.yaml` or any path, and it flies like the built-in ones:
@@ -19,7 +19,7 @@ from protocol.feature_set import FeatureSet
 
 
 class Controller(Protocol):
-    """From the vehicle's state and target to collective thrust and body torque, once a tick.
+    """Computes collective thrust and body torque from state and target, once per tick.
 
     The class is called as `Class(settings, airframe, seed)`; it must not touch clocks, files or global random state.
     """
@@ -30,29 +30,29 @@ class Controller(Protocol):
         """The command for this tick. The output may be the same object every time."""
 
     def reset(self, inputs: ControlInputs) -> None:
-        """Starts over from the vehicle's present state: called while the vehicle stands on the ground."""
+        """Start over from the present state. Called in every tick on the ground."""
 
 
 @runtime_checkable
 class LearningController(Protocol):
-    """What a controller adds to take features that were trained off board."""
+    """A controller that also accepts features trained off board."""
 
     @property
     def accepts_features(self) -> bool:
-        """Whether it can use them as it is set; if not, offboard only relays the pose."""
+        """Whether it can use them with its settings; if not, offboard only relays poses."""
 
     def offer_features(self, features: FeatureSet) -> str:
-        """Swaps to the new features, all channels or none; returns "" or why not (protocol.messages.REFUSALS)."""
+        """Swap to the new features, all channels or none; returns "" or the refusal (protocol.messages.REFUSALS)."""
 
 
 class ControllerConfig(ConfigRecord):
-    """A controller by the place of its class, with that class's own settings."""
+    """A controller: the import path of its class, and the settings of that class."""
 
     class_path: str = Field(alias="class", pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class")
     settings: dict[str, Any]
 
     def build(self, airframe: AirframeConfig, seed: int, source: str = "controller") -> Controller:
-        """The controller itself.
+        """Build the controller.
 
         Raises
         ------

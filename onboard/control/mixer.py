@@ -10,7 +10,7 @@ Thrusts = tuple[float, float, float, float]
 
 
 class Mixer:
-    """Shares collective thrust and torque out to four motors, giving up yaw first, then thrust, then roll and pitch."""
+    """Distributes thrust and torque to four motors. At their limits yaw is reduced first, then thrust, then roll, pitch."""
 
     def __init__(self, config: AirframeConfig) -> None:
         self._config = config
@@ -21,7 +21,7 @@ class Mixer:
         self._z = 0.25 / config.yaw_torque_per_thrust_m
 
     def thrusts(self, thrust_n: float, torque_nm: tuple[float, float, float]) -> Thrusts:
-        """Motor thrusts [N] that come nearest to the demand within [min, max].
+        """Motor thrusts [N] closest to the demand within [min, max].
 
         Roll torque is -sum(y_i T_i), pitch torque sum(x_i T_i), yaw torque k (T_1 + T_2 - T_3 - T_4).
         """
@@ -32,13 +32,13 @@ class Mixer:
         if spread > high - low:
             roll *= (high - low) / spread
             pitch *= (high - low) / spread
-        # Roll and pitch part motors 1, 2 by +-first and motors 3, 4 by +-second; yaw raises one pair, lowers the other.
+        # Roll and pitch separate motors 1, 2 by +-first and 3, 4 by +-second; yaw raises one pair, lowers the other.
         first, second = pitch - roll, pitch + roll
         raised, lowered = abs(first), abs(second)
         if yaw < 0.0:
             raised, lowered = lowered, raised
         turn, middle = abs(yaw), 0.5 * (raised + lowered)
-        # The mean thrust for which some part of the yaw, from none to all, keeps every motor within its limits.
+        # The range of mean thrust where some part of the yaw, from none to all, keeps every motor within its limits.
         lowest = max(low + lowered, low + raised - turn, low + middle)
         highest = min(high - raised, high - lowered + turn, high - middle)
         base = min(max(0.25 * thrust_n, lowest), highest)
@@ -48,7 +48,7 @@ class Mixer:
         return base + first + turn, base - first + turn, base + second - turn, base - second - turn
 
     def falls_short(self, thrusts: Thrusts, thrust_n: float, torque_nm: tuple[float, float, float]) -> bool:
-        """Whether `thrusts` give up part of the demand: thrust, roll or pitch (yaw alone does not count)."""
+        """Whether `thrusts` deliver less than the demand in thrust, roll or pitch (yaw does not count)."""
         thrust, roll, pitch, _ = wrench(self._config, thrusts)
         return abs(thrust - thrust_n) > 1e-3 or abs(roll - torque_nm[0]) > 1e-5 or abs(pitch - torque_nm[1]) > 1e-5
 

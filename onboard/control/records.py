@@ -1,4 +1,4 @@
-"""What goes into a controller and what comes out of it."""
+"""Inputs and outputs of a controller."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -12,16 +12,16 @@ from protocol.geometry import Vector3
 
 
 class Target(NamedTuple):
-    """What the vehicle is to follow, world NED. Every controller sees the same."""
+    """The target of one tick, world NED. All controllers get the same."""
 
     now: PathPoint
     """Target at the present."""
     feed_forward: Vector3
-    """m/s^2: acceleration of the path t_ff ahead, which makes up for the lag of the loops below."""
+    """m/s^2: acceleration of the path t_ff ahead, to compensate the lag of the inner loops."""
     ahead: PathPoint
-    """Target t_ahead from now, for features of the position channel evaluated where the vehicle will be."""
+    """Target t_ahead from now, for the look-ahead of the position channel."""
     attitude_ahead: PathPoint
-    """The same for the attitude channel, whose commands act sooner."""
+    """The same for the attitude channel, with a shorter t_ahead."""
     yaw_rad: float
 
 
@@ -39,10 +39,10 @@ class ChannelMeasurement:
 
 @dataclass(slots=True)
 class ControlInputs:
-    """Everything a controller may use in one step. Arrays belong to the caller and change with the next step."""
+    """Inputs of a controller in one tick. The arrays belong to the caller and change with the next tick."""
 
     dt: float
-    """s since the last step."""
+    """s since the last tick."""
     state: VehicleState
     target: Target
     signals: Array
@@ -50,15 +50,15 @@ class ControlInputs:
     position: ChannelMeasurement
     attitude: ChannelMeasurement
     saturated: bool
-    """Whether the last command could not be met by the motors."""
+    """Whether the motors could not deliver the last command."""
     adapt: bool
-    """False on the ground and whenever an input is too old to learn from: hold every adaptive state still."""
+    """False on the ground and while an input is too old to learn from: change no adaptive state."""
     level_only: bool = False
-    """True when there is no velocity to fly by: hold level, sink slowly, leave position alone."""
+    """True without a velocity estimate: hold level, sink slowly, do not control position."""
 
 
 class ChannelTelemetry:
-    """What one channel did; all zeros for a controller without that notion. The arrays are views of `vectors`."""
+    """What one channel did in a tick, for the log; zeros where a controller has no such quantity."""
 
     __slots__ = (
         *("adaptive", "adaptive_now", "demand", "eps_1", "eps_2", "eps_3", "error", "live_bound"),
@@ -67,7 +67,7 @@ class ChannelTelemetry:
 
     def __init__(self) -> None:
         self.vectors: Array = np.zeros(18)
-        """All that follow, one after the other, as onboard.record.tick has them."""
+        """The arrays below, which are views of this one, in this order."""
         self.error: Array = self.vectors[0:6]
         """e = x_rm - x; m, m/s or rad, rad/s."""
         self.demand: Array = self.vectors[6:9]

@@ -1,4 +1,4 @@
-"""Hedged reference models: how the vehicle would move if its disturbances were cancelled exactly.
+"""Hedged reference models: the motion of the vehicle if its disturbances were cancelled exactly.
 
     x_rm_dot = A_rm x_rm + B K_r r - B (u - u_hat)
 

@@ -1,10 +1,10 @@
-"""From 200 Hz ticks to the sample batches that go off board, within a byte budget.
+"""Makes sample batches for offboard from 200 Hz ticks, within a byte budget.
 
-A sample is due each period of `rate_hz` on a grid that starts with the first tick. Of u_hat ("delivered") it
-carries the mean over the ticks of its period; signals and nu_ad are those of its tick. Samples are numbered by
-their place on the grid, so whatever is missing, a missed tick or samples dropped for want of budget, shows as a
-jump of the index. When the budget does not suffice the newest samples are kept; when it leaves some over and the
-link is known to lose much, each batch goes a second time, a while later, for the first may have been lost.
+Samples are taken at `rate_hz`, on a grid that starts with the first tick. A sample holds the mean of u_hat
+("delivered") over the ticks of its period, and the signals and nu_ad of its own tick. Its index is its place on the
+grid, so a missed tick or a dropped sample shows as a jump of the index. If the budget does not suffice, the newest
+samples are kept. If budget remains and the link loses many datagrams, each batch is sent a second time, a short time
+later.
 """
 
 from collections import deque
@@ -53,7 +53,7 @@ class _Repeat(NamedTuple):
 
 
 def _cost_bytes(samples: int) -> int:
-    """What a batch of so many samples counts against the budget."""
+    """Bytes that a batch of `samples` takes from the budget."""
     return BATCH_OVERHEAD_BYTES + samples * SAMPLE_BYTES
 
 
@@ -68,7 +68,7 @@ class _Sample:
 
 
 class SampleQueue:
-    """Takes every tick, gives out batches."""
+    """Collects ticks and returns batches."""
 
     def __init__(self, config: SamplerConfig) -> None:
         self._config = config
@@ -86,7 +86,7 @@ class SampleQueue:
         self.taken = 0
         """Samples taken since start."""
         self.dropped = 0
-        """Samples dropped for want of budget."""
+        """Samples dropped because the budget did not suffice."""
         self.repeated = 0
         """Samples sent a second time."""
 
@@ -126,8 +126,8 @@ class SampleQueue:
 
         Parameters
         ----------
-        feature_version: what the samples taken since the last poll count as flown with.
-        loss: share of the datagrams that the link is known to lose.
+        feature_version: version in use for the samples taken since the last poll.
+        loss: share of datagrams that the link loses.
         """
         if not self._waiting and not self._repeats:
             return []
@@ -149,7 +149,7 @@ class SampleQueue:
         return batches + self._due_repeats(now_ns)
 
     def _due_repeats(self, now_ns: int) -> list[SampleBatch]:
-        """What goes a second time now, as far as the budget then still has room for a batch of new samples."""
+        """Batches to repeat now, as long as the budget has room for a batch of new samples as well."""
         batches: list[SampleBatch] = []
         new_bytes = _cost_bytes(self._config.batch_samples)
         while self._repeats and self._repeats[0].due_ns <= now_ns:
@@ -163,7 +163,7 @@ class SampleQueue:
         return batches
 
     def charge(self, datagram_bytes: int, now_ns: int) -> None:
-        """Counts a datagram that is no batch (status, time sync) against the budget; those go in any case."""
+        """Take a datagram that is not a batch (status, time sync) from the budget. It is sent in any case."""
         self._refill(now_ns)
         self._allowance_bytes -= datagram_bytes + NETWORK_BYTES
 
@@ -174,7 +174,7 @@ class SampleQueue:
         self._allowance_bytes = min(_BURST_BYTES, self._allowance_bytes + earned)
 
     def _ready_run(self, now_ns: int) -> int:
-        """Length of the batch at the head: full, cut short by a gap or a new version, or overdue; 0 when to wait."""
+        """Length of the next batch: full, ended by a gap or a new version, or overdue; 0 to wait."""
         if not self._waiting:
             return 0
         head, most = self._waiting[0], self._config.batch_samples

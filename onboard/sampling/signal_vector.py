@@ -1,4 +1,4 @@
-"""Fills the vehicle's signal vector (protocol.signals) from the estimate and the actuator model."""
+"""Fills the signal vector (protocol.signals) from state estimate and actuator model."""
 
 from math import exp
 from typing import Final
@@ -18,12 +18,12 @@ _THRUST = SIGNAL_INDEX["motor_thrust_1"]
 _BATTERY = SIGNAL_INDEX["battery_voltage"]
 _VIBRATION = SIGNAL_INDEX["vibration"]
 THRUST_FILTER_S: Final = 0.15
-"""Time constant of the motor thrusts as signals. They are there to tell which motor is weak; what nu_ad itself moves
-within its loop's time must not come back through the features (docs/control.md)."""
+"""Filter of the motor thrusts as signals. They tell the network which motor is weak. The filter keeps fast changes
+out, so that nu_ad does not feed back into the features (docs/control.md)."""
 
 
 class SignalVector:
-    """One preallocated vector, rewritten each tick."""
+    """One preallocated vector, rewritten in each tick."""
 
     def __init__(self, period_s: float) -> None:
         self.values: Array = np.zeros(SIGNAL_COUNT)
@@ -31,7 +31,7 @@ class SignalVector:
         self._share = 1.0 - exp(-period_s / THRUST_FILTER_S)
 
     def step(self, state: VehicleState, motor_thrusts: Array, battery_v: float) -> Array:
-        """The signals now. motor_thrusts: [4], N, by the actuator model."""
+        """The signals at the present. motor_thrusts: [4], N, by the actuator model."""
         v = self.values
         v[_POSITION : _POSITION + 3] = state.position
         v[_VELOCITY : _VELOCITY + 3] = state.velocity

@@ -1,4 +1,4 @@
-"""MRAC and DMRAC: nu_ad = W' Phi(x, c) with the last-layer law. DMRAC is MRAC whose features are learnt in flight."""
+"""MRAC and DMRAC: nu_ad = W' Phi(x, c), with the last-layer law. In DMRAC the features are learnt in flight."""
 
 from math import exp, sqrt
 from typing import Annotated, Literal
@@ -19,7 +19,7 @@ from protocol.geometry import Vector3, vector
 from protocol.signals import SIGNAL_COUNT, input_indices
 
 EPS_1_MEMORY_S = 2.0
-"""Time over which eps_1, the misfit of W'Phi against Delta_hat, is averaged."""
+"""Averaging time of eps_1, the misfit between W'Phi and Delta_hat."""
 
 
 class InputScaling(ConfigRecord):
@@ -44,7 +44,7 @@ class AdaptiveConfig(ConfigRecord):
     kind: Literal["adaptive"]
     features: Literal["network", "rbf", "bias"]
     inputs: tuple[InputScaling, ...]
-    """What the start features and the radial basis functions see. Ignored for bias."""
+    """Inputs of the start features and of the radial basis functions. Not used by bias."""
     hidden: tuple[Annotated[int, Field(ge=1, le=128)], ...] = (32, 32, 19)
     """Widths of the start features' inner layers; the last one plus the bias is the number of features."""
     rbf_width: Annotated[float, Field(gt=0, description="width of the Gaussians, scaled units per sqrt(input)")] = 0.6
@@ -108,7 +108,7 @@ class AdaptiveAugmentation:
         self._Delta_hat = vector(D + share * (r - D) for D, r in zip(self._Delta_hat, residual, strict=True))
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
-        """eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x)): parts of the live bound."""
+        """eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x)); for the live bound."""
         now, ahead = nu.T.tolist()
         misfit2 = sum((nu_i - D) ** 2 for nu_i, D in zip(now, self._Delta_hat, strict=True))
         self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
@@ -130,7 +130,7 @@ class AdaptiveAugmentation:
         return self._config.features == "network"
 
     def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
-        """What taking over these features would do; nothing changes yet."""
+        """Plan a swap to these features; nothing changes yet."""
         new = NetworkFeatures(channel)
         plan = plan_swap(
             self._config.swap,
@@ -144,7 +144,7 @@ class AdaptiveAugmentation:
         return new, plan
 
     def commit(self, features: Features, plan: SwapPlan, memory: Array) -> None:
-        """Carries out a plan that was not refused. memory: theta_n [k, 3]."""
+        """Carry out a plan that was not refused. memory: theta_n [k, 3]."""
         self.features = features
         self.last_layer.replace(plan.W, memory)
         self._eps_2 = plan.jump

@@ -13,7 +13,7 @@ from protocol.conventions import Array
 
 
 class IndiConfig(ConfigRecord):
-    """Incremental nonlinear dynamic inversion: the measured acceleration replaces the model (Smeur et al. 2016)."""
+    """Settings of INDI."""
 
     kind: Literal["indi"]
     filter_s: Annotated[float, Field(ge=0.005, le=2, description="time constant on x_dot and u_hat alike")]
@@ -21,14 +21,14 @@ class IndiConfig(ConfigRecord):
 
 
 class Indi:
-    """u = u_0 + (demand - x_dot_0) with u_0 and x_dot_0 filtered alike, which is nu_ad = filtered(x_dot - u_hat)."""
+    """u = u_0 + (demand - x_dot_0), both with the same filter: nu_ad = filtered(x_dot - u_hat)."""
 
     def __init__(self, config: IndiConfig) -> None:
         self._config = config
         self._nu: Array = np.zeros(3)
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """One step of the synchronised filter."""
+        """One step of the filter; returns nu_ad."""
         if channel.adapt:
             share = 1.0 - exp(-channel.dt / self._config.filter_s)
             limit = self._config.limit
@@ -37,5 +37,5 @@ class Indi:
         return self._nu
 
     def reset(self) -> None:
-        """Filter to zero."""
+        """Set the filter to zero."""
         self._nu = np.zeros(3)

@@ -18,7 +18,7 @@ Gain3 = tuple[
 
 
 class IntegralConfig(ConfigRecord):
-    """The integral of a PID controller."""
+    """Settings of the integral."""
 
     kind: Literal["integral"]
     gain: Gain3
@@ -35,18 +35,18 @@ class Integral:
         self._nu: Array = np.zeros(3)
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """One step of the integral."""
+        """One step of the integral; returns nu_ad."""
         nu, limit = self._nu, self._limit
         if channel.adapt:
             errors = channel.tracking_error.tolist()
             for axis, now in enumerate(nu.tolist()):
                 change = -channel.dt * self._gain[axis] * errors[axis]
-                if channel.saturated and not change * now < 0.0:  # conditional integration: only unwinding is allowed
+                if channel.saturated and not change * now < 0.0:  # anti-windup: only unwinding is allowed
                     continue
                 nu[axis] = min(max(now + change, -limit), limit)
         telemetry.adaptive_now[:] = nu
         return nu
 
     def reset(self) -> None:
-        """Integral to zero."""
+        """Set the integral to zero."""
         self._nu[:] = 0.0

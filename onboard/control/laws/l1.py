@@ -13,7 +13,7 @@ from protocol.conventions import Array
 
 
 class L1Config(ConfigRecord):
-    """L1 adaptive augmentation with the piecewise-constant law (Xargay, Hovakimyan, Cao 2010)."""
+    """Settings of the L1 law."""
 
     kind: Literal["l1"]
     predictor_pole_rad_s: Annotated[float, Field(gt=0, le=200, description="-A_s of the state predictor")]
@@ -22,7 +22,7 @@ class L1Config(ConfigRecord):
 
 
 class L1:
-    """State predictor on the channel's rate with sigma_hat recomputed each step so that the prediction error dies out.
+    """State predictor on the rate of the channel; sigma_hat makes its prediction error decay.
 
     v_hat_dot = u_hat + sigma_hat - a (v_hat - v); sigma_hat = -[a / (e^{a T} - 1)] (v_hat - v); nu_ad = C(s) sigma_hat.
     (With A_s = -a: Phi = A_s^-1 (e^{A_s T} - I), sigma_hat = -Phi^-1 e^{A_s T} v_tilde.)
@@ -36,7 +36,7 @@ class L1:
         self._nu: Array = np.zeros(3)
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """One step of predictor, adaptation and filter."""
+        """One step of predictor, piecewise-constant law and filter; returns nu_ad."""
         if channel.adapt:
             self._predict(channel)
         else:
@@ -50,17 +50,17 @@ class L1:
         if not self._started:
             error, self._sigma, self._started = np.zeros(3), self._nu.copy(), True
         else:
-            # u_hat over the step that has just ended is known only now.
+            # u_hat of the last step is known only now.
             error = self._prediction + T * channel.u_hat - channel.rate
             self._sigma = -(a * decay / (1.0 - decay)) * error
-        # Exact over the coming step for constant u_hat and sigma_hat: v_tilde decays, the rest integrates.
+        # Exact for u_hat and sigma_hat constant over the next step: v_tilde decays, the rest integrates.
         self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma
         share = 1.0 - exp(-self._config.bandwidth_rad_s * T)
         limit = self._config.limit
         self._nu = (self._nu + share * (self._sigma - self._nu)).clip(-limit, limit)
 
     def reset(self) -> None:
-        """Predictor and filter start over."""
+        """Reset predictor and filter."""
         self._started = False
         self._sigma = np.zeros(3)
         self._nu = np.zeros(3)

@@ -1,7 +1,7 @@
-"""What the controllers differ in: how each estimates the disturbance Delta of a channel, as nu_ad.
+"""The interface of an adaptation law: it estimates the disturbance Delta of one channel as nu_ad.
 
-The cascade (gains, feed-forward, limits, mixer, hedging) is the same for all; an augmentation only answers with nu_ad,
-which is subtracted from the demand u.
+The cascade (gains, feed-forward, limits, mixer, hedging) is the same for all controllers. They differ in the law only.
+The cascade subtracts nu_ad from the demand u.
 """
 
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ from protocol.conventions import Array
 
 @dataclass(slots=True)
 class ChannelState:
-    """One channel in one step, as an augmentation sees it. Arrays are rewritten every step."""
+    """Inputs of a law in one tick. The arrays are rewritten in the next tick."""
 
     dt: float = 0.0
     """s."""
     adapt: bool = False
-    """False: hold still."""
+    """False: change no adaptive state."""
     saturated: bool = False
     """Whether the motors could not meet the last command."""
     tracking_error: Array = field(default_factory=lambda: np.zeros(6))
@@ -34,14 +34,14 @@ class ChannelState:
     residual: Array = field(default_factory=lambda: np.zeros(3))
     """x_dot - A x - B u_hat, unfiltered."""
     signals: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """[SIGNAL_COUNT, 2]: columns at the present and where the vehicle will be t_ahead from now."""
+    """[SIGNAL_COUNT, 2]: signals at the present, and predicted for t_ahead later."""
 
 
 class Augmentation(Protocol):
     """Estimates Delta of one channel."""
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """nu_ad [3] for this step, units of u; writes what it knows into the telemetry."""
+        """Returns nu_ad [3], units of u, and fills the telemetry."""
 
     def reset(self) -> None:
-        """Forgets integrals and filters (not what was learnt)."""
+        """Reset integrals and filters. What was learnt stays."""

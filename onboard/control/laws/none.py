@@ -11,7 +11,7 @@ from protocol.conventions import Array
 
 
 class NoneConfig(ConfigRecord):
-    """No augmentation: proportional-derivative with feed-forward."""
+    """No law: proportional-derivative control with feed-forward."""
 
     kind: Literal["none"]
 
@@ -23,8 +23,8 @@ class NoAugmentation:
         self._zero: Array = np.zeros(3)
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """Zero."""
+        """Returns zero."""
         return self._zero
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""

@@ -313,7 +313,7 @@ def test_eps_1_settles_at_the_misfit():
     telemetry = ChannelTelemetry()
     augmentation.last_layer.W[:] = 0.0
     state.adapt = False
-    augmentation._residual = (3.0, 0.0, -4.0)
+    augmentation._Delta_hat = (3.0, 0.0, -4.0)
     for _ in range(4000):
         augmentation.step(state, telemetry)
     assert telemetry.eps_1 == pytest.approx(5.0, rel=1e-3)
