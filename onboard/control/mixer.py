@@ -10,7 +10,10 @@ Thrusts = tuple[float, float, float, float]
 
 
 class Mixer:
-    """Distributes thrust and torque to four motors. At their limits yaw is reduced first, then thrust, then roll, pitch."""
+    """Distributes thrust and torque to four motors.
+
+    At the motors' limits it reduces yaw first, then thrust, then roll and pitch.
+    """
 
     def __init__(self, config: AirframeConfig) -> None:
         self._config = config
