@@ -1,1 +1,1 @@
-"""The flight record: write, read, view and report what happened in a flight."""
+"""The flight log: writes, reads, shows, exports and reports flights."""

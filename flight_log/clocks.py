@@ -1,8 +1,8 @@
-"""One time base for the logs of one flight, whose processes may have stood on different machines.
+"""Maps the times in all logs of a flight to one clock; the processes may have run on different machines.
 
-Logs that name the same clock need nothing. Otherwise the offset of offboard's clock that onboard measured in flight
-(time sync, `CLOCK_OFFSET`) maps the one to the other; without such records the wall clocks at start must do, and the
-reader says so.
+Logs that name the same clock need no mapping. Otherwise the times are mapped with the offset of offboard's clock that
+onboard measured in flight (time sync, `CLOCK_OFFSET`). Without such records the wall clocks at start are used, and the
+reader reports it.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,21 +17,21 @@ from flight_log.schema import CLOCK_OFFSET
 
 Times = NDArray[np.int64]
 ClockMap = Callable[[Times], Times]
-"""From a log's own times to the common ones, ns."""
+"""Maps the times in a log to the common time base, ns."""
 
-MEASURER: Final = "onboard"
-MEASURED: Final = "offboard"
+BASE_PROCESS: Final = "onboard"
+MEASURED_PROCESS: Final = "offboard"
 SLACK_NS: Final = 5_000_000_000
-"""A measurement belongs to a log of offboard when it falls within the log's own times, give or take this."""
+"""A measurement belongs to a log of offboard if it falls within the times of the log, with this tolerance."""
 
 
 def base_of(logs: Sequence[LogFile]) -> LogFile:
-    """The log whose clock is the common time base: onboard's where there is one."""
-    return next((log for log in logs if log.process == MEASURER), logs[0])
+    """The log whose clock is the common time base: that of onboard if there is one."""
+    return next((log for log in logs if log.process == BASE_PROCESS), logs[0])
 
 
 def clock_map(log: LogFile, logs: Sequence[LogFile]) -> tuple[ClockMap, str]:
-    """How `log`'s times become common ones, and a warning ("" when the clocks are one or their offset was measured)."""
+    """The map of `log`'s times to the common time base, and a warning; "" if the offset of the clocks is known."""
     base = base_of(logs)
     if log.metadata.get("clock") == base.metadata.get("clock"):
         return _same, ""
@@ -44,7 +44,7 @@ def clock_map(log: LogFile, logs: Sequence[LogFile]) -> tuple[ClockMap, str]:
     except (KeyError, ValueError):
         return (
             _same,
-            f"{log.process}: its clock is not {base.process}'s and no offset is known; times stand as they are",
+            f"{log.process}: its clock is not that of {base.process} and no offset is known; times are not aligned",
         )
     return (lambda own: own + shift), f"{log.process}: aligned with {base.process} by the wall clocks only"
 
@@ -54,13 +54,13 @@ def _same(own: Times) -> Times:
 
 
 def _offsets(log: LogFile, bases: Sequence[LogFile]) -> tuple[Times, Times] | None:
-    """Base times, ns, and offsets, ns, measured while `log` was written; None where there are none.
+    """Base times and offsets, ns, that were measured while `log` was written; None if there are none.
 
-    Only those: an offboard process that came back on another machine has another clock.
+    Measurements of other times do not count: an offboard process restarted on another machine has another clock.
     """
     span = _span(log)
     topics = [base.vectors[CLOCK_OFFSET.topic] for base in bases if CLOCK_OFFSET.topic in base.vectors]
-    if log.process != MEASURED or span is None or not topics:
+    if log.process != MEASURED_PROCESS or span is None or not topics:
         return None
     times = np.concatenate([topic.times_ns for topic in topics])
     offset = np.rint(np.concatenate([topic.values[:, 0] for topic in topics])).astype(np.int64)
@@ -69,7 +69,7 @@ def _offsets(log: LogFile, bases: Sequence[LogFile]) -> tuple[Times, Times] | No
 
 
 def _span(log: LogFile) -> tuple[int, int] | None:
-    """First and last time in a log, in its own clock; None when it is empty."""
+    """First and last time in a log, in its own clock; None if it is empty."""
     topics: list[VectorTopic] = [topic for topic in log.vectors.values() if len(topic.times_ns)]
     times = [int(time_ns) for topic in topics for time_ns in (topic.times_ns.min(), topic.times_ns.max())]
     times += [time_ns for texts in log.texts.values() for time_ns, _ in texts]
@@ -77,7 +77,7 @@ def _span(log: LogFile) -> tuple[int, int] | None:
 
 
 def _interpolate(at: Times, times: Times, offset: Times) -> Times:
-    """Offset at the given times, linear between measurements and constant outside, ns."""
+    """Offset, ns, at the given times: linear between measurements, constant outside."""
     start = times[0]
     base = offset[0]
     moved = np.interp((at - start).astype(float), (times - start).astype(float), (offset - base).astype(float))

@@ -1,4 +1,4 @@
-"""Several flights laid over each other: a table of their cards and a figure, on one self-contained HTML page."""
+"""Compares several flights: a table of their summaries and a figure, in one self-contained HTML page."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -21,12 +21,12 @@ LEGEND_ROW_INCH: Final = 0.25
 
 
 def write_comparison(flights: Sequence[Flight], path: Path) -> None:
-    """Writes the page.
+    """Write the comparison as an HTML page.
 
     Raises
     ------
     FlightError
-        If fewer than two flights are given, or none has onboard's ticks.
+        If fewer than two flights are given, or none contains onboard/tick.
     OSError
         If the page cannot be written.
     """
@@ -36,7 +36,7 @@ def write_comparison(flights: Sequence[Flight], path: Path) -> None:
 
 
 def build_comparison(flights: Sequence[Flight]) -> str:
-    """The page's text."""
+    """The comparison as HTML."""
     names = labels(flights)
     return page(
         f"{len(flights)} flights compared",
@@ -44,37 +44,37 @@ def build_comparison(flights: Sequence[Flight]) -> str:
             section("Flights", table([[n, str(f.path)] for n, f in zip(names, flights, strict=True)])),
             section("Figure", image(draw(flights, names), "comparison")),
             section(
-                "Flight cards", name_value_table(summary_table(flights), ("", *names)), _without_card(flights, names)
+                "Summaries", name_value_table(summary_table(flights), ("", *names)), _without_summary(flights, names)
             ),
-            section("Again", code("\n".join(repeat_command(flight) for flight in flights if flight.summary))),
+            section("Repeat", code("\n".join(repeat_command(flight) for flight in flights if flight.summary))),
         ],
     )
 
 
 def labels(flights: Sequence[Flight]) -> list[str]:
-    """A short name for each flight, no two alike."""
+    """A short, unique name for each flight."""
     names = [title_of(flight) for flight in flights]
     return [name if names.count(name) == 1 else f"{name} ({i + 1})" for i, name in enumerate(names)]
 
 
 def summary_table(flights: Sequence[Flight]) -> list[list[str]]:
-    """One row for each entry of the flight cards, one column for each flight."""
-    cards = [{row[0]: row[1] for row in summary_rows(flight.summary)} for flight in flights]
-    keys = dict.fromkeys(key for card in cards for key in card)
-    return [[key, *(card.get(key, "-") for card in cards)] for key in keys]
+    """Rows of the entry's name and its value in each flight's summary, "-" where there is none."""
+    summaries = [{row[0]: row[1] for row in summary_rows(flight.summary)} for flight in flights]
+    keys = dict.fromkeys(key for summary in summaries for key in summary)
+    return [[key, *(summary.get(key, "-") for summary in summaries)] for key in keys]
 
 
 def draw(flights: Sequence[Flight], names: Sequence[str]) -> bytes:
     """The figure as PNG: path from above, distance to the target, adaptive signal, age of features.
 
-    Raises FlightError if no flight has onboard's ticks.
+    Raises FlightError if no flight contains onboard/tick.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     ticks = [flight.get("onboard/tick") for flight in flights]
     if all(tick is None for tick in ticks):
-        raise FlightError("none of the flights has onboard/tick, so there is nothing to draw")
+        raise FlightError("none of the flights contains onboard/tick: nothing to draw")
     figure = Figure(figsize=(13, 8 + LEGEND_ROW_INCH * len(flights)), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(4, 2, width_ratios=(1.7, 1.0))
@@ -122,19 +122,19 @@ def _draw_flight(panels: Sequence[Any], above: Any, flight: Flight, tick: Table,
 
 
 def path_seconds(tick: Table) -> Array:
-    """[n], s since the path began; since the first record where it never did."""
+    """[n], s since the start of the path; since the first record if it never started."""
     started = np.flatnonzero(tick["path_time"] > 0.0)
     return tick.seconds(int(tick.time_ns[started[0] if started.size else 0]))
 
 
 def path_end_s(tick: Table, time_s: Array) -> float:
-    """When the path was left, to land; the last record where it never was or never began."""
+    """Time, s, at which the vehicle left the path to land; of the last record if it did not."""
     advanced = np.flatnonzero(np.diff(tick["path_time"]) > 0.0)
     return float(time_s[advanced[-1] + 1 if advanced.size else -1])
 
 
 def true_position(flight: Flight, tick: Table) -> Array:
-    """[n, 3] m, world NED at the ticks' times: the simulation's truth where there is one, else the estimate."""
+    """[n, 3] m, world NED, at the times of the ticks: the simulator's truth if it was logged, else the estimate."""
     truth = flight.get("sim_vehicle/truth")
     if truth is None:
         return tick.vector("position_n", "position_e", "position_d")
@@ -148,10 +148,10 @@ def smoothed(values: Array, time_s: Array) -> Array:
     window = max(int(SMOOTHING_S / max(period_s, 1e-6)), 1)
     kernel = np.ones(window) / window
     weight = np.convolve(np.ones(len(values)), kernel, mode="same")
-    found: Array = np.sqrt(np.convolve(values**2, kernel, mode="same")[: len(values)] / weight[: len(values)])
-    return found
+    rms: Array = np.sqrt(np.convolve(values**2, kernel, mode="same")[: len(values)] / weight[: len(values)])
+    return rms
 
 
-def _without_card(flights: Sequence[Flight], names: Sequence[str]) -> str:
+def _without_summary(flights: Sequence[Flight], names: Sequence[str]) -> str:
     missing = [name for name, flight in zip(names, flights, strict=True) if not flight.summary]
-    return paragraph(f"without a flight card: {', '.join(missing)}" if missing else "", "bad")
+    return paragraph(f"without a flight summary: {', '.join(missing)}" if missing else "", "bad")

@@ -1,4 +1,4 @@
-"""A flight in the formats of other tools: CSV, NumPy, ULog, and all its logs merged into one MCAP file."""
+"""Exports a flight: as CSV, as a NumPy file, or with all its logs merged into one MCAP file."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -28,10 +28,9 @@ CSV_ROWS_AT_ONCE: Final = 10_000
 
 
 def export_csv(flight: Flight, folder: Path) -> list[Path]:
-    """One CSV file a topic, `onboard_tick.csv`, and `events.csv`; the head names columns and units.
+    """Write one CSV file per topic, such as `onboard_tick.csv`, and `events.csv`; returns their paths.
 
-    Times are in s since the flight's t = 0.
-    Raises OSError.
+    The first line has columns and units. Times are in s since the flight's t = 0. Raises OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -61,9 +60,9 @@ def _write_csv(table: Table, start_ns: int, path: Path) -> None:
 
 
 def export_npz(flight: Flight, path: Path) -> None:
-    """One NumPy file: `onboard/tick.time_ns` and `onboard/tick.position_n` and so on, [n] each; units as `.units`.
+    """Write one NumPy file with `onboard/tick.time_ns`, `onboard/tick.position_n` and so on, [n] each.
 
-    `start_ns` is the time of the flight's t = 0.
+    `onboard/tick.units` has the units, `start_ns` the time of the flight's t = 0.
 
     Raises OSError.
     """
@@ -78,19 +77,19 @@ def export_npz(flight: Flight, path: Path) -> None:
 
 
 def merge(flight: Flight, path: Path) -> None:
-    """One MCAP file with everything on the common time base; the configs are attached as `<process>/<name>`.
+    """Write one MCAP file with all logs on the common time base; configurations are attached as `<process>/<name>`.
 
     Raises
     ------
     FlightError
-        If the file is there already.
+        If the file exists already.
     OSError
         If it cannot be written.
     """
     try:
         file = McapFile(path)
     except FileExistsError:
-        raise FlightError(f"{path}: is there already") from None
+        raise FlightError(f"{path}: exists already") from None
     try:
         file.start()
         file.add_metadata(METADATA_NAME, _merged_metadata(flight.metadata))
@@ -110,7 +109,7 @@ def _merged_metadata(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, str
 
 
 def _time_slices(flight: Flight, file: McapFile) -> Iterator[list[Block]]:
-    """The flight's blocks, chunk by chunk in the order of time."""
+    """The blocks of the flight, chunk by chunk, in order of time."""
     tables = [
         (file.add_channel(t.topic, ros_definition(RecordType(t.topic, tuple(t.units.items())))), t) for t in flight
     ]
@@ -138,7 +137,7 @@ def _time_slices(flight: Flight, file: McapFile) -> Iterator[list[Block]]:
 
 
 def _messages(flight: Flight) -> list[tuple[str, str, list[tuple[int, bytes]]]]:
-    """(topic, definition, (time, CDR text) in the order of time) of events and raw bytes."""
+    """(topic, definition, (time, CDR bytes) in order of time) of events and byte topics."""
     found = []
     for process in flight.processes:
         texts = [(event.time_ns, cdr_string(event.text)) for event in flight.events if event.process == process]

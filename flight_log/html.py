@@ -1,4 +1,4 @@
-"""Parts of a self-contained HTML page: no script, nothing fetched, readable on paper."""
+"""Elements of self-contained HTML pages: no scripts, no external files, printable."""
 
 import base64
 from collections.abc import Iterable, Sequence
@@ -12,13 +12,14 @@ table { border-collapse: collapse; margin: .5rem 0; } th, td { text-align: left;
 td.number { text-align: right; font-variant-numeric: tabular-nums; } tr { border-bottom: 1px solid #8884; }
 pre, code { font: 13px/1.4 ui-monospace, monospace; } pre { overflow-x: auto; padding: .6rem; background: #8882; }
 img { max-width: 100%; background: white; } .good { color: #1a7f37; } .bad { color: #cf222e; font-weight: 600; }
-.card td { text-align: left; overflow-wrap: anywhere; min-width: 5rem; } .card td:first-child { white-space: nowrap; }
-.best { font-weight: 700; } .scroll { overflow-x: auto; } .quiet { opacity: .7; }
+.values td { text-align: left; overflow-wrap: anywhere; min-width: 5rem; }
+.values td:first-child { white-space: nowrap; }
+.scroll { overflow-x: auto; } .quiet { opacity: .7; }
 """
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """A whole page."""
+    """A complete page; empty parts are left out."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -29,13 +30,13 @@ def page(title: str, parts: Iterable[str]) -> str:
 
 
 def section(title: str, *parts: str) -> str:
-    """A headed section; nothing when all parts are empty."""
+    """A section with a heading; "" if all parts are empty."""
     body = "\n".join(part for part in parts if part)
     return f"<h2>{escape(title)}</h2>\n{body}" if body else ""
 
 
 def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """A table of plain texts; cells that read as numbers stand to the right. Nothing when there are no rows."""
+    """A table of plain texts; cells that are numbers are aligned to the right. "" if there are no rows."""
     if not rows:
         return ""
     top = "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>" if head else ""
@@ -43,33 +44,33 @@ def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
 
 
 def name_value_table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """A table of names with their values, which are of all kinds: they stand to the left, and long ones are broken."""
+    """A table of names and values of any kind: all aligned to the left, long values broken. "" if there are no rows."""
     body = table(rows, head)
-    return f'<div class="card">{body}</div>' if body else ""
+    return f'<div class="values">{body}</div>' if body else ""
 
 
 def collapsible_text(title: str, text: str) -> str:
-    """Text that opens on a click."""
+    """Preformatted text that opens on a click."""
     return collapsible(title, code(text)) if text else ""
 
 
 def collapsible(title: str, body: str) -> str:
-    """Something that opens on a click."""
+    """HTML that opens on a click."""
     return f"<details><summary>{escape(title)}</summary>{body}</details>"
 
 
 def code(text: str) -> str:
-    """Something to be typed."""
+    """Preformatted text."""
     return f"<pre>{escape(text)}</pre>"
 
 
 def image(png: bytes, name: str) -> str:
-    """A PNG inside the page."""
+    """A PNG image, embedded in the page."""
     return f'<img alt="{escape(name)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
 
 
 def paragraph(text: str, style: str = "") -> str:
-    """A paragraph; `style` is a class of STYLE."""
+    """A paragraph; `style` is a class in STYLE. "" if there is no text."""
     return f'<p class="{style}">{escape(text)}</p>' if text else ""
 
 

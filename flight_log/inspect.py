@@ -1,4 +1,4 @@
-"""What is in a flight's logs, and what is wrong with them, as lines of text."""
+"""The content of a flight's logs, and their faults, as lines of text."""
 
 import json
 
@@ -8,10 +8,10 @@ EVENTS_SHOWN_MAX = 30
 
 
 def describe(flight: Flight) -> list[str]:
-    """The logs, topics and last events of a flight."""
+    """The logs, topics and first events of a flight, as lines."""
     lines = [f"{flight.path}: {flight.duration_s:.1f} s, {', '.join(flight.processes)}", _zero(flight), "", "logs"]
     for log in flight.logs:
-        state = "whole" if log.whole else "not closed"
+        state = "complete" if log.complete else "not closed"
         size = log.path.stat().st_size / 1e6
         version = log.metadata.get("async-dmrac", "?")
         clock, attached = log.metadata.get("clock", "?"), ", ".join(log.attachments) or "nothing"
@@ -35,25 +35,25 @@ def describe(flight: Flight) -> list[str]:
 
 
 def _zero(flight: Flight) -> str:
-    """What the times count from."""
+    """A line that states what t = 0 is."""
     before_s = (flight.start_ns - flight.first_ns) * 1e-9
     what = "onboard's first tick" if TICK_TOPIC in flight else "the first record (no tick of onboard was logged)"
-    earlier = f"; the first record of all was {before_s:.3f} s earlier" if before_s > 0 else ""
+    earlier = f"; the first record of any process is {before_s:.3f} s earlier" if before_s > 0 else ""
     return f"t = 0 is {what}{earlier}"
 
 
 def columns(flight: Flight) -> list[str]:
-    """Every column with its unit."""
+    """Every column with its unit, as lines."""
     return [f"{table.topic}.{name}  {unit}".rstrip() for table in flight for name, unit in table.units.items()]
 
 
 def check(flight: Flight) -> list[str]:
-    """What is wrong, one line each; empty when nothing is."""
+    """The faults and gaps of a flight's logs, one line each."""
     return [*flight.faults, *(gap.describe(flight.start_ns) for gap in flight.gaps)]
 
 
 def as_json(flight: Flight) -> str:
-    """The same for programs."""
+    """Topics, columns, events, metadata and faults as JSON."""
     return json.dumps(
         {
             "path": str(flight.path),

@@ -1,4 +1,4 @@
-"""One log file read back, whole or torn: what stands in it up to the first damage."""
+"""Reads one log file, complete or cut off: all its records up to the first damage."""
 
 import mmap
 import os
@@ -32,20 +32,20 @@ from flight_log.schema import RecordType
 from runtime.errors import PlainError
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
-"""Start, end, uncompressed size, CRC, length of the compression's name; then an 8-byte length and the records."""
+"""Start, end, uncompressed size, CRC, length of the compression name; then an 8-byte length and the records."""
 
 
 class FlightError(PlainError):
-    """A flight that cannot be read: one line that says which file and why."""
+    """A flight that cannot be read; the message, one line, names the file and the reason."""
 
 
 @dataclass(slots=True)
 class VectorTopic:
-    """A topic's records as they stand in one file, in the writer's own clock."""
+    """The records of a topic in one file, in the writer's clock."""
 
     record_type: RecordType
     sequences: NDArray[np.int64]
-    """[n]: grows by one with every record that was handed to the log."""
+    """[n]: increases by one with every record given to the log."""
     times_ns: NDArray[np.int64]
     """[n]"""
     values: NDArray[np.float64]
@@ -54,7 +54,7 @@ class VectorTopic:
 
 @dataclass(slots=True)
 class LogFile:
-    """What one log file holds."""
+    """The content of one log file."""
 
     path: Path
     process: str = ""
@@ -65,10 +65,10 @@ class LogFile:
     """Topic -> (time in ns, text)."""
     raw: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
     """Topic -> (time in ns, bytes)."""
-    whole: bool = False
+    complete: bool = False
     """The file was closed; otherwise its process was killed, still runs, or the disk was full."""
     damage: str = ""
-    """Where reading had to stop although the file goes on; "" when it did not."""
+    """Where and why reading stopped before the end of the file; "" if it did not."""
 
     @property
     def record_count(self) -> int:
@@ -79,18 +79,18 @@ class LogFile:
 
 
 def read_log_file(path: Path) -> LogFile:
-    """Reads a log file as far as it can be read.
+    """Read a log file, as far as it is readable.
 
     Raises
     ------
     FlightError
-        If the file cannot be opened, is no flight log, or was written by a newer version of this project.
+        If the file cannot be opened, is not a flight log, or was written by a newer version of this project.
     """
     return LogTail(path).read()
 
 
 class LogTail:
-    """Reads a log file, also while it grows: each `read` gives what has come since the one before."""
+    """Reads a log file that may still grow: each `read` returns what was added since the one before."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -102,7 +102,7 @@ class LogTail:
         self._ended = False
 
     def read(self) -> LogFile:
-        """What is new: all of it at the first call. Raises FlightError."""
+        """The new records; at the first call, all. Raises FlightError."""
         log = LogFile(path=self.path, process=self._process, metadata=self._metadata)
         if self._ended:
             return log
@@ -134,29 +134,29 @@ class _Parser:
         self._channels = channels
         self._vectors: dict[int, list[NDArray[Any]]] = {}
         self.ended = False
-        """The last record of the data was there."""
+        """The record that ends the data was read."""
 
     def parse(self, position: int) -> int:
-        """Fills the log from a position up to the first damage; returns where it stopped.
+        """Read the records from a position up to the first damage; returns the position reached.
 
-        Raises FlightError for a file that is none of ours.
+        Raises FlightError for a file that this project did not write.
         """
         for start, opcode, body in self._records(position):
             position = start + RECORD_HEAD_BYTES + len(body)
             try:
-                self._take(opcode, body)
+                self._read_record(opcode, body)
             except (EndOfFile, KeyError, ValueError, struct.error) as error:
                 self._log.damage = f"damaged record at byte {start} ({error})"
                 break
             if opcode == Opcode.DATA_END:
                 self.ended = True
-                self._log.whole = bytes(self._data[-len(MAGIC) :]) == MAGIC
+                self._log.complete = bytes(self._data[-len(MAGIC) :]) == MAGIC
                 break
         self._gather()
         return position
 
     def _records(self, position: int) -> Iterator[tuple[int, int, memoryview]]:
-        """(position, opcode, body) of every whole record; ends at the first torn or impossible one."""
+        """(position, opcode, body) of every complete record, up to the first incomplete or invalid one."""
         data = self._data
         while position + RECORD_HEAD_BYTES <= len(data):
             opcode = data[position]
@@ -170,18 +170,18 @@ class _Parser:
             yield position, opcode, data[start : start + length]
             position = start + length
 
-    def _take(self, opcode: int, body: memoryview) -> None:
+    def _read_record(self, opcode: int, body: memoryview) -> None:
         if opcode == Opcode.HEADER and Header.read(_stream(body)).library != LIBRARY:
-            raise FlightError(f"{self._log.path}: an MCAP file, but no flight log of this project")
+            raise FlightError(f"{self._log.path}: an MCAP file, but not a flight log of this project")
         if opcode == Opcode.METADATA:
-            self._take_metadata(Metadata.read(_stream(body)))
+            self._read_metadata(Metadata.read(_stream(body)))
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(_stream(body))
             self._log.attachments[attachment.name] = attachment.data
         elif opcode == Opcode.CHUNK:
-            self._take_chunk(body)
+            self._read_chunk(body)
 
-    def _take_metadata(self, record: Metadata) -> None:
+    def _read_metadata(self, record: Metadata) -> None:
         if record.name != METADATA_NAME:
             return
         version = record.metadata.get("format_version", "")
@@ -192,7 +192,7 @@ class _Parser:
         self._log.metadata = dict(record.metadata)
         self._log.process = record.metadata.get("process", self._log.process)
 
-    def _take_chunk(self, body: memoryview) -> None:
+    def _read_chunk(self, body: memoryview) -> None:
         *_, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
         start = CHUNK_HEAD.size + name_length + 8
         if name_length or len(body) - start != size:
@@ -206,7 +206,7 @@ class _Parser:
             length = int.from_bytes(records[position + 1 : position + RECORD_HEAD_BYTES], "little")
             end = position + RECORD_HEAD_BYTES + length
             if opcode == Opcode.MESSAGE:
-                end = self._take_messages(records, position)
+                end = self._read_messages(records, position)
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(_stream(records[position + RECORD_HEAD_BYTES : end]))
                 self._schemas[schema.id] = schema
@@ -215,8 +215,8 @@ class _Parser:
                 self._channels[channel.id] = channel
             position = end
 
-    def _take_messages(self, records: memoryview, position: int) -> int:
-        """Takes the run of messages of one channel that starts at `position`; returns where it ends."""
+    def _read_messages(self, records: memoryview, position: int) -> int:
+        """Read the successive messages of one channel that start at `position`; returns where they end."""
         _, length, number, _, time_ns, _ = MESSAGE_HEAD.unpack_from(records, position)
         channel = self._channels[number]
         definition = self._schemas[channel.schema_id].data.decode()
@@ -242,7 +242,7 @@ class _Parser:
             record_type = record_type_of(channel.topic, self._schemas[channel.schema_id].data.decode())
             width = parts[0]["values"].shape[1]
             if record_type is None or len(record_type.fields) != width:
-                raise FlightError(f"{self._log.path}: {channel.topic}: fields and records do not fit each other")
+                raise FlightError(f"{self._log.path}: {channel.topic}: the fields do not match the records")
             self._log.vectors[channel.topic] = VectorTopic(
                 record_type,
                 np.concatenate([part["sequence"] for part in parts]).astype(np.int64),

@@ -1,11 +1,11 @@
-"""An MCAP file being written, chunk by chunk, in whole blocks of equal messages.
+"""Writes an MCAP file chunk by chunk, in blocks of messages of equal length.
 
-Theory of operation. A record of a flight is a time and a flat vector, so all messages of a topic have the same
-length, and a block of them is one structured numpy array whose memory *is* the MCAP text (`message_dtype`). A chunk
-is then a few blocks laid end to end: no Python work per message, which matters because the writer thread shares the
-interpreter with the 200 Hz loop. Every chunk goes to the file in one unbuffered write, with the schemas it needs
-inside it, so what stands in the file is readable whatever happens to the process next. Records other than messages
-are the mcap library's own. Layout of the format: https://mcap.dev/spec
+Theory of operation. A record of a flight is a time and a flat vector. All messages of a topic thus have the same
+length, and a block of them is one structured numpy array whose memory is the MCAP bytes (`message_dtype`). A chunk is
+the concatenation of a few blocks. This takes no Python code per message, which matters because the writer thread
+shares the interpreter with the 200 Hz loop. Every chunk is written in one unbuffered write and contains the schemas it
+needs, so the file stays readable if the process ends at any time. Records other than messages are built by the mcap
+library. Format: https://mcap.dev/spec
 """
 
 import os
@@ -44,11 +44,11 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 LIBRARY: Final = "async-dmrac flight record"
 FORMAT_VERSION: Final = 1
 METADATA_NAME: Final = "async_dmrac"
-"""Name of the metadata record that says which process wrote the file, in which format version."""
+"""Name of the metadata record with the process that wrote the file and the format version."""
 CDR_HEADER: Final = b"\x00\x01\x00\x00"
-"""Little-endian CDR, no options; alignment counts from behind it, so float64 fields need no padding."""
+"""Little-endian CDR without options. Alignment counts from the end of this header: float64 fields need no padding."""
 RECORD_HEAD_BYTES: Final = 9
-"""Opcode (1) and length (8) in front of every MCAP record."""
+"""Opcode (1) and length (8) at the start of every MCAP record."""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time."""
 MESSAGE_HEAD_BYTES: Final = MESSAGE_HEAD.size - RECORD_HEAD_BYTES
@@ -59,19 +59,19 @@ Rows = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Messages of one channel as they stand in a chunk, at least one."""
+    """Messages of one channel as bytes of a chunk; at least one."""
 
     channel: int
     data: bytes
-    """Whole MESSAGE records, end to end."""
+    """Complete MESSAGE records, concatenated."""
     times: NDArray[np.uint64]
-    """[n], ns: log time of each."""
+    """[n]: log time of each, ns."""
     offsets: NDArray[np.int64]
-    """[n]: where each starts in `data`."""
+    """[n]: start of each in `data`."""
 
 
 def message_dtype(field_count: int) -> np.dtype[np.void]:
-    """One MCAP message record that holds a flat vector of float64, byte for byte."""
+    """The bytes of an MCAP message record with a flat vector of float64, as a numpy type."""
     layout = [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -88,7 +88,7 @@ def message_dtype(field_count: int) -> np.dtype[np.void]:
 def vector_block(
     channel: int, sequences: NDArray[np.int64], times_ns: NDArray[np.int64], values: NDArray[np.float64]
 ) -> Block:
-    """A block of flat vectors, [n, k], with their n sequence numbers and times."""
+    """A block of flat vectors [n, k] with their sequence numbers [n] and times [n]."""
     dtype = message_dtype(values.shape[1])
     rows: Rows = np.empty(len(values), dtype=dtype)
     rows["opcode"] = Opcode.MESSAGE
@@ -102,7 +102,7 @@ def vector_block(
 
 
 def bytes_block(channel: int, messages: Sequence[tuple[int, int, bytes]]) -> Block:
-    """A block of messages of any length, each (sequence, time in ns, CDR text without its header)."""
+    """A block of messages of any length, each (sequence, time in ns, CDR bytes without the header)."""
     parts, offsets, offset = [], [], 0
     for sequence, time_ns, cdr in messages:
         length = MESSAGE_HEAD_BYTES + len(CDR_HEADER) + len(cdr)
@@ -113,29 +113,28 @@ def bytes_block(channel: int, messages: Sequence[tuple[int, int, bytes]]) -> Blo
     return Block(channel, b"".join(parts), times, np.array(offsets, dtype=np.int64))
 
 
-def cdr_string(text: str) -> bytes:
-    """A string in CDR, without the header."""
-    data = text.encode(errors="replace") + b"\x00"
-    return len(data).to_bytes(4, "little") + data
-
-
 def cdr_bytes(data: bytes) -> bytes:
     """A sequence of uint8 in CDR, without the header."""
     return len(data).to_bytes(4, "little") + data
 
 
+def cdr_string(text: str) -> bytes:
+    """A string in CDR, without the header."""
+    return cdr_bytes(text.encode(errors="replace") + b"\x00")
+
+
 def ros_name(topic: str) -> str:
-    """The schema's name for a topic: "onboard/tick" -> "async_dmrac/msg/OnboardTick"."""
+    """The schema name of a topic: "onboard/tick" -> "async_dmrac/msg/OnboardTick"."""
     return "async_dmrac/msg/" + "".join(word.capitalize() for word in re.split(r"[^A-Za-z0-9]+", topic) if word)
 
 
 def ros_definition(record_type: RecordType) -> str:
-    """The ros2msg text of a record type; the unit stands behind each field as a comment."""
+    """The ros2msg text of a record type, with the unit of each field as a comment."""
     return "".join(f"float64 {name}{f' # {unit}' if unit else ''}\n" for name, unit in record_type.fields)
 
 
 def record_type_of(topic: str, definition: str) -> RecordType | None:
-    """Inverse of `ros_definition`; None when the text holds anything but float64 fields."""
+    """Inverse of `ros_definition`; None if the text contains anything but float64 fields."""
     fields = []
     for line in definition.splitlines():
         declaration, _, unit = line.partition("#")
@@ -147,13 +146,13 @@ def record_type_of(topic: str, definition: str) -> RecordType | None:
 
 
 class McapFile:
-    """An MCAP file open for writing. Not for use from two threads at once.
+    """An MCAP file open for writing. Not thread-safe.
 
     Raises
     ------
     OSError
-        From the constructor when the file cannot be created (it must not exist yet), and from every method that
-        writes; the file is then cut back to its last whole record, and stays readable.
+        From the constructor if the file cannot be created (it must not exist yet), and from every method that writes;
+        the file is then truncated to its last complete record, and stays readable.
     """
 
     def __init__(self, path: Path) -> None:
@@ -169,11 +168,11 @@ class McapFile:
         self._times: tuple[int, int] | None = None
 
     def start(self) -> None:
-        """Writes the head of the file."""
+        """Write the header of the file."""
         self._write(MAGIC + _records([Header(profile="ros2", library=LIBRARY)]))
 
     def add_channel(self, topic: str, definition: str) -> int:
-        """Announces a topic with its ros2msg text; returns the channel's number. Nothing is written yet."""
+        """Add a topic with its ros2msg text; returns its channel number. It is written with the next chunk."""
         number = len(self._channels) + 1
         schema = Schema(id=number, name=ros_name(topic), encoding="ros2msg", data=definition.encode())
         channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata={}, schema_id=number)
@@ -182,13 +181,13 @@ class McapFile:
         return number
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Writes a metadata record."""
+        """Write a metadata record."""
         data = _records([Metadata(name=name, metadata=dict(values))])
         self._metadata.append(MetadataIndex(offset=self._position, length=len(data), name=name))
         self._write(data)
 
     def add_attachment(self, name: str, data: bytes) -> None:
-        """Writes an attachment."""
+        """Write an attachment."""
         media_type = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
         record = _records([Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)])
         index = AttachmentIndex(
@@ -204,7 +203,7 @@ class McapFile:
         self._write(record)
 
     def write_chunk(self, blocks: Sequence[Block]) -> None:
-        """Writes one chunk that holds the blocks."""
+        """Write the blocks as one chunk."""
         announced = tuple(self._unwritten)  # the other thread may append while this one writes
         head = _records(announced)
         body = b"".join([head, *(block.data for block in blocks)])
@@ -233,14 +232,14 @@ class McapFile:
         self._count(blocks, first, last)
 
     def finish(self) -> None:
-        """Writes the summary, which makes the file whole. Call `close` afterwards."""
+        """Write the summary, which completes the file. Call `close` afterwards."""
         self._write(_records([DataEnd(data_section_crc=0)]))
         self._write(self._summary(self._position))
 
     def close(self) -> None:
-        """Lets go of the file, whole or not. Never raises."""
+        """Close the file, complete or not. Never raises."""
         if self._descriptor >= 0:
-            with suppress(OSError):  # a deferred write error of the file system: nothing is left to be done about it
+            with suppress(OSError):  # a deferred write error of the file system cannot be handled any more
                 os.close(self._descriptor)
             self._descriptor = -1
 
@@ -251,7 +250,7 @@ class McapFile:
         self._times = min(start, first), max(end, last)
 
     def _summary(self, position: int) -> bytes:
-        """The summary section, which starts at `position`, with footer and closing magic."""
+        """The bytes of the summary section, which starts at `position`, with footer and final magic."""
         start, end = self._times or (0, 0)
         statistics = Statistics(
             attachment_count=len(self._attachments),
@@ -298,7 +297,7 @@ class McapFile:
         self._position += len(data)
 
     def _cut_back(self) -> None:
-        with suppress(OSError):  # then the torn record stays, and readers stop in front of it
+        with suppress(OSError):  # then the incomplete record stays, and readers stop before it
             os.ftruncate(self._descriptor, self._position)
 
 
@@ -310,9 +309,9 @@ def _records(records: Sequence[McapRecord]) -> bytes:
 
 
 def _index_entries(blocks: Sequence[Block], offset: int) -> dict[int, bytes]:
-    """For each channel (time, offset in the chunk) of each message, as MESSAGE_INDEX wants them.
+    """For each channel the (time, offset in the chunk) of its messages, as bytes of a MESSAGE_INDEX.
 
-    `offset` is where the first block starts in the chunk.
+    `offset` is the start of the first block in the chunk.
     """
     found: dict[int, bytes] = {}
     for block in blocks:
@@ -330,7 +329,7 @@ def _message_index(channel: int, entries: bytes) -> bytes:
 
 
 def _chunk_head(body: bytes, first: int, last: int) -> bytes:
-    """Everything of a CHUNK record in front of its uncompressed records."""
+    """The bytes of a CHUNK record before its uncompressed records."""
     fields = first.to_bytes(8, "little") + last.to_bytes(8, "little") + len(body).to_bytes(8, "little")
     fields += zlib.crc32(body).to_bytes(4, "little") + (0).to_bytes(4, "little") + len(body).to_bytes(8, "little")
     return bytes([Opcode.CHUNK]) + (len(fields) + len(body)).to_bytes(8, "little") + fields

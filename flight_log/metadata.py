@@ -1,4 +1,4 @@
-"""What a log says about the process that wrote it: versions, start, and the clock its times are in."""
+"""Metadata of a log: versions, start time, and the clock of its times."""
 
 import platform
 import time
@@ -12,7 +12,7 @@ LOCKSTEP_CLOCK = "lockstep"
 
 
 def describe_process() -> dict[str, str]:
-    """Versions of Python, system and packages, when the process started to log, and its clock."""
+    """Versions of Python, system and packages, the time at which logging started, and the name of the clock."""
     found = {
         "clock": monotonic_clock_name(),
         "started_utc": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -29,7 +29,7 @@ def describe_process() -> dict[str, str]:
 
 
 def monotonic_clock_name() -> str:
-    """Name of this machine's monotonic clock since its start: two processes with the same name share a time base."""
+    """Name of this machine's monotonic clock since boot: logs with the same name share a time base."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:

@@ -1,11 +1,11 @@
-"""A flight read back: numpy columns with units, events and metadata of all its processes on one time base.
+"""Reads a flight: numpy columns with units, events and metadata of all its processes, on one time base.
 
 >>> flight = open_flight(Path("flights/20260101_120000_figure8_wind"))    # doctest: +SKIP
 >>> tick = flight["onboard/tick"]                                         # doctest: +SKIP
 >>> tick["position_n"], tick.units["position_n"], tick.seconds(flight.start_ns)   # doctest: +SKIP
 
 A flight is a folder with one log per process (`onboard.mcap` ...), or a single log file. Logs of killed processes
-are read up to their last whole chunk; `flight.faults` and `flight.gaps` say what is missing.
+are read up to their last complete chunk; `flight.faults` and `flight.gaps` list what is missing.
 """
 
 import json
@@ -25,11 +25,11 @@ __all__ = ["Event", "Flight", "FlightError", "Gap", "Table", "open_flight"]
 
 TICK_TOPIC: Final = "onboard/tick"
 GAP_MIN_NS: Final = 100_000_000
-"""A topic of regular rate that is silent for longer than this and ten of its periods has a gap."""
+"""A topic of regular rate has a gap where it is silent for longer than this and than GAP_PERIODS of its periods."""
 GAP_PERIODS: Final = 10
 REGULAR_RECORDS_MIN: Final = 20
 MERGED: Final = "merged"
-"""Process name of a file that holds the logs of all processes."""
+"""Process name of a file with the merged logs of all processes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Table:
     """[n, columns]"""
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """A column, [n]. Raises KeyError, naming what there is."""
+        """A column, [n]. Raises KeyError, which lists the columns."""
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
@@ -74,7 +74,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened, in words."""
+    """An event, as text."""
 
     time_ns: int
     process: str
@@ -83,23 +83,23 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A stretch that a log lacks."""
+    """A time span without records."""
 
     topic: str
     start_ns: int
     end_ns: int
     lost: int
-    """Records that were handed to the log but are not in it; 0 when the process was silent."""
+    """Records given to the log that are not in it; 0 if the process was silent."""
 
     def describe(self, start_ns: int) -> str:
-        """One line."""
+        """The gap as a line of text; times relative to `start_ns`."""
         begin, end = (self.start_ns - start_ns) * 1e-9, (self.end_ns - start_ns) * 1e-9
         what = f"{self.lost} records lost" if self.lost else "silent"
         return f"{self.topic}: {what} from {begin:.3f} s to {end:.3f} s"
 
 
 class Flight:
-    """A flight's logs. Made by `open_flight`; tables are put together when they are first asked for."""
+    """The logs of a flight, as `open_flight` reads them. Tables are built when first used."""
 
     def __init__(self, path: Path, logs: tuple[LogFile, ...]) -> None:
         self.path = path
@@ -121,12 +121,12 @@ class Flight:
 
     @property
     def processes(self) -> tuple[str, ...]:
-        """Who logged."""
+        """Names of the processes that logged."""
         return tuple(dict.fromkeys(log.process for log in self.logs))
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Process -> its metadata (the latest run's, when it was restarted)."""
+        """Process -> its metadata (of the latest run, if it was restarted)."""
         return {log.process: log.metadata for log in self.logs}
 
     @property
@@ -136,14 +136,14 @@ class Flight:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The flight card `summary.json`; empty when there is none. Raises FlightError when it is not JSON."""
+        """The flight summary, `summary.json`; empty if there is none. Raises FlightError if it is not JSON."""
         file = (self.path if self.path.is_dir() else self.path.parent) / "summary.json"
         if not file.exists():
             return {}
         try:
             found = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise FlightError(f"{file}: not a flight card: {error}") from None
+            raise FlightError(f"{file}: not a flight summary: {error}") from None
         return found if isinstance(found, dict) else {}
 
     def __contains__(self, topic: str) -> bool:
@@ -153,17 +153,17 @@ class Flight:
         return (self[topic] for topic in self.topics)
 
     def __getitem__(self, topic: str) -> Table:
-        """The topic's table. Raises KeyError, naming what there is."""
+        """The table of a topic. Raises KeyError, which lists the topics."""
         if topic not in self._tables:
             self._tables[topic] = self._build(topic)
         return self._tables[topic]
 
     def get(self, topic: str) -> Table | None:
-        """The topic's table, or None."""
+        """The table of a topic, or None."""
         return self[topic] if topic in self.topics else None
 
     def messages(self, topic: str) -> list[tuple[int, bytes]]:
-        """(time in ns, bytes) of a topic of raw bytes, in the order of writing. Raises KeyError."""
+        """(time in ns, bytes) of each record of a byte topic, in the order of writing. Raises KeyError."""
         if topic not in self.byte_topics:
             raise KeyError(f"{self.path} has no bytes of {topic!r}; it has {', '.join(self.byte_topics) or 'none'}")
         found = []
@@ -175,7 +175,7 @@ class Flight:
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """All processes' events in the order of time."""
+        """The events of all processes, in order of time."""
         found = []
         for log, to_base in zip(self.logs, self._maps, strict=True):
             texts = [message for messages in log.texts.values() for message in messages]
@@ -185,9 +185,9 @@ class Flight:
 
     @cached_property
     def start_ns(self) -> int:
-        """Where t = 0: onboard's first tick; the first record where onboard logged none.
+        """Time of t = 0: onboard's first tick, or the first record if onboard logged no tick.
 
-        What the other processes logged before it has negative times.
+        Records of other processes before it have negative times.
         """
         tick = self.get(TICK_TOPIC)
         return self.first_ns if tick is None else int(tick.time_ns[0])
@@ -215,7 +215,7 @@ class Flight:
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
-        """Where records are missing."""
+        """The gaps in all topics."""
         found = []
         for log, to_base in zip(self.logs, self._maps, strict=True):
             for name, topic in log.vectors.items():
@@ -224,20 +224,20 @@ class Flight:
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """What is wrong with the logs, one line each, gaps apart."""
+        """Faults of the logs, one line each; `gaps` is separate."""
         found = list(self._warnings)
         for log, to_base in zip(self.logs, self._maps, strict=True):
             last = self._last_record(log, to_base)
             if log.damage:
-                found.append(f"{log.path.name}: {log.damage}; what follows {last} is lost")
-            elif not log.whole:
+                found.append(f"{log.path.name}: {log.damage}; everything after {last} is lost")
+            elif not log.complete:
                 found.append(f"{log.path.name}: not closed (killed, still flying, or disk full); read up to {last}")
             if log.record_count == 0:
-                found.append(f"{log.path.name}: holds no records")
+                found.append(f"{log.path.name}: contains no records")
         return tuple(found)
 
     def _last_record(self, log: LogFile, to_base: ClockMap) -> str:
-        """Where a log ends, in words."""
+        """The time of a log's last record, as text."""
         last_ns = max((int(topic.times_ns[-1]) for topic in log.vectors.values()), default=None)
         if last_ns is None:
             return "its last chunk"
@@ -265,28 +265,28 @@ class Flight:
 
 
 def open_flight(path: Path | str) -> Flight:
-    """Opens a flight folder, or a single log file.
+    """Open a flight folder, or a single log file.
 
     Raises
     ------
     FlightError
-        If it is missing, holds no flight log, holds a foreign or a newer one, or no records at all.
+        If it does not exist, contains no flight log, or one that is unreadable, foreign, newer or empty.
     """
     path = Path(path)
     if not path.exists():
         raise FlightError(f"{path}: no such flight")
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if not files:
-        raise FlightError(f"{path}: holds no flight log (*.mcap)")
+        raise FlightError(f"{path}: contains no flight log (*.mcap)")
     logs = sorted((read_log_file(file) for file in files), key=_run_order)
-    logs = [log for log in logs if log.process != MERGED] or logs  # a merged copy beside its sources says nothing new
+    logs = [log for log in logs if log.process != MERGED] or logs  # a merged copy next to its sources adds nothing
     if not any(log.record_count for log in logs):
-        raise FlightError(f"{path}: the flight log holds no records")
+        raise FlightError(f"{path}: the flight log contains no records")
     return Flight(path, tuple(logs))
 
 
 def _run_order(log: LogFile) -> tuple[str, int, str]:
-    """Runs of a restarted process in the order in which they were."""
+    """Sort key: the runs of a restarted process in order of time."""
     started = log.metadata.get("started_monotonic_ns", "0")
     return log.process, int(started) if started.isdigit() else 0, log.path.name
 

@@ -1,4 +1,7 @@
-"""One self-contained HTML page about a flight: card, figures, training, events, logs, configuration, how to repeat."""
+"""The report of a flight as one self-contained HTML page.
+
+It contains summary, figures, training, events, logs, the command that repeats the flight, and configuration.
+"""
 
 import shlex
 from collections.abc import Mapping
@@ -30,12 +33,12 @@ EVENTS_MAX: Final = 500
 
 
 def write_report(folder: Path, path: Path | None = None) -> Path:
-    """Writes the page, by default to `folder/report.html`; figures are the folder's PNG files. Returns its path.
+    """Write the report, by default to `folder/report.html`; returns its path. Figures are the PNG files of the folder.
 
     Raises
     ------
     FlightError
-        If the folder holds no readable flight.
+        If the folder does not contain a readable flight.
     OSError
         If the page cannot be written.
     """
@@ -48,25 +51,25 @@ def write_report(folder: Path, path: Path | None = None) -> Path:
 
 
 def build_report(flight: Flight) -> str:
-    """The page's text."""
+    """The report as HTML."""
     summary = flight.summary
     return page(
         title_of(flight),
         [
-            _delivery(summary),
-            section("Flight card", name_value_table(summary_rows(summary))),
+            _outcome(summary),
+            section("Summary", name_value_table(summary_rows(summary))),
             section("Figures", *(image(file.read_bytes(), file.stem) for file in sorted(flight.path.glob("*.png")))),
             section("Training", _training(flight.get("offboard/training"))),
             section("Events", _events(flight)),
             section("Logs", _logs(flight)),
-            section("Again", code(repeat_command(flight)) if summary else ""),
+            section("Repeat", code(repeat_command(flight)) if summary else ""),
             section("Configuration", *_configs(flight)),
         ],
     )
 
 
 def title_of(flight: Flight) -> str:
-    """Name of the flight for people."""
+    """Title of a flight: scenario, controller and seed, or the name of its folder."""
     summary = flight.summary
     if not summary:
         return flight.path.resolve().name
@@ -74,7 +77,7 @@ def title_of(flight: Flight) -> str:
 
 
 def summary_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]]:
-    """Name and value of every entry of the flight card, nested ones by path; the command has a place of its own."""
+    """Name and value of every entry of the flight summary except `command`; nested names are joined by dots."""
     rows: list[list[str]] = []
     for key, value in summary.items():
         name = f"{prefix}{key}"
@@ -90,7 +93,7 @@ def summary_rows(summary: Mapping[str, Any], prefix: str = "") -> list[list[str]
 
 
 def text_of(value: Any) -> str:
-    """A value of the flight card as text; numbers to five digits."""
+    """A value of the flight summary as text; floats with five digits."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -116,7 +119,7 @@ def repeat_command(flight: Flight) -> str:
 
 
 def _configured_duration_s(flight: Flight) -> float:
-    """The duration that was asked for; 0 when no configuration says it."""
+    """The configured duration, s; 0 if no configuration states it."""
     for attachments in flight.attachments.values():
         for data in attachments.values():
             with suppress(ConfigError, ValueError):
@@ -126,16 +129,16 @@ def _configured_duration_s(flight: Flight) -> float:
     return 0.0
 
 
-def _delivery(summary: Mapping[str, Any]) -> str:
+def _outcome(summary: Mapping[str, Any]) -> str:
     if not summary:
-        return paragraph("no flight card (summary.json): the flight did not end in order", "bad")
+        return paragraph("no flight summary (summary.json): the flight did not end in order", "bad")
     if summary.get("survived"):
         return paragraph(f"vehicle alive after {text_of(summary.get('duration_s'))} s, {summary.get('mode')}", "good")
     return paragraph(f"vehicle lost: {summary.get('crash_reason') or 'no reason recorded'}", "bad")
 
 
 def _training(training: Table | None) -> str:
-    """The rounds of training, thinned when there are many."""
+    """The rounds of training, at most TRAINING_ROUNDS_MAX of them."""
     if training is None or len(training) == 0:
         return ""
     shown = np.unique(np.linspace(0, len(training) - 1, TRAINING_ROUNDS_MAX).astype(int))
@@ -156,7 +159,7 @@ def _events(flight: Flight) -> str:
 
 def _logs(flight: Flight) -> str:
     faults = check(flight)
-    state = "".join(paragraph(fault, "bad") for fault in faults) or paragraph("whole, without gaps", "good")
+    state = "".join(paragraph(fault, "bad") for fault in faults) or paragraph("complete, without gaps", "good")
     rows = [[t.topic, str(len(t)), str(len(t.names))] for t in flight]
     metadata = "\n\n".join(
         f"{process}\n" + "\n".join(f"  {key}: {value}" for key, value in values.items())
@@ -166,7 +169,7 @@ def _logs(flight: Flight) -> str:
 
 
 def _configs(flight: Flight) -> list[str]:
-    """Each configuration once, though every process attaches its own copy."""
+    """Each attached configuration once; processes attach the same one."""
     found: dict[bytes, list[str]] = {}
     for process, attachments in flight.attachments.items():
         for name, data in attachments.items():

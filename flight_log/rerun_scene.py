@@ -1,4 +1,4 @@
-"""A scene as a Rerun recording, with the blueprint made for this work. Needs the `viz` extra."""
+"""A scene as a Rerun recording, with its layout. Needs the `viz` extra."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +12,7 @@ from flight_log.scene import GROUPS, TABS, Curve, Motion, Scene
 APPLICATION: Final = "async-dmrac"
 TIMELINE: Final = "flight"
 ARM_M: Final = 0.0442
-"""Half the distance between neighbouring rotors of a Mambo: it is drawn in its real size."""
+"""Half the distance between neighbouring rotors of a Mambo, which is drawn in its real size."""
 ROTORS: Final = ((ARM_M, ARM_M, 0.0), (-ARM_M, -ARM_M, 0.0), (ARM_M, -ARM_M, 0.0), (-ARM_M, ARM_M, 0.0))
 """PX4 order: front right, rear left, front left, rear right; body FRD."""
 THRUST_M_PER_N: Final = 1.0
@@ -29,9 +29,9 @@ THRUST_COLOUR: Final = (240, 200, 60)
 
 
 def save_recording(scene: Scene, path: Path, name: str) -> None:
-    """Writes the scene to an .rrd file. Raises OSError."""
+    """Write the scene to an .rrd file. Raises OSError."""
     recording = new_recording(name)
-    path.touch()  # an OSError of ours in one line instead of the library's warning
+    path.touch()  # raises OSError, where the library only warns
     recording.save(path, default_blueprint=blueprint(scene.groups, _span_s(scene)))
     log_static(recording, scene)
     log_scene(recording, scene)
@@ -52,14 +52,14 @@ def new_recording(name: str) -> rr.RecordingStream:
 
 
 def connect(name: str, address: str) -> rr.RecordingStream:
-    """A recording that goes to a running viewer. The layout is that of `scene.GROUPS`, whatever comes of them."""
+    """A recording that is sent to a running viewer. The layout has all of `scene.GROUPS`."""
     recording = new_recording(name)
     recording.connect_grpc(address, default_blueprint=blueprint(GROUPS, live=True))
     return recording
 
 
 def log_static(recording: rr.RecordingStream, scene: Scene) -> None:
-    """What never changes: axes, the airframe, the curves' names and colours."""
+    """Log what is constant: axes, airframe, names and colours of the curves."""
     recording.log("world", rr.ViewCoordinates.FRD, static=True)
     recording.log(
         "world/vehicle/body", rr.Boxes3D(half_sizes=[[0.03, 0.012, 0.008]], colors=[(220, 220, 220)]), static=True
@@ -91,7 +91,7 @@ def log_static(recording: rr.RecordingStream, scene: Scene) -> None:
 
 
 def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
-    """Everything that has a time."""
+    """Log everything that depends on time."""
     if scene.motion is not None:
         _log_motion(recording, scene.motion, scene.start_ns)
     if scene.target is not None:
@@ -108,7 +108,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
 
 
 def log_paths(recording: rr.RecordingStream, scene: Scene) -> None:
-    """The whole path flown and the whole path wanted, as lines."""
+    """Log the flown path and the target path as lines."""
     paths = {"world/path/target": (scene.target[1], (110, 110, 110))} if scene.target is not None else {}
     if scene.motion is not None:
         paths["world/path/flown"] = (scene.motion.position, (0, 114, 178))
@@ -143,12 +143,12 @@ def _send(recording: rr.RecordingStream, entity: str, times_ns: Any, start_ns: i
 
 
 def curve_entity(curve: Curve) -> str:
-    """Where a curve stands in the recording; references come first there, so that they are drawn below the others."""
+    """Entity path of a curve. Those of references sort first, so that they are drawn below the others."""
     return f"{group_entity(curve.group)}/{'_reference_' if curve.reference else ''}{_word(curve.name)}"
 
 
 def group_entity(group: str) -> str:
-    """Where a group of curves stands in the recording."""
+    """Entity path of a group of curves."""
     return f"curves/{_word(group)}"
 
 
@@ -157,9 +157,11 @@ def _word(text: str) -> str:
 
 
 def blueprint(groups: tuple[str, ...], span_s: tuple[float, float] | None = None, live: bool = False) -> rrb.Blueprint:
-    """The layout: the room and the events to the left, curves to the right.
+    """The layout: the 3-D view and the events on the left, the curves on the right.
 
-    span_s: what the curves show at first; all that there is so far, when None.
+    Parameters
+    ----------
+    span_s: time span that the curves show at first; None for all data.
     live: the cursor stays at the newest data.
     """
     tabs = []
@@ -194,7 +196,9 @@ def _room() -> rrb.Spatial3DView:
 
 
 def _events() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])  # a time's column is too narrow for it
+    columns = rrb.TextLogColumns(
+        timeline_columns=[], text_log_columns=["Body"]
+    )  # a column for the time would be too narrow
     return rrb.TextLogView(origin="events", name="events", columns=columns)
 
 

@@ -1,4 +1,4 @@
-"""What a viewer shows of a flight, as plain arrays: the vehicle in space and curves in groups. No viewer in here."""
+"""The scene of a flight, for a viewer, as plain arrays: the vehicle in space, and curves in groups."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,9 +14,9 @@ from flight_log.reader import Event, Flight, Table
 Array = NDArray[np.float64]
 
 RATE_MAX_HZ: Final = 50.0
-"""Regular topics are thinned to this: a screen shows no more, and a long flight opens in seconds."""
+"""Regular topics are thinned to this rate, so that a long flight opens in seconds; a screen shows no more."""
 SMOOTHING_ROWS: Final = 20
-"""The true disturbance is the difference of two noisy signals: it is averaged over this many ticks (0.1 s)."""
+"""Number of ticks (0.1 s) over which the true disturbance, a difference of noisy signals, is averaged."""
 FLOOR_EFFECT_M: Final = 0.15
 LOSS_WINDOW_NS: Final = 1_000_000_000
 DEGREES: Final = 180.0 / np.pi
@@ -32,12 +32,12 @@ class Curve:
     values: Array
     """[n]"""
     reference: bool = False
-    """What the others should follow; drawn in grey."""
+    """A curve that the others in its group should follow; drawn in grey."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The vehicle and what acts on it, row by row at the same times. World NED, m, N."""
+    """The vehicle and what acts on it; row i of every array is at time i. World NED, m, N."""
 
     time_ns: NDArray[np.int64]
     """[n]"""
@@ -48,12 +48,12 @@ class Motion:
     thrust: Array
     """[n, 4] N, PX4 motor order."""
     arrows: dict[str, Array]
-    """Name -> [n, 3]: wind in m/s, disturbance in N, nu_ad in m/s^2, where known."""
+    """Name -> [n, 3]: wind in m/s, disturbance in N, nu_ad in m/s^2, if logged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Everything a viewer shows. Parts that the flight did not log are None or empty."""
+    """All data for a viewer. Parts that the flight did not log are None or empty."""
 
     motion: Motion | None
     target: tuple[NDArray[np.int64], Array] | None
@@ -62,7 +62,7 @@ class Scene:
     events: tuple[Event, ...]
     start_ns: int
     groups: tuple[str, ...] = field(default=())
-    """Groups of curves in the order in which they are to stand."""
+    """Groups of curves, in the order of display."""
 
 
 PLAIN_CURVES: Final[tuple[tuple[str, str, str, str, float, bool], ...]] = (
@@ -119,7 +119,7 @@ GROUPS: Final = tuple(group for groups in TABS.values() for group in groups)
 
 
 def build_scene(flight: Flight, start_ns: int | None = None) -> Scene:
-    """The scene of a flight, or of a part of it; `start_ns` is the zero of the time line, by default its start."""
+    """The scene of a flight, or of a part of it; `start_ns` is the zero of the time line, by default its `start_ns`."""
     tables = {topic: flight[topic] for topic in flight.topics}
     tick, truth, delivery = (tables.get(topic) for topic in ("onboard/tick", "sim_vehicle/truth", "radio/delivery"))
     curves = [curve for wanted in PLAIN_CURVES if (curve := _plain(tables, *wanted)) is not None]
@@ -147,7 +147,7 @@ _NED: Final = (("north", "n"), ("east", "e"), ("down", "d"))
 
 
 def thinned(table: Table) -> Table:
-    """The table at RATE_MAX_HZ or less."""
+    """The table, thinned to at most RATE_MAX_HZ."""
     if len(table) < 2:
         return table
     period_s = float(np.median(np.diff(table.time_ns))) * 1e-9
@@ -205,7 +205,7 @@ def _bounds(tick: Table) -> list[Curve]:
 
 
 def _weight_limits(flight: Flight, tick: Table) -> list[Curve]:
-    """W_max of each channel that has one, by the configuration that onboard logged."""
+    """W_max of each channel that has one, from the configuration that onboard attached."""
     config = flight.attachments.get("onboard", {}).get("config.yaml")
     if config is None or len(tick) == 0:
         return []
@@ -223,20 +223,20 @@ def _weight_limits(flight: Flight, tick: Table) -> list[Curve]:
 
 
 def _true_disturbance(tick: Table, truth: Table) -> list[Curve]:
-    """What nu_ad ought to be: the true acceleration minus what the actuators were thought to deliver.
+    """Delta = v_dot - u_hat, which nu_ad should be: true acceleration minus the estimated delivered one.
 
-    NaN on the floor and just above it, where the floor explains most of it.
+    NaN on the floor and below FLOOR_EFFECT_M, where most of Delta comes from the floor.
     """
     tick = _rows(tick, (tick.time_ns >= truth.time_ns[0]) & (tick.time_ns <= truth.time_ns[-1]))
     if len(tick) == 0:
         return []
     curves = []
     height_m = -np.interp(_seconds(tick, tick), _seconds(truth, tick), truth["position_d"])
-    wanted = (
+    channels = (
         ("adaptive, position [m/s²]", "acceleration", "position_delivered", "ned", ("north", "east", "down")),
         ("adaptive, attitude [rad/s²]", "angular_acceleration", "attitude_delivered", "xyz", ("x", "y")),
     )
-    for group, true_name, delivered_name, axes, labels in wanted:
+    for group, true_name, delivered_name, axes, labels in channels:
         for axis, label in zip(axes, labels, strict=False):
             true = np.interp(_seconds(tick, tick), _seconds(truth, tick), truth[f"{true_name}_{axis}"])
             delta = np.where(height_m < FLOOR_EFFECT_M, np.nan, _smoothed(true - tick[f"{delivered_name}_{axis}"]))
@@ -246,14 +246,14 @@ def _true_disturbance(tick: Table, truth: Table) -> list[Curve]:
 
 
 def _smoothed(values: Array) -> Array:
-    """Running mean over SMOOTHING_ROWS, over fewer at the ends."""
+    """Running mean over SMOOTHING_ROWS, fewer at the ends."""
     kernel = np.ones(min(SMOOTHING_ROWS, len(values)))
     mean: Array = np.convolve(values, kernel, mode="same") / np.convolve(np.ones(len(values)), kernel, mode="same")
     return mean
 
 
 def _deliveries(delivery: Table) -> list[Curve]:
-    """Each datagram's delay, and the share of those of the last LOSS_WINDOW_NS that never arrived, by direction."""
+    """For each direction the delay of each datagram, and the share lost of those sent in the last LOSS_WINDOW_NS."""
     curves = []
     for number, name in enumerate(("up", "down")):  # as in sim_vehicle.link.radio.DIRECTIONS
         rows = delivery["direction"] == number
@@ -274,7 +274,7 @@ def _seconds(table: Table, zero: Table) -> Array:
 
 
 def _motion(tick: Table | None, truth: Table | None) -> Motion | None:
-    """From the truth where it was logged, else from onboard's estimate."""
+    """Motion from the simulator's truth if it was logged, else from onboard's estimate."""
     source = truth if truth is not None else tick
     if source is None:
         return None
@@ -283,7 +283,7 @@ def _motion(tick: Table | None, truth: Table | None) -> Motion | None:
     for name, column in (("wind", "wind"), ("disturbance", "disturbance_force")):
         if f"{column}_n" in thin:
             arrows[name] = thin.vector(*_names(column, "ned"))
-    if "disturbance" in arrows:  # on the floor it is the floor's own push
+    if "disturbance" in arrows:  # on the floor it is the force of the floor
         arrows["disturbance"][-thin["position_d"] < FLOOR_EFFECT_M] = 0.0
     if tick is not None:
         arrows["nu_ad"] = _at(thin, tick, _names("position_adaptive", "ned"))
@@ -297,6 +297,6 @@ def _motion(tick: Table | None, truth: Table | None) -> Motion | None:
 
 
 def _at(table: Table, source: Table, names: Sequence[str]) -> Array:
-    """Columns of `source` at the times of `table`."""
+    """Columns of `source`, interpolated at the times of `table`."""
     at, times = _seconds(table, table), _seconds(source, table)
     return np.column_stack([np.interp(at, times, source[name]) for name in names])

@@ -1,4 +1,4 @@
-"""The shape of a record: a topic and its named fields with units. A record itself is a time and a flat vector."""
+"""Record types: a topic and its fields with units. A record is a time and a flat vector of these fields."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,24 +6,24 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class RecordType:
-    """A kind of record in a flight log.
+    """A type of record in a flight log.
 
-    Raises ValueError on construction when a field stands twice.
+    Raises ValueError on construction if a field occurs twice.
     """
 
     topic: str
     """For example "onboard/tick"."""
     fields: tuple[tuple[str, str], ...]
-    """(name, unit) in the order of the vector; the unit "" means a pure number."""
+    """(name, unit) in the order of the vector; the unit is "" for a pure number."""
 
     def __post_init__(self) -> None:
         names = [name for name, _ in self.fields]
         if len(set(names)) != len(names):
-            raise ValueError(f"{self.topic}: a field stands twice")
+            raise ValueError(f"{self.topic}: a field occurs twice")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The fields' names."""
+        """Names of the fields."""
         return tuple(name for name, _ in self.fields)
 
 
@@ -33,4 +33,4 @@ def vector_fields(name: str, axes: str, unit: str) -> tuple[tuple[str, str], ...
 
 
 CLOCK_OFFSET: Final = RecordType("onboard/clock_offset", (("offboard_minus_onboard", "ns"), ("round_trip", "ns")))
-"""What onboard measured of offboard's clock, once a second; it errs by at most half the round trip."""
+"""Offset of offboard's clock as measured by onboard, once a second; its error is at most half the round trip."""

@@ -1,8 +1,8 @@
-"""A flight as a PX4 ULog file, for the tools of that world (PlotJuggler, Flight Review, pyulog).
+"""Writes a flight as a PX4 ULog file, for PlotJuggler, Flight Review and pyulog.
 
-Layout: https://docs.px4.io/main/en/dev_log/ulog_file_format. Times are in whole us, unsigned, and 0 means "none": the
-flight's t = 0 stands at `time_zero_us`, whole seconds that leave room for what was logged before it. Every topic
-becomes a message such as `onboard_tick` of float32 fields, every event a logged string.
+Format: https://docs.px4.io/main/en/dev_log/ulog_file_format. Times are unsigned, in whole us, and 0 means "none".
+The flight's t = 0 is therefore at `time_zero_us`, whole seconds, late enough for the records before it. Every topic
+becomes a message such as `onboard_tick` with float32 fields, every event a logged string.
 """
 
 import re
@@ -19,11 +19,11 @@ SECOND_US: Final = 1_000_000
 INFO_LEVEL: Final = ord("6")
 TEXT_MAX_BYTES: Final = 1000
 HEAD: Final = struct.Struct("<HB")
-"""Message size without this head, and message type."""
+"""Message size without this header, and message type."""
 
 
 def write_ulog(flight: Flight, path: Path) -> None:
-    """Writes the whole flight. Raises OSError."""
+    """Write the complete flight. Raises OSError."""
     tables = list(flight)
     zero_us = time_zero_us(flight)
     with path.open("wb") as file:
@@ -53,17 +53,17 @@ def time_zero_us(flight: Flight) -> int:
 
 
 def ulog_name(topic: str) -> str:
-    """A topic's name in letters that ULog allows: "onboard/tick" -> "onboard_tick"."""
+    """A topic's name in the characters that ULog allows: "onboard/tick" -> "onboard_tick"."""
     return re.sub(r"[^A-Za-z0-9]+", "_", topic)
 
 
 def field_names(table: Table) -> list[str]:
-    """The columns' names in letters that ULog allows."""
+    """Column names in the characters that ULog allows."""
     return [re.sub(r"[^A-Za-z0-9_]", "_", name) for name in table.names]
 
 
 def _rows(table: Table, number: int, shift_us: int) -> np.ndarray[Any, Any]:
-    """All of a topic's data messages as one array, byte for byte."""
+    """The bytes of all data messages of a topic, as one array."""
     dtype = np.dtype(
         [
             ("size", "<u2"),

@@ -1,9 +1,10 @@
-"""Shows a recording in the Rerun viewer: its own window, or any browser on this machine. Needs the `viz` extra.
+"""Shows a recording in the Rerun viewer: in its own window, or in a browser on this machine. Needs the `viz` extra.
 
-Nothing leaves the machine: servers listen on loopback only, the viewer's telemetry is switched off by a
-configuration folder of its own, and the page is served with a policy that lets the browser talk to nobody else.
-Nothing stays behind: the viewer is a direct child that the kernel ends with us. For the browser the viewer's own web
-server is asked once for its three files and ended, since it keeps a processor busy while it waits; ours serves them.
+No data leaves the machine: servers listen on loopback only, the viewer's telemetry is switched off by a separate
+configuration folder, and the page is served with a policy that forbids other connections. No process stays behind:
+the viewer is a direct child, which the kernel ends together with this process. For the browser, the viewer's own web
+server is run once to get its three files, and then ended, because it keeps a processor busy while idle; this module
+serves the files.
 """
 
 import importlib.util
@@ -29,7 +30,7 @@ START_LIMIT_S: Final = 30.0
 END_LIMIT_S: Final = 5.0
 LIVE_MEMORY: Final = "512MB"
 OPENED: Final = "the viewer is open"
-"""What `dmrac view --live` says when its window waits for data; with --web it says the page's address."""
+"""What `dmrac view --live` prints once its window waits for data; with --web it prints the address of the page."""
 ASSETS: Final = {
     "/": "text/html; charset=utf-8",
     "/re_viewer.js": "text/javascript",
@@ -43,11 +44,11 @@ POLICY: Final = (
 
 
 class ViewerError(Exception):
-    """The viewer cannot be shown: one line that says why and what to do."""
+    """The viewer cannot be shown. The message, one line, states the reason and the remedy."""
 
 
 def viewer_binary() -> Path:
-    """The viewer's own program; its Python wrapper would leave it behind when ended.
+    """Path of the viewer's program. Its Python wrapper is not used: the program would outlive it.
 
     Raises ViewerError if the `viz` extra is not installed.
     """
@@ -60,7 +61,7 @@ def viewer_binary() -> Path:
 
 @contextmanager
 def running_viewer(*options: str) -> Iterator[subprocess.Popen[bytes]]:
-    """The viewer as a child on loopback, telemetry off, ended on the way out and when this process dies."""
+    """Run the viewer as a child on loopback, without telemetry; it ends with the context, or with this process."""
     with tempfile.TemporaryDirectory(prefix="dmrac_view_") as settings:
         folder = Path(settings) / "rerun"
         folder.mkdir()
@@ -87,7 +88,7 @@ def running_viewer(*options: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def end(child: subprocess.Popen[bytes]) -> None:
-    """Ends a child, gently and then not."""
+    """End a child: terminate it, and kill it if it has not ended after END_LIMIT_S."""
     child.terminate()
     try:
         child.wait(END_LIMIT_S)
@@ -97,9 +98,9 @@ def end(child: subprocess.Popen[bytes]) -> None:
 
 
 def show_window(recording: Path) -> int:
-    """Shows a recording in the viewer's window until that is closed; its exit status.
+    """Show a recording in the viewer's window until it is closed; returns the viewer's exit status.
 
-    Raises ViewerError where there is no screen.
+    Raises ViewerError if there is no screen.
     """
     require_screen()
     with running_viewer(str(recording), "--port", "auto") as child:
@@ -108,9 +109,9 @@ def show_window(recording: Path) -> int:
 
 @contextmanager
 def live_viewer(web: bool) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A viewer that waits for data: the child, a window or (web) a server alone, and the address to send to.
+    """Run a viewer that waits for data: a window, or with `web` only a server. Gives the child and its data address.
 
-    Raises ViewerError where there is no screen, or when the viewer does not start.
+    Raises ViewerError if there is no screen, or the viewer does not start.
     """
     if not web:
         require_screen()
@@ -131,7 +132,7 @@ def _listens(port: int) -> bool:
 
 
 def require_screen() -> None:
-    """Raises ViewerError where a window cannot open."""
+    """Raise ViewerError if no window can open."""
     if os.name == "posix" and os.uname().sysname == "Linux" and not has_screen():
         raise ViewerError("there is no screen here: add --web and open the address it prints in a browser")
 
@@ -142,9 +143,9 @@ def has_screen() -> bool:
 
 
 def web_assets() -> dict[str, bytes]:
-    """The viewer's page for a browser, path -> content.
+    """The files of the viewer's web page: path -> content.
 
-    Raises ViewerError if the viewer does not give it out in time.
+    Raises ViewerError if the viewer does not serve them within START_LIMIT_S.
     """
     web, grpc = free_port(), free_port()
     with running_viewer("--serve-web", "--web-viewer-port", str(web), "--port", str(grpc)) as child:
@@ -158,21 +159,21 @@ def web_assets() -> dict[str, bytes]:
 
 
 def free_port() -> int:
-    """A port nobody listens on now."""
+    """A port that is free now."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
 
 
 class WebViewer:
-    """The viewer's page, served to browsers on this machine. A context manager.
+    """Serves the viewer's web page to browsers on this machine. A context manager.
 
     Parameters
     ----------
-    source: a recording, which is served too, or the address of a running viewer server, which is live.
+    source: a recording, which is served too, or the address of a running viewer server (live).
     port: 0 takes a free one.
 
-    Raises ViewerError from the constructor when the port is taken.
+    Raises ViewerError from the constructor if the port is in use.
     """
 
     def __init__(self, source: Path | str, port: int = WEB_PORT) -> None:
@@ -190,11 +191,11 @@ class WebViewer:
         """What to open in a browser."""
 
     def serve(self) -> None:
-        """Serves until `stop` is called from another thread, or an exception (Ctrl-C) ends it."""
+        """Serve until `stop` is called from another thread, or an exception (Ctrl-C) is raised."""
         self._server.serve_forever()
 
     def stop(self) -> None:
-        """Ends `serve`."""
+        """End `serve`."""
         self._server.shutdown()
 
     def __enter__(self) -> "WebViewer":
@@ -205,7 +206,7 @@ class WebViewer:
 
 
 def _fetch(url: str) -> bytes:
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # a proxy has no business on loopback
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy: the address is on loopback
     with opener.open(url, timeout=START_LIMIT_S) as response:
         return bytes(response.read())
 
@@ -229,6 +230,6 @@ def _handler(content: Mapping[str, bytes]) -> type[BaseHTTPRequestHandler]:
             self.wfile.write(body)
 
         def log_message(self, *_: Any) -> None:
-            """Says nothing: the terminal belongs to the address it printed."""
+            """Print nothing: the terminal shows the address."""
 
     return Handler

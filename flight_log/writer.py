@@ -1,12 +1,12 @@
-"""The flight log of one process: records go into rings, a thread lays them into an MCAP file.
+"""The flight log of one process: records go into rings, and a thread writes them to an MCAP file.
 
 Theory of operation. `write` costs the 200 Hz loop three array assignments into a preallocated ring. Every
-FLUSH_PERIOD_S a thread copies what is new out of the rings, in whole arrays, and writes it as one MCAP chunk in one
-unbuffered write. So a process killed at any moment loses at most what it logged since the last flush. Nothing that
-goes wrong with the disk reaches the flight: logging stops, says so once, and `failure` holds the reason. A ring that
-runs full drops the newest records, counts them, and records an event; their sequence numbers are missing in the
-file, so a reader sees where. Without the thread (`threaded=False`, for the lockstep simulation, where a second of
-flight takes milliseconds) the same flush is called from `write` by the records' own time, and nothing is dropped.
+FLUSH_PERIOD_S a thread copies the new records out of the rings, as arrays, and writes them as one MCAP chunk in one
+unbuffered write. A process that is killed thus loses at most the records since the last flush. An error of the disk
+does not affect the flight: logging stops, one message reports it, and `failure` holds the reason. A full ring drops
+new records, counts them, and logs an event; their sequence numbers are missing in the file, so a reader can locate the
+gap. Without the thread (`threaded=False`, for the lockstep simulation, where a second of flight takes milliseconds)
+`write` flushes by the time of the records, and no record is dropped.
 """
 
 import sys
@@ -37,7 +37,7 @@ from flight_log.schema import RecordType
 FLUSH_PERIOD_S: Final = 0.3
 FLUSH_PERIOD_NS: Final = int(FLUSH_PERIOD_S * 1e9)
 RING_ROWS: Final = 1024
-"""5 s of a topic at 200 Hz: what a slow disk may take before records are dropped. A power of two."""
+"""5 s of a topic at 200 Hz: how long a disk may take before records are dropped. A power of two."""
 CLOSE_TIMEOUT_S: Final = 10.0
 RUNS_MAX: Final = 1000
 EVENT_DEFINITION: Final = "string text\n"
@@ -45,7 +45,7 @@ BYTES_DEFINITION: Final = "uint8[] data\n"
 
 
 class _VectorRing:
-    """Records of one topic on their way to the file: one thread pushes, one drains."""
+    """Records of one topic before they are written: one thread pushes, one drains."""
 
     def __init__(self, channel: int, field_count: int) -> None:
         self.channel = channel
@@ -58,7 +58,7 @@ class _VectorRing:
         self._tail = 0
 
     def push(self, time_ns: int, vector: NDArray[np.float64]) -> int:
-        """Takes a record in; returns how many wait. A full ring counts and drops it."""
+        """Store a record; returns the number of waiting records. A full ring counts and drops it."""
         sequence, head = self._sequence, self._head
         self._sequence = sequence + 1
         waiting = head - self._tail
@@ -69,11 +69,11 @@ class _VectorRing:
         self._times[row] = time_ns
         self._sequences[row] = sequence
         self._values[row] = vector
-        self._head = head + 1  # last: the draining thread looks at rows below it only
+        self._head = head + 1  # last: the draining thread reads only the rows below it
         return waiting + 1
 
     def drain(self) -> Block | None:
-        """What waits, as a block."""
+        """The waiting records as a block; None if there are none."""
         tail, head = self._tail, self._head
         if tail == head:
             return None
@@ -84,7 +84,7 @@ class _VectorRing:
 
 
 class _BytesRing:
-    """Messages of any length of one topic on their way to the file."""
+    """Messages of one topic, of any length, before they are written."""
 
     def __init__(self, channel: int) -> None:
         self.channel = channel
@@ -107,23 +107,23 @@ class _BytesRing:
 
 
 class FlightLogWriter:
-    """The flight log of one process. To be written to from one thread; never raises once it stands.
+    """The flight log of one process. Only one thread may write to it. After construction no disk error raises.
 
     Parameters
     ----------
-    path: the file, such as `flights/.../onboard.mcap`. A restarted process does not overwrite its earlier log but
-        writes `onboard_2.mcap` beside it; readers put the two together.
+    path: the file, such as `flights/.../onboard.mcap`. If it exists, as after a restart, `onboard_2.mcap` is written
+        next to it; readers combine the two.
     process: "onboard", "offboard" or "sim_vehicle".
-    metadata: anything to be said about the run, such as the seed; versions, start time and clock are added unless
-        given. `clock` names the clock the times are in: logs with the same name share one time base.
-    attachments: files kept within the log, by name: the resolved configuration.
+    metadata: facts about the run, such as the seed; versions, start time and clock are added unless given. `clock` is
+        the name of the clock of all times: logs with the same name share one time base.
+    attachments: files to store in the log, by name: the resolved configuration.
     threaded: write in the background (real time) or within `write` (lockstep).
-    on_failure: told once, in one line, when logging had to stop; prints to stderr unless given.
+    on_failure: called once, with one line of text, when logging has stopped; by default it prints to stderr.
 
     Raises
     ------
     OSError
-        From the constructor only, when the file cannot be created.
+        From the constructor, if the file cannot be created.
     """
 
     def __init__(
@@ -138,8 +138,8 @@ class FlightLogWriter:
     ) -> None:
         self.process = process
         self.failure = ""
-        """Why logging stopped; "" while all is well."""
-        self._on_failure = on_failure or _say
+        """The reason why logging stopped; "" while it works."""
+        self._on_failure = on_failure or _print_failure
         self._vectors: dict[str, _VectorRing] = {}
         self._texts: dict[str, _BytesRing] = {}
         self._reported_drops: dict[str, int] = {}
@@ -156,23 +156,26 @@ class FlightLogWriter:
 
     @property
     def dropped(self) -> int:
-        """Records lost because a ring was full."""
+        """Records dropped because a ring was full."""
         return sum(ring.dropped for ring in self._rings().values())
 
     def declare(self, record_type: RecordType) -> _VectorRing:
-        """Makes room for a record type ahead of its first record, which is then as cheap as the others."""
+        """Allocate the ring of a record type, so that its first record costs no more than the others."""
         channel = self._file.add_channel(record_type.topic, ros_definition(record_type))
         ring = _VectorRing(channel, len(record_type.fields))
-        self._vectors = {**self._vectors, record_type.topic: ring}  # replaced: the thread may be walking the old one
+        self._vectors = {
+            **self._vectors,
+            record_type.topic: ring,
+        }  # a new dict: the thread may be iterating over the old one
         return ring
 
     def write(self, record_type: RecordType, time_ns: int, vector: NDArray[np.float64]) -> None:
-        """Logs one record; `vector` is copied.
+        """Log one record; `vector` is copied.
 
         Raises
         ------
         ValueError
-            If the vector's length is not that of the record type (our own mistake, never the disk's).
+            If the vector's length is not that of the record type.
         """
         if self._closed:
             return
@@ -182,25 +185,25 @@ class FlightLogWriter:
         self._pushed(ring.push(time_ns, vector), time_ns)
 
     def write_bytes(self, topic: str, time_ns: int, data: bytes) -> None:
-        """Logs bytes as they are, such as a datagram, for replay."""
+        """Log bytes, such as a datagram, for replay."""
         if not self._closed:
             self._push_bytes(topic, BYTES_DEFINITION, time_ns, cdr_bytes(data))
 
     def event(self, time_ns: int, text: str) -> None:
-        """Logs something that happened, in words."""
+        """Log an event as text."""
         if not self._closed:
             self._push_bytes(f"{self.process}/events", EVENT_DEFINITION, time_ns, cdr_string(text))
 
     def close(self) -> None:
-        """Writes what waits and the summary, and closes the file. Never raises; may be called again."""
+        """Write the waiting records and the summary, and close the file. Never raises; may be called again."""
         if self._closed:
             return
         self._closed = True
         if self._thread is not None:
             self._wake.set()
             self._thread.join(CLOSE_TIMEOUT_S)
-            if self._thread.is_alive():  # it still holds the file, which therefore stays open
-                self._say_failure("the disk does not take the last records")
+            if self._thread.is_alive():  # the thread still uses the file, which therefore stays open
+                self._report_failure("the last records cannot be written to the disk")
                 return
         self._try(self._flush)
         self._try(self._file.finish)
@@ -261,22 +264,22 @@ class FlightLogWriter:
             self._file.write_chunk(blocks)
 
     def _try(self, action: Callable[[], None]) -> None:
-        """Runs what may fail for the disk's reasons; the first failure ends the log."""
+        """Run an action that the disk may make fail; the first failure stops the log."""
         if self.failure:
             return
         try:
             action()
         except OSError as error:
             self._fail(error.strerror or str(error))
-        except Exception as error:  # a mistake of ours in the log must not cost the vehicle
+        except Exception as error:  # an error in the log must not cost the vehicle
             self._fail(f"{type(error).__name__}: {error}")
 
     def _fail(self, reason: str) -> None:
         self._closed = True
         self._file.close()
-        self._say_failure(reason)
+        self._report_failure(reason)
 
-    def _say_failure(self, reason: str) -> None:
+    def _report_failure(self, reason: str) -> None:
         self.failure = reason
         self._on_failure(f"{self.process}: the flight log stopped, the flight goes on: {self.path}: {reason}")
 
@@ -292,5 +295,5 @@ def _create(path: Path) -> tuple[Path, McapFile]:
     raise FileExistsError(17, "too many logs of one process", str(path))
 
 
-def _say(message: str) -> None:
+def _print_failure(message: str) -> None:
     print(message, file=sys.stderr, flush=True)

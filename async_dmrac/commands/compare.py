@@ -1,4 +1,4 @@
-"""`dmrac compare FLIGHT FLIGHT...`: lays flights over each other."""
+"""`dmrac compare FLIGHT FLIGHT...`: compares flights in a table and a figure."""
 
 import argparse
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 from flight_log.compare import labels, summary_table, write_comparison
 from flight_log.reader import open_flight
 
-DESCRIPTION = "Lays flights over each other: a table on the terminal, an HTML page with figure and table."
+DESCRIPTION = "Compare flights: print a table, and write an HTML page with figure and table."
 EXAMPLES = """examples:
   dmrac compare flights/*_figure8_wind
   dmrac compare FLIGHT_A FLIGHT_B -o /tmp/comparison.html
@@ -15,13 +15,13 @@ ON_TERMINAL = ("survived", "position_rmse_m", "attitude_rmse_rad", "settled_rmse
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the subcommand's options."""
+    """Add the options of the subcommand."""
     parser.add_argument("flights", type=Path, nargs="+", metavar="FLIGHT", help="two flight folders or more")
     parser.add_argument("-o", "--out", type=Path, default=Path("comparison.html"), help="page to write (%(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Writes the page and prints the numbers of the summaries side by side; returns 0."""
+    """Write the page and print the summaries side by side; returns 0."""
     flights = [open_flight(path) for path in args.flights]
     write_comparison(flights, args.out)
     names = labels(flights)

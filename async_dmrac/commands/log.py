@@ -1,4 +1,4 @@
-"""`dmrac log info|check|merge|export`: looks into flight logs and takes data out of them."""
+"""`dmrac log info|check|merge|export`: inspects, checks, merges and exports flight logs."""
 
 import argparse
 import os
@@ -10,11 +10,11 @@ from flight_log.inspect import as_json, check, columns, describe
 from flight_log.reader import Flight, open_flight
 from flight_log.ulog import write_ulog
 
-DESCRIPTION = "Looks into a flight's logs, checks them, merges them into one file or exports them."
+DESCRIPTION = "Show the content of a flight's logs, check them, merge them into one file, or export them."
 EXAMPLES = """examples:
   dmrac log info flights/20260101_120000_figure8_wind
   dmrac log info FLIGHT --columns          every column with its unit
-  dmrac log check FLIGHT                   exit status 1 when something is missing
+  dmrac log check FLIGHT                   exit status 1 if records are missing
   dmrac log merge FLIGHT -o all.mcap       one file for Foxglove or PlotJuggler
   dmrac log export FLIGHT --csv            FLIGHT/export/*.csv
   dmrac log export FLIGHT --npz --ulog -o /tmp/data
@@ -22,16 +22,16 @@ EXAMPLES = """examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the subcommand's own subcommands."""
+    """Add the actions of the subcommand."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    info = actions.add_parser("info", help="what is in the logs")
+    info = actions.add_parser("info", help="show the content of the logs")
     info.add_argument("--columns", action="store_true", help="list every column with its unit")
-    info.add_argument("--json", action="store_true", help="for programs")
-    checking = actions.add_parser("check", help="what is missing or damaged, and where")
-    merging = actions.add_parser("merge", help="all processes in one MCAP file, on one time base")
+    info.add_argument("--json", action="store_true", help="as JSON, for programs")
+    checking = actions.add_parser("check", help="list missing and damaged records")
+    merging = actions.add_parser("merge", help="write the logs of all processes to one MCAP file, on one time base")
     merging.add_argument("-o", "--out", type=Path, help="file to write (default: FLIGHT/merged.mcap)")
-    export = actions.add_parser("export", help="CSV, NumPy or ULog")
-    for name, what in (("csv", "one file a topic"), ("npz", "one NumPy file"), ("ulog", "one PX4 ULog file")):
+    export = actions.add_parser("export", help="write CSV, NumPy or ULog files")
+    for name, what in (("csv", "one file per topic"), ("npz", "one NumPy file"), ("ulog", "one PX4 ULog file")):
         export.add_argument(f"--{name}", action="store_true", help=what)
     export.add_argument("-o", "--out", type=Path, help="folder to write into (default: FLIGHT/export)")
     for action in (info, checking, merging, export):
@@ -39,11 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit status: 0 fine, 1 `check` found something, 2 nothing was said of what to export."""
+    """Run the action; returns 0, 1 if `check` found faults, or 2 if `export` was given no format."""
     actions = {"info": _info, "check": _check, "merge": _merge, "export": _export}
     try:
         return actions[args.action](open_flight(args.flight), args)
-    except BrokenPipeError:  # `| head` has seen enough
+    except BrokenPipeError:  # `| head` has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
@@ -73,7 +73,7 @@ def _merge(flight: Flight, args: argparse.Namespace) -> int:
 
 def _export(flight: Flight, args: argparse.Namespace) -> int:
     if not (args.csv or args.npz or args.ulog):
-        print("dmrac log export: say what to write: --csv, --npz or --ulog", file=sys.stderr)
+        print("dmrac log export: give a format: --csv, --npz or --ulog", file=sys.stderr)
         return 2
     folder = args.out or _folder(flight) / "export"
     folder.mkdir(parents=True, exist_ok=True)

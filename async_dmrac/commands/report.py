@@ -1,11 +1,11 @@
-"""`dmrac report FLIGHT`: one self-contained page about a flight."""
+"""`dmrac report FLIGHT`: writes the report of a flight as one HTML page."""
 
 import argparse
 from pathlib import Path
 
 from flight_log.report import write_report
 
-DESCRIPTION = "Writes one self-contained HTML page about a flight: summary, figures, training, events, config."
+DESCRIPTION = "Write one self-contained HTML page about a flight: summary, figures, training, events, configuration."
 EXAMPLES = """examples:
   dmrac report flights/20260101_120000_figure8_wind
   dmrac report FLIGHT -o /tmp/flight.html
@@ -13,12 +13,12 @@ EXAMPLES = """examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the subcommand's options."""
+    """Add the options of the subcommand."""
     parser.add_argument("flight", type=Path, metavar="FLIGHT", help="a flight folder")
     parser.add_argument("-o", "--out", type=Path, help="file to write (default: FLIGHT/report.html)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Writes the page and says where; returns 0."""
+    """Write the page and print its path; returns 0."""
     print(write_report(args.flight, args.out))
     return 0

@@ -1,4 +1,4 @@
-"""`dmrac view FLIGHT`: the flight in the Rerun viewer, in a window or in a browser."""
+"""`dmrac view FLIGHT`: shows a flight in the Rerun viewer, in a window or in a browser."""
 
 import argparse
 import signal
@@ -15,31 +15,30 @@ from flight_log.reader import FlightError, open_flight
 from flight_log.scene import build_scene
 from flight_log.viewer import OPENED, WEB_PORT, ViewerError, WebViewer, live_viewer, show_window, viewer_binary
 
-DESCRIPTION = "Shows a flight: path, vehicle, thrust, wind and disturbance in space, curves, events on the time line."
+DESCRIPTION = "Show a flight: path, vehicle, thrust, wind and disturbance in 3-D, with curves and events."
 EXAMPLES = """examples:
   dmrac view flights/20260101_120000_figure8_wind
   dmrac view FLIGHT --web                  in a browser on this machine
-  dmrac view FLIGHT --live                 while it is being flown
-  dmrac view FLIGHT --save flight.rrd      a file for the viewer, nothing shown
+  dmrac view FLIGHT --live                 while it is flown
+  dmrac view FLIGHT --save flight.rrd      write a file for the viewer, show nothing
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds the subcommand's options."""
-    parser.description = DESCRIPTION
-    parser.epilog = EXAMPLES
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    """Add the options of the subcommand."""
     parser.add_argument("flight", type=Path, metavar="FLIGHT", help="a flight folder or one .mcap file")
-    parser.add_argument("--web", action="store_true", help="serve it to a browser, on loopback only")
+    parser.add_argument("--web", action="store_true", help="serve it to a browser on this machine")
     parser.add_argument("--port", type=int, default=WEB_PORT, help="port for --web (%(default)s; 0 takes a free one)")
-    parser.add_argument("--no-open", action="store_true", help="with --web: only print the address")
-    parser.add_argument("--live", action="store_true", help="follow a flight that is being flown into this folder")
-    parser.add_argument("--save", type=Path, metavar="FILE", help="write a recording (.rrd) instead of showing it")
+    parser.add_argument("--no-open", action="store_true", help="with --web: print the address, do not open a browser")
+    parser.add_argument("--live", action="store_true", help="follow a flight that is being logged to this folder")
+    parser.add_argument(
+        "--save", type=Path, metavar="FILE", help="write a recording (.rrd) instead of showing the flight"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Exit status: 0 shown or written, 2 the flight cannot be read or shown."""
-    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # both end it in order
+    """Show or write the flight; returns 0, or 2 if it cannot be read or shown."""
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # both end it cleanly
     try:
         return _show(args)
     except KeyboardInterrupt:
@@ -52,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace) -> int:
-    viewer_binary()  # says in one line when the extra is missing, ahead of the import
+    viewer_binary()  # before the import: raises an error with one line if the extra is missing
     from flight_log.rerun_scene import save_recording
 
     if args.live:
@@ -78,13 +77,13 @@ def _serve(source: Path | str, args: argparse.Namespace) -> int:
 
 
 def _announce(viewer: WebViewer, args: argparse.Namespace) -> None:
-    print(f"{viewer.url}\nCtrl-C ends it", flush=True)
+    print(f"{viewer.url}\nCtrl-C to end", flush=True)
     if not args.no_open:
         webbrowser.open(viewer.url)
 
 
 def _follow(args: argparse.Namespace) -> int:
-    """Follows the flight; when it is finished the viewer stays until it is closed, or Ctrl-C."""
+    """Follow the flight. The viewer stays open after the end of the flight, until it is closed or Ctrl-C is pressed."""
     with live_viewer(args.web) as (child, address), suppress(KeyboardInterrupt):
         if not args.web:
             print(OPENED, flush=True)

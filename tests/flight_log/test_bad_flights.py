@@ -48,11 +48,11 @@ def newer(folder: Path) -> None:
 
 FOLDERS = {
     missing: "no such flight",
-    empty: "holds no flight log (*.mcap)",
-    without_records: "the flight log holds no records",
-    cut_to_nothing: "the flight log holds no records",
+    empty: "contains no flight log (*.mcap)",
+    without_records: "the flight log contains no records",
+    cut_to_nothing: "the flight log contains no records",
     no_log: "not an MCAP file",
-    foreign: "an MCAP file, but no flight log of this project",
+    foreign: "an MCAP file, but not a flight log of this project",
     newer: "written in format 99, this version reads up to 1",
 }
 COMMANDS = (

@@ -59,7 +59,7 @@ def test_what_came_before_the_first_tick_has_negative_times(flight_folder: Path,
     flight = open_flight(flight_folder)
     assert flight.duration_s == pytest.approx(4.995)
     text = "\n".join(describe(flight))
-    assert "t = 0 is onboard's first tick; the first record of all was 0.700 s earlier" in text
+    assert "t = 0 is onboard's first tick; the first record of any process is 0.700 s earlier" in text
     assert "  -0.700 s  offboard: early" in text
     export_csv(flight, tmp_path)
     assert "-0.700000,offboard" in (tmp_path / "events.csv").read_text(encoding="utf-8")
@@ -87,7 +87,7 @@ def test_merged_logs_are_one_flight(flight_folder: Path) -> None:
     with target.open("rb") as file:
         times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
     assert len(times) == 1512
-    with pytest.raises(FlightError, match="is there already"):
+    with pytest.raises(FlightError, match="exists already"):
         merge(flight, target)
 
 
@@ -101,7 +101,7 @@ def test_a_merged_copy_beside_its_sources_is_not_counted_twice(flight_folder: Pa
 def test_describe_says_what_is_there(flight_folder: Path) -> None:
     flight = open_flight(flight_folder)
     text = "\n".join(describe(flight))
-    for part in ("5.0 s, onboard, sim_vehicle", "onboard/tick", "200.0 Hz", "1.000 s  onboard: took off", "whole"):
+    for part in ("5.0 s, onboard, sim_vehicle", "onboard/tick", "200.0 Hz", "1.000 s  onboard: took off", "complete"):
         assert part in text
     assert "sim_vehicle/truth.position_n  m" in columns(flight)
     found = json.loads(as_json(flight))

@@ -32,7 +32,7 @@ def test_log_faults_have_one_line_and_a_status(flight_folder: Path, capsys: pyte
     assert "--csv, --npz or --ulog" in capsys.readouterr().err
     assert run("log", "merge", flight_folder) == 0
     assert run("log", "merge", flight_folder) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert run("log", "export", flight_folder, "--npz", "-o", flight_folder / "onboard.mcap") == 2
     assert "onboard.mcap: File exists" in capsys.readouterr().err
     cut = flight_folder / "onboard.mcap"

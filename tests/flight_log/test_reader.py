@@ -86,11 +86,11 @@ def headless(path: Path) -> None:
     ("make", "message"),
     [
         (lambda path: path.parent.rmdir(), "no such flight"),
-        (lambda path: None, r"holds no flight log \(\*\.mcap\)"),
-        (lambda path: path.write_bytes(b""), "holds no records"),
-        (headless, "holds no records"),
+        (lambda path: None, r"contains no flight log \(\*\.mcap\)"),
+        (lambda path: path.write_bytes(b""), "contains no records"),
+        (headless, "contains no records"),
         (lambda path: path.write_bytes(b"PK\x03\x04 something"), "not an MCAP file"),
-        (foreign, "no flight log of this project"),
+        (foreign, "not a flight log of this project"),
         (newer, "written in format 99, this version reads up to 1"),
     ],
 )
@@ -201,5 +201,5 @@ def test_clocks_of_two_machines_become_one(
 def test_a_flight_card_that_is_not_json_is_named(tmp_path: Path) -> None:
     write_flight(tmp_path)
     (tmp_path / "summary.json").write_text("{", encoding="utf-8")
-    with pytest.raises(FlightError, match=r"summary\.json: not a flight card"):
+    with pytest.raises(FlightError, match=r"summary\.json: not a flight summary"):
         _ = open_flight(tmp_path).summary

@@ -57,7 +57,7 @@ def test_the_page_holds_everything_and_fetches_nothing(full_flight: Path) -> Non
         "40 of 60 rounds",
         "scripts/fly figure8_wind --controller dmrac --seed 7 --duration 20 --lockstep",
         "onboard: config.yaml, sim_vehicle: config.yaml",
-        "whole, without gaps",
+        "complete, without gaps",
     ):
         assert part in text
 
@@ -72,7 +72,7 @@ def test_a_flight_that_was_lost_or_cut_says_so(full_flight: Path) -> None:
     assert "vehicle lost: hit the floor" in text
     assert "onboard.mcap: not closed" in text
     (full_flight / "summary.json").unlink()
-    assert "no flight card" in write_report(full_flight).read_text(encoding="utf-8")
+    assert "no flight summary" in write_report(full_flight).read_text(encoding="utf-8")
 
 
 def test_what_is_no_flight_folder_is_named(full_flight: Path, tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def test_what_cannot_be_replayed_is_told_in_one_line(
     shutil.copy(folder / "onboard.mcap", bare)
     wrong = {
         (str(tmp_path / "nowhere"),): "no such flight",
-        (str(tmp_path),): "holds no flight log",
+        (str(tmp_path),): "contains no flight log",
         (str(bare),): "the logs of onboard and vehicle are needed",
         (str(bare), "--save-trace", str(tmp_path / "x.csv")): "holds no radio/delivery records",
         (str(folder), "--save-trace", str(tmp_path / "x.txt")): "expected a name that ends in .csv",
