@@ -10,7 +10,7 @@ offboard link -> feature reception -> swap --------------+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import dist
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -66,6 +66,11 @@ class OnboardOutput:
     """(time_ns, text)."""
     clock_offset: Array | None = None
     """Per flight_log.schema.CLOCK_OFFSET, once a second when it is known."""
+
+    def cleared(self) -> Self:
+        """The same object without datagrams and events, for the next tick."""
+        self.to_vehicle, self.to_offboard, self.to_ground, self.events = [], [], [], []
+        return self
 
 
 class OnboardCore:
@@ -141,8 +146,8 @@ class OnboardCore:
         missed_ticks: ticks that the loop has skipped since its start, for status and log.
         """
         now_ns = self._clock.at(now_ns)
-        output = self._new_output(missed_ticks)
-        readings = self._receive_vehicle(from_vehicle, now_ns)
+        self._missed_ticks, output = missed_ticks, self._output.cleared()
+        readings = [one for datagram in from_vehicle for one in self._vehicle_link.receive(datagram, now_ns)]
         poses = self._receive_offboard(from_offboard, now_ns)
         self._receive_ground(from_ground, land, now_ns)
         state = self._estimate(readings, poses, now_ns)
@@ -186,15 +191,6 @@ class OnboardCore:
         return OnboardOutput(to_vehicle=[self._vehicle_link.encode_motors(ZERO, False, now_ns)])
 
     # --- receive -------------------------------------------------------------------------------------------------
-
-    def _new_output(self, missed_ticks: int) -> OnboardOutput:
-        output = self._output
-        output.to_vehicle, output.to_offboard, output.to_ground, output.events = [], [], [], []
-        self._missed_ticks = missed_ticks
-        return output
-
-    def _receive_vehicle(self, datagrams: Sequence[bytes], now_ns: int) -> list[Reading]:
-        return [reading for datagram in datagrams for reading in self._vehicle_link.receive(datagram, now_ns)]
 
     def _receive_offboard(self, datagrams: Sequence[bytes], now_ns: int) -> list[DatedPose]:
         """Poses for the estimator; chunks of feature versions go to the reception."""

@@ -151,3 +151,7 @@ class Rig:
             self.rates = self.rates + dt * turning
         self.belief.step(command)
         self.specific_force = self.attitude.as_matrix().T @ force
+
+
+def column(rows: list[dict[str, Any]], name: str) -> Any:
+    return np.array([row[name] for row in rows])

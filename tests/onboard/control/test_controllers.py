@@ -12,18 +12,14 @@ import yaml
 from configs.loader import ConfigError, fill
 from experiments.flights.lockstep_flight import build
 from experiments.flights.scenario import Choices, resolve
-from onboard.control.actuators import Delivered
 from onboard.control.features import random_channel
 from onboard.control.interface import ControllerConfig
-from onboard.control.laws.integral import Integral, IntegralConfig
 from onboard.control.laws.last_layer import AdaptationConfig
-from onboard.control.laws.law import ChannelState
-from onboard.control.records import ChannelTelemetry
 from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
-from tests.onboard.control.fixture import AIRFRAME, DT, Rig, controller_tree, shipped_controller
+from tests.onboard.control.fixture import AIRFRAME, DT, Rig, column, controller_tree, shipped_controller
 
 BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")
 FORCE, TORQUE = (0.5, -0.3, 0.8), (5.0, -4.0, 0.5)
@@ -31,10 +27,6 @@ NO_TRAINING = "offboard.trainer.minimum_samples=1000000"
 ROOT = Path(__file__).parents[3]
 DOCUMENT = ROOT / "docs" / "control.md"
 SHIPPED = sorted(path.stem for path in (ROOT / "configs" / "controllers").glob("*.yaml"))
-
-
-def column(rows: list[dict[str, Any]], name: str) -> Any:
-    return np.array([row[name] for row in rows])
 
 
 # --- in lockstep -----------------------------------------------------------------------------------------------------
@@ -136,133 +128,6 @@ def test_l1_converges_to_the_share_its_sampled_law_allows(pole: float) -> None:
     rows = Rig(shipped_controller("l1", over), FORCE).fly(4.0)
     share = pole * DT / np.expm1(pole * DT)
     np.testing.assert_allclose(rows[-1]["position_nu"], share * np.array(FORCE), rtol=2e-3)
-
-
-# --- hedging ---------------------------------------------------------------------------------------------------------
-
-
-def errors_of_a_great_step(hedging: bool, name: str = "none", **disturbance: Any) -> tuple[Any, Any]:
-    """Error e of both channels while the motors saturate: 2.6 m at once, and a quarter turn of yaw."""
-    rig = Rig(shipped_controller(name, {"hedging": hedging}), **disturbance)
-    rig.target, rig.yaw = np.array([1.5, -1.5, -2.5]), 1.5
-    rows = rig.fly(2.0)
-    return column(rows, "position_e"), column(rows, "attitude_e")
-
-
-def test_hedging_keeps_saturation_lag_and_limits_out_of_both_errors() -> None:
-    """Nothing is unknown here, so that e ought to stay zero: through tilt limit, motor limits, lag and dead time."""
-    position, attitude = errors_of_a_great_step(True)
-    assert np.abs(position[:, :3]).max() < 0.01
-    assert np.abs(attitude[:, :3]).max() < 0.01
-
-
-def test_without_hedging_the_limits_look_like_a_disturbance() -> None:
-    position, attitude = errors_of_a_great_step(False)
-    assert np.abs(position[:, :3]).max() > 0.3
-    assert np.abs(attitude[:, :3]).max() > 0.1
-
-
-def test_the_errors_dynamics_are_the_same_in_saturation() -> None:
-    """With a disturbance and no nu_ad, e follows e_dot = A_rm e - B Delta whether the motors saturate or not."""
-    calm = Rig(shipped_controller("none"), FORCE)
-    unsaturated = column(calm.fly(2.0), "position_e")
-    saturated, _ = errors_of_a_great_step(True, force=FORCE)
-    np.testing.assert_allclose(saturated, unsaturated, atol=0.04)
-    np.testing.assert_allclose(unsaturated[-1, :3], -np.array(FORCE) / (16.0, 16.0, 25.0), rtol=0.05)
-
-
-def test_u_hat_is_what_acted_over_the_tick_and_not_at_its_end() -> None:
-    """A step of u puts half a tick times the step into e_2 if the two are confused; here u steps by 130 rad/s^2."""
-    rig = Rig(shipped_controller("none"))
-    rig.fly(0.1)
-    rig.target = np.array([0.6, 0.0, -1.0])
-    rates = column(rig.fly(0.3), "attitude_e")[:, 3:]
-    assert np.abs(rates).max() < 0.05
-
-
-def test_both_directions_of_the_attitude_dynamics_know_the_gyroscopic_torque() -> None:
-    """Torque = J u + omega x J omega on the way out, and u_hat the reverse of it on the way in."""
-    rig = Rig(shipped_controller("none"))
-    rig.rates = np.array([6.0, -5.0, 9.0])
-    J = np.diag(AIRFRAME.inertia_kg_m2)
-    gyroscopic = np.cross(rig.rates, J @ rig.rates)
-    torque = (1e-3, -2e-3, 3e-4)
-    inputs = rig.inputs()
-    for _ in range(2):  # u_hat is the mean of two ticks
-        _, attitude = rig.uncertainty.step(inputs.state, Delivered(np.zeros(4), 0.5, torque))
-    output = rig.controller.step(inputs)
-    np.testing.assert_allclose(output.torque_nm, J @ output.attitude.demand + gyroscopic, rtol=1e-9)
-    expected = np.linalg.solve(J, np.array(torque) - gyroscopic)
-    np.testing.assert_allclose(attitude.u_hat, expected, rtol=1e-9)
-
-
-def test_hedging_keeps_adaptation_from_learning_a_limit() -> None:
-    def learnt(hedging: bool) -> float:
-        over = {"hedging": hedging}
-        for channel in ("position", "attitude"):
-            over[channel] = {"augmentation": {"law": {"composite_gain": 0.0, "tracking_gain": 16.0}}}
-        rig = Rig(shipped_controller("bias", over))
-        rig.target = np.array([1.5, -1.5, -2.5])
-        return float(np.abs(column(rig.fly(2.0), "position_nu")).max())
-
-    assert learnt(True) < 0.1
-    assert learnt(False) > 1.0
-
-
-# --- PID -------------------------------------------------------------------------------------------------------------
-
-
-def integral(seconds: float, error: float, saturated: bool, start: float = 0.0) -> float:
-    block = Integral(IntegralConfig(kind="integral", gain=(16.0, 16.0, 30.0), limit=6.0))
-    channel = ChannelState(dt=DT, adapt=True)
-    block._nu = np.full(3, start)
-    for _ in range(round(seconds / DT)):
-        channel.tracking_error[:3] = error
-        channel.saturated = saturated
-        nu = block.step(channel, ChannelTelemetry())
-    return float(nu[0])
-
-
-def test_the_integral_winds_up_only_to_its_limit_and_not_in_saturation() -> None:
-    assert integral(1.0, 0.1, False) == pytest.approx(-1.6)
-    assert integral(60.0, 0.1, False) == -6.0
-    assert integral(60.0, 0.1, True) == 0.0
-    assert integral(0.5, 0.1, True, start=-2.0) == -2.0
-
-
-def test_the_integral_unwinds_in_saturation() -> None:
-    assert integral(0.5, -0.1, True, start=-2.0) == pytest.approx(-1.2)
-
-
-def test_the_integral_holds_while_it_may_not_adapt() -> None:
-    block = Integral(IntegralConfig(kind="integral", gain=(16.0,) * 3, limit=6.0))
-    channel = ChannelState(dt=DT, adapt=False)
-    channel.tracking_error[:] = 1.0
-    assert block.step(channel, ChannelTelemetry()).tolist() == [0.0, 0.0, 0.0]
-
-
-def test_what_nu_ad_makes_up_for_comes_on_top_of_the_climb_limit() -> None:
-    """Motors that give a third less than believed: the climb limit alone would not lift the vehicle's own weight."""
-    rig = Rig(shipped_controller("bias", {"limits": {"climb_acceleration_max_m_s2": 3.0}}), force=(0.0, 0.0, 5.0))
-    down = column(rig.fly(6.0), "position")[:, 2]
-    assert abs(float(down[-1]) + 1.0) < 0.05
-
-
-def test_anti_windup_shortens_the_overshoot() -> None:
-    """A load the motors cannot hold, let go; with the flag withheld the integral winds up and the vehicle shoots up."""
-    wide = {"position": {"augmentation": {"limit": 30.0}}}
-
-    def overshoot(tell: bool) -> float:
-        rig = Rig(shipped_controller("pid", wide), force=(0.0, 0.0, 11.0))
-        rig.target = np.array([0.0, 0.0, -1.0])
-        if not tell:
-            step = rig.controller.step
-            rig.controller.step = lambda inputs: step(dataclasses.replace(inputs, saturated=False))
-        rig.fly(1.0)
-        rig.force[:] = 0.0
-        return float(-1.0 - column(rig.fly(3.0), "position")[:, 2].min())
-
-    assert overshoot(True) < 0.7 * overshoot(False)
 
 
 # --- jumps, look-ahead, level, reset ---------------------------------------------------------------------------------

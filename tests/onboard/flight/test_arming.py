@@ -18,7 +18,7 @@ from protocol.messages import Pose
 from sim_vehicle.link.radio import Radio
 from sim_vehicle.lockstep import Lockstep
 from sim_vehicle.vehicle import SimVehicle
-from tests.onboard.test_core import CLOCK_NS, PERIOD_NS, Peer
+from tests.onboard.loop import CLOCK_NS, PERIOD_NS, Peer
 
 REST = (0.0, 0.0, -9.81)
 

@@ -1,0 +1,125 @@
+"""Feature versions in the onboard core: accepted, refused, restarted."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from onboard.control.feature_reception import FeatureReception
+from onboard.control.feature_swap import SwapConfig
+from onboard.control.features import random_channel
+from protocol.codec import encode_feature_set
+from protocol.feature_set import FeatureSet
+from protocol.messages import REFUSALS, FeatureChunk
+from protocol.transfer import split
+from tests.onboard.loop import Loop, Peer, in_flight
+
+
+def features(version=1, gain=1.0, last_layer=0.0):
+    rng = np.random.default_rng(version)
+    start = random_channel(("position_n", "velocity_n"), np.zeros(2), np.ones(2), (8, 5), rng)
+    weights = tuple(gain * W for W in start.weights)
+    source = dataclasses.replace(start, weights=weights, last_layer=np.full((6, 3), last_layer))
+    return FeatureSet(version, 0, 100, source, source)
+
+
+def test_good_features_come_into_use_and_are_reported():
+    loop = in_flight("dmrac")
+    loop.peer.sender.offer(features(), loop.now_ns)
+    loop.fly(2.0)
+    assert loop.said("features 1 in use")
+    assert loop.peer.statuses[-1].feature_version == 1
+    assert loop.column("feature_version")[-1] == 1
+    assert 0.0 < loop.column("feature_age")[-1] < 2.0
+    assert loop.core.summary()["features"] == {"version": 1, "swaps": 1, "refused": 0}
+    assert loop.peer.batches[-1].feature_version == 1
+    assert loop.peer.sender.outstanding_version == 0
+    assert loop.vehicle.crash_reason == ""
+
+
+@pytest.mark.parametrize(
+    ("controller", "sent", "reason"),
+    [
+        ("dmrac", features(gain=100.0), "lipschitz"),
+        ("dmrac", features(last_layer=100.0), "weight_norm"),
+        ("pid", features(), "not_accepting"),
+    ],
+)
+def test_features_are_refused_with_the_reason(controller, sent, reason):
+    loop = in_flight(controller)
+    loop.peer.sender.offer(sent, loop.now_ns)
+    loop.fly(0.5)
+    status = loop.peer.statuses[-1]
+    assert (status.refused_version, REFUSALS[status.refusal]) == (1, reason)
+    assert status.feature_version == 0
+    assert loop.said(f"features 1 refused: {reason}")
+    assert loop.peer.sender.outstanding_version == 0
+
+
+def test_features_that_jump_too_far_are_refused_in_flight():
+    loop = in_flight("dmrac")
+    position = loop.core.controller.augmentations[0]
+    position._config = position._config.model_copy(update={"swap": SwapConfig(jump_max=1e-6)})
+    loop.peer.sender.offer(features(last_layer=1.0), loop.now_ns)
+    loop.fly(0.5)
+    assert REFUSALS[loop.peer.statuses[-1].refusal] == "swap_jump"
+
+
+def test_undecodable_features_are_refused_on_arrival():
+    loop = Loop("dmrac", peer=Peer()).fly(1.0)
+    loop.waiting += split(b"no feature set" * 30, 4, 1000)
+    loop.fly(0.5)
+    assert loop.peer.statuses[-1].refused_version == 4
+    assert loop.peer.statuses[-1].refusal > 0
+
+
+def test_a_controller_that_does_not_learn_refuses():
+    class Plain:
+        def step(self, inputs):
+            raise AssertionError
+
+    reception = FeatureReception()
+    for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
+        reception.receive(chunk)
+    complete = reception.take_complete()
+    assert complete is not None
+    assert reception.conclude(complete, "not_accepting", 0) == "features 1 refused: not_accepting"
+    assert reception.status[-2:] == (1, REFUSALS.index("not_accepting"))
+    assert reception.take_complete() is None
+
+
+def test_features_that_wait_are_void_when_the_peer_restarts():
+    class Plain:
+        pass
+
+    reception = FeatureReception()
+    for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
+        reception.receive(chunk)
+    reception.restart()
+    assert reception.take_complete() is None
+    assert reception.status[-2:] == (0, 0)
+
+
+def test_gathering_and_swapping_never_fall_into_one_tick():
+    loop = Loop("dmrac", peer=Peer()).fly(1.0)
+    chunks = split(encode_feature_set(features(), "float32"), 1, 300)
+    loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns) for chunk in chunks[:-1]]
+    loop.step()
+    assert loop.core.summary()["features"]["version"] == 0
+    assert isinstance(chunks[-1], FeatureChunk)
+    loop.extra = [loop.peer.endpoint.encode(chunks[-1], loop.now_ns)]
+    loop.step()
+    assert loop.core.summary()["features"]["version"] == 1
+
+
+def test_a_restarted_peer_may_number_its_features_anew():
+    loop = Loop("dmrac", peer=Peer(session=2)).fly(1.0)
+    loop.peer.sender.offer(features(version=9), loop.now_ns)
+    loop.fly(1.0)
+    assert loop.column("feature_version")[-1] == 9
+    loop.peer = Peer(session=3)
+    loop.fly(0.5)
+    assert loop.said("offboard restarted")
+    loop.waiting += split(encode_feature_set(features(version=1), "float32"), 1, 1000)
+    loop.fly(0.5)
+    assert loop.column("feature_version")[-1] == 1
