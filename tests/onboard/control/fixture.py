@@ -21,6 +21,7 @@ from onboard.flight.trajectory import PathPoint
 from onboard.sampling.signal_vector import SignalVector
 
 DT = 0.005
+FORCE, TORQUE = (0.5, -0.3, 0.8), (5.0, -4.0, 0.5)
 SUBSTEPS = 5
 REST = (0.0, 0.0, 0.0)
 AIRFRAME = fill(AirframeConfig, read_vehicle("mambo").airframe, "mambo.yaml")

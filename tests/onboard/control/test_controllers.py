@@ -22,7 +22,6 @@ from protocol.signals import SIGNAL_INDEX
 from tests.onboard.control.fixture import AIRFRAME, DT, Rig, column, controller_tree, shipped_controller
 
 BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")
-FORCE, TORQUE = (0.5, -0.3, 0.8), (5.0, -4.0, 0.5)
 NO_TRAINING = "offboard.trainer.minimum_samples=1000000"
 ROOT = Path(__file__).parents[3]
 DOCUMENT = ROOT / "docs" / "control.md"

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from onboard.control.actuators import Delivered
-from tests.onboard.control.fixture import AIRFRAME, Rig, column, shipped_controller
+from tests.onboard.control.fixture import AIRFRAME, FORCE, Rig, column, shipped_controller
 
 
 def errors_of_a_great_step(hedging: bool, name: str = "none", **disturbance: Any) -> tuple[Any, Any]:
