@@ -19,7 +19,7 @@ from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
-from tests.onboard.control.fixture import AIRFRAME, DT, Rig, column, controller_tree, shipped_controller
+from tests.onboard.control.fixture import AIRFRAME, DT, FORCE, TORQUE, Rig, column, controller_tree, shipped_controller
 
 BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")
 NO_TRAINING = "offboard.trainer.minimum_samples=1000000"
