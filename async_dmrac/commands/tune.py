@@ -39,8 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     import optuna
 
     from experiments.campaigns.controller_file import tuned_text, write_controller
-    from experiments.campaigns.runner import LocalPool
     from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
+    from experiments.campaigns.worker_pools import LocalPool
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     path = campaign_path(arguments.campaign)

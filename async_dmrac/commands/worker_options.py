@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from experiments.campaigns.runner import DaskWorkers, LocalPool, Workers
 from experiments.campaigns.runner import Progress as CampaignProgress
+from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:

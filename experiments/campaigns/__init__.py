@@ -1,1 +1,1 @@
-"""Many flights: what a campaign unfolds into, who flies them, where their rows are kept; tuning."""
+"""Campaigns: their flights, the workers that fly them, and the stored rows; tuning."""

@@ -1,4 +1,4 @@
-"""Writes tuned values into a controller file and leaves the rest of its text as it is: comments, anchors, layout."""
+"""Writes tuned values into a controller file without changing its comments, anchors and layout."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,18 +9,18 @@ from configs.loader import ConfigError
 from runtime.files import write_atomically
 
 HEADER_MARK = "# Tuned: "
-"""Comment lines of the search's record begin with it; a new search replaces them."""
+"""Prefix of the comment lines that record the search; a new search replaces them."""
 
 
 def tuned_text(text: str, values: Mapping[str, float], record: Sequence[str], source: str) -> str:
-    """The file's text with `values` by path in it, and the search's record in comment lines at its head.
+    """Return the file's text with `values`, by path, and the record of the search in comment lines at its head.
 
-    A path that the file does not have is added as a top-level section (`guidance.look_ahead_s`).
+    A missing path of two keys (`guidance.look_ahead_s`) is added to its top-level section.
 
     Raises
     ------
     ConfigError
-        If a path leads to something that is not a single value, or is missing below an existing section of flow style.
+        If a path does not lead to a single value, or is missing below a section in flow style.
     """
     body = "".join(line for line in text.splitlines(keepends=True) if not line.startswith(HEADER_MARK))
     missing: dict[str, dict[str, float]] = {}
@@ -49,7 +49,7 @@ def _number(value: float) -> str:
 
 
 def _replace(text: str, path: str, value: str, source: str) -> str | None:
-    """The text with the scalar at `path` replaced; None if the path is missing."""
+    """Return the text with the scalar at `path` replaced; None if the path is missing."""
     node = yaml.compose(text, Loader=yaml.SafeLoader)
     for key in path.split("."):
         below = _child(node, key)
@@ -81,5 +81,5 @@ def _add(text: str, section: str, entries: Mapping[str, float]) -> str:
 
 
 def write_controller(path: Path, text: str) -> None:
-    """Writes the file, complete or not at all."""
+    """Write the file, complete or not at all."""
     write_atomically(path, text.encode())

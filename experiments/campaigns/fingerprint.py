@@ -5,8 +5,8 @@ import json
 from typing import Final
 
 from configs.loader import ConfigError
-from experiments.campaigns.campaign import CampaignConfig, FlightJob, Seeds, unfold
-from experiments.flights.scenario import Choices, resolve
+from experiments.campaigns.campaign import CampaignConfig, Seeds
+from experiments.campaigns.flight_jobs import FlightJob, unfold
 
 SEED: Final = 1000
 """The flights of this seed stand for those of all seeds."""
@@ -46,7 +46,7 @@ def fingerprint(campaign: CampaignConfig) -> str:
 
 def _settings(job: FlightJob) -> object:
     try:
-        flight = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
+        flight = job.configuration()
     except ConfigError:
         return [job.scenario, job.controller, job.duration_s, job.assignments]
     return flight.model_dump(mode="json", by_alias=True, exclude=set(CHANGES_NO_FLIGHT))

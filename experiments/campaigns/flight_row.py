@@ -1,4 +1,4 @@
-"""One flight as one row: its metrics, its link, its features, and the command that repeats it."""
+"""The row of one flight: metrics, link, features, and the command that repeats it."""
 
 import json
 import math
@@ -17,9 +17,9 @@ from protocol.conventions import Array
 from sim_vehicle.lockstep import TickResult
 
 AFTER_ONSET_S = 4.0
-"""First window after a fault."""
+"""Length of the first window after a fault."""
 SETTLED_AFTER_ONSET_S = 10.0
-"""From then on after a fault the flight counts as settled."""
+"""Time after a fault from which the flight counts as settled."""
 RECOVERED_RAD = math.radians(5.0)
 RECOVERED_FOR_S = 1.0
 
@@ -43,27 +43,27 @@ SCHEMA = pa.schema(
         ("lap_rmse_m", pa.list_(pa.float64())),
     ]
 )
-"""Columns of flights.parquet. Times in s of flight time; RMSE over the windows that docs/experiments.md states."""
+"""Columns of flights.parquet. Times in s of flight time; docs/experiments.md defines the windows of the RMSE."""
 
 Row = dict[str, Any]
 
 
 class LinkBytes:
-    """Counts what goes over the link, as an observer of the flight."""
+    """Observer of a flight that counts the bytes on the link."""
 
     def __init__(self) -> None:
         self.up = 0
         self.down = 0
 
     def __call__(self, result: TickResult) -> None:
-        """Takes note of one tick."""
+        """Count the datagrams of one tick."""
         self.up += sum(len(datagram) for datagram in result.onboard.to_offboard)
         if result.offboard is not None:
             self.down += sum(len(datagram) for datagram in result.offboard.to_onboard)
 
 
 def flight_row(config: FlightConfig, outcome: LockstepOutcome, link: LinkBytes) -> Row:
-    """The measured part of a row. NaN stands for what the flight has no answer to."""
+    """Return the measured part of a row; NaN for quantities that the flight does not have."""
     trace = outcome.trace
     metrics = flight_metrics(trace, config.onboard.guidance.trajectory)
     crash = outcome.crash_reason or _cut(trace)
@@ -98,7 +98,7 @@ def flight_row(config: FlightConfig, outcome: LockstepOutcome, link: LinkBytes) 
 
 
 def fault_onset_s(config: FlightConfig) -> float:
-    """When the first disturbance sets in that was not there from the start; NaN if there is none."""
+    """Return the onset of the first disturbance that is not present from the start; NaN if there is none."""
     onsets = [item.onset_s for item in config.vehicle.disturbances if item.onset_s > 0.0]
     return min(onsets, default=math.nan)
 
@@ -136,7 +136,7 @@ def _bounds(trace: FlightTrace) -> Row:
 
 
 def _swap_jumps(trace: FlightTrace) -> Row:
-    """Largest change of nu_ad over a tick in which features were swapped in flight."""
+    """Return the largest change of nu_ad over a tick with a swap in flight, per channel."""
     swapped = np.flatnonzero((np.diff(trace.tick["feature_version"]) != 0) & trace.on_path[1:])
     row: Row = {}
     for channel, axes, unit in (("position", "ned", "m_s2"), ("attitude", "xyz", "rad_s2")):
@@ -163,11 +163,12 @@ def _fault_windows(config: FlightConfig, trace: FlightTrace) -> Row:
 
 
 def recovery_s(since_s: Array, attitude_error: Array) -> float:
-    """Time from the fault (0) to the start of the first second of attitude error below 5 degrees; NaN if none.
+    """Return the time from the fault to the first second with an attitude error below 5 degrees; NaN for none.
 
     Parameters
     ----------
-    since_s: [n], time since the fault, s, ascending. attitude_error: [n], rad.
+    since_s: [n], time since the fault, s, ascending.
+    attitude_error: [n], rad.
     """
     after = since_s >= 0.0
     time, bad = since_s[after], attitude_error[after] >= RECOVERED_RAD
@@ -184,17 +185,17 @@ def _median(values: Array) -> float:
 
 
 def empty_row() -> Row:
-    """A row of which nothing is known."""
+    """Return a row without any results."""
     row: Row = dict.fromkeys(_TEXTS, "") | dict.fromkeys(_INTEGERS, 0) | dict.fromkeys(_FLOATS, math.nan)
     return row | {"survived": False, "lap_rmse_m": []}
 
 
 def point_of(row: Row) -> dict[str, Any]:
-    """The point in the sweeps that a row belongs to."""
+    """Return the point of the sweeps that a row belongs to."""
     point: dict[str, Any] = json.loads(row["point"])
     return point
 
 
 def outcomes(rows: Iterable[Row]) -> dict[int, bool]:
-    """Whether the vehicle survived, by seed."""
+    """Return whether the vehicle survived, by seed."""
     return {row["seed"]: bool(row["survived"]) for row in rows}

@@ -1,4 +1,4 @@
-"""A campaign that was flown: what its folder, or a file of published rows, says it is about, and the rows."""
+"""A flown campaign, from its folder or from a file of published rows: its settings and its rows."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,24 +17,24 @@ from runtime.files import write_atomically
 
 CAMPAIGN_FILE: Final = "campaign.yaml"
 _METADATA: Final = b"campaign.yaml"
-"""Under this key published rows carry that file."""
+"""Key of that file's content in the metadata of published rows."""
 
 
 class About(ConfigRecord):
-    """What flights are of: the content of CAMPAIGN_FILE."""
+    """The content of CAMPAIGN_FILE."""
 
     name: str
     fingerprint: str
     """Of the settings they were flown with."""
     seeds: int
-    """Of the latest call, a point."""
+    """Number of seeds per point in the latest call."""
     flown_on: tuple[str, ...] = ()
-    """Machines and versions, a line each."""
+    """One line for each machine, set of versions and commit."""
     campaign: dict[str, Any]
-    """As it was flown."""
+    """The campaign as it was flown."""
 
     def file_content(self) -> bytes:
-        """What CAMPAIGN_FILE holds."""
+        """Return the content of CAMPAIGN_FILE."""
         tree = self.model_dump(mode="json")
         return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=110).encode()
 
@@ -48,10 +48,10 @@ class About(ConfigRecord):
 
 @dataclass(frozen=True)
 class FlownCampaign:
-    """Rows and what they are of."""
+    """The rows of a campaign, and its settings."""
 
     place: Path
-    """The folder or the file."""
+    """Folder or file."""
     about: About
     config: CampaignConfig
     """The campaign as it was flown."""
@@ -60,17 +60,17 @@ class FlownCampaign:
 
 
 def is_campaign(folder: Path) -> bool:
-    """Whether a folder is a campaign's already."""
+    """Return whether a folder is a campaign's."""
     return (folder / CAMPAIGN_FILE).exists()
 
 
 def read_about(place: Path) -> About:
-    """What a campaign's folder, or a file of published rows, is about.
+    """Read the settings from a campaign's folder or a file of published rows.
 
     Raises
     ------
     ConfigError
-        If it is neither, or damaged.
+        If `place` is neither, or is damaged.
     """
     if place.is_file():
         return fill(About, parse_mapping(_published_about(place), str(place)), str(place))
@@ -83,14 +83,14 @@ def _published_about(file: Path) -> str:
     try:
         content: bytes | None = (pq.read_schema(file).metadata or {}).get(_METADATA)
         if content is None:
-            raise ConfigError(f"{file}: no published rows of a campaign: its metadata do not say what it is of")
+            raise ConfigError(f"{file}: no published rows of a campaign: its metadata name no campaign")
         return content.decode()
     except (OSError, UnicodeDecodeError, pa.lib.ArrowException) as error:
         raise ConfigError(f"{file}: cannot be read: {error}") from None
 
 
 def read_flown(place: Path) -> FlownCampaign:
-    """Reads a campaign's folder, or a file of published rows. Raises ConfigError as `read_about` does."""
+    """Read a campaign's folder or a file of published rows. Raises ConfigError as `read_about` does."""
     about = read_about(place)
     config = fill(CampaignConfig, about.campaign, str(place), "campaign.")
     try:
@@ -98,21 +98,23 @@ def read_flown(place: Path) -> FlownCampaign:
     except (OSError, pa.lib.ArrowException) as error:
         raise ConfigError(f"{place}: its rows cannot be read: {error}") from None
     if any(table.column(name).null_count for name in ("key", "seed", "error", "trace_sha256")):
-        raise ConfigError(f"{place}: its rows are no flights of a campaign")
+        raise ConfigError(f"{place}: its rows are not flights of a campaign")
     return FlownCampaign(place, about, config, table)
 
 
 def publish(folder: Path, file: Path) -> None:
-    """Writes a campaign folder's rows into one file, with what they are of in its metadata."""
+    """Write the rows of a campaign's folder into one file, with the campaign file in its metadata."""
     file.parent.mkdir(parents=True, exist_ok=True)
     content = (folder / CAMPAIGN_FILE).read_bytes()
     write_table(file, read_table(folder).replace_schema_metadata({_METADATA: content}))
 
 
 def unpublish(file: Path, folder: Path) -> int:
-    """The reverse of `publish`, into a folder that is no campaign's yet; returns the number of rows."""
+    """Write published rows into a new folder of a campaign; return the number of rows."""
     table = pq.read_table(file)
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / PARQUET, table)
-    write_atomically(folder / CAMPAIGN_FILE, table.schema.metadata[_METADATA])  # last: now the folder is a campaign's
+    write_atomically(
+        folder / CAMPAIGN_FILE, table.schema.metadata[_METADATA]
+    )  # last: this makes it a campaign's folder
     return len(table)

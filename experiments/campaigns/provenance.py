@@ -1,6 +1,6 @@
-"""Where and with what flights were flown: commit, machine, versions.
+"""Describes where flights were flown: commit, machine, versions.
 
-Last digits differ with the kernels that OpenBLAS chooses for a processor, so these belong to the machine.
+The machine includes the kernels that OpenBLAS chooses for its processor: with other kernels the last digits differ.
 """
 
 import os
@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
-import numpy  # noqa: F401  with its BLAS; that of scipy may be another one
+import numpy  # noqa: F401  loads its BLAS; scipy may have another one
 import scipy.linalg  # noqa: F401
 from threadpoolctl import threadpool_info
 
@@ -23,17 +23,17 @@ _KERNELS: Final = "OpenBLAS kernels "
 
 
 def openblas_kernels() -> str:
-    """For which processor OpenBLAS's kernels in use were written: "SkylakeX"; "" with another BLAS.
+    """Return the processor type of the OpenBLAS kernels in use, such as "SkylakeX"; "" with another BLAS.
 
-    OpenBLAS chooses them when it is loaded, by the processor, and a release may not know a newer one: the variable
-    OPENBLAS_CORETYPE chooses otherwise. Should numpy's and scipy's differ, both are named, with a slash.
+    OpenBLAS chooses them by the processor when it is loaded; a release may not know a newer processor. The variable
+    OPENBLAS_CORETYPE overrules the choice. If those of numpy and scipy differ, both are named, with a slash.
     """
     found = (str(library["architecture"]) for library in threadpool_info() if library["internal_api"] == "openblas")
     return "/".join(sorted(set(found)))
 
 
 def machine() -> str:
-    """Processor, cores, system, kernels of the linear algebra."""
+    """Return processor, cores, system and OpenBLAS kernels."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -46,17 +46,17 @@ def machine() -> str:
 
 
 def kernels_of(line: str) -> str:
-    """The OpenBLAS kernels that a line of `here` names; "" if it names none."""
+    """Return the OpenBLAS kernels that a line of `here` names; "" for none."""
     found = re.search(rf", {re.escape(_KERNELS)}([\w/]+)", line)
     return found.group(1) if found else ""
 
 
 def other_kernels(flown_on: Iterable[str], here: str) -> str:
-    """What to try if flights differ; "" if none of a campaign is known to be flown with other kernels than `here`.
+    """Return advice for flights that differ; "" if no flight is known to be flown with other kernels than `here`.
 
     Parameters
     ----------
-    flown_on: lines of `here`, where it was flown.
+    flown_on: lines of `here` from the machines that flew.
     """
     others = sorted({kernels_of(line) for line in flown_on} - {here, ""})
     if not others:
@@ -64,12 +64,12 @@ def other_kernels(flown_on: Iterable[str], here: str) -> str:
     now = f"those for {here}" if here else "none"
     return (
         f"flown with OpenBLAS's kernels for {' or '.join(others)}, here with {now}; "
-        f"OPENBLAS_CORETYPE={others[0].partition('/')[0]} chooses the former, if this processor has their instructions"
+        f"OPENBLAS_CORETYPE={others[0].partition('/')[0]} selects the former, if this processor has their instructions"
     )
 
 
 def versions() -> dict[str, str]:
-    """Python and the packages that flights depend on."""
+    """Return the versions of Python and of the packages that flights depend on."""
     found = {"python": sys.version.split()[0]}
     for package in PACKAGES:
         try:
@@ -80,7 +80,7 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str:
-    """Commit of the sources, `-dirty` behind it if they were changed since; "" outside a git checkout."""
+    """Return the commit of the sources, with `-dirty` if they have changed since; "" outside a git checkout."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--exclude=*"]
     try:
         answer = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
@@ -94,7 +94,7 @@ def _line(place: str, commits: Sequence[str]) -> str:
 
 
 def by_place(lines: Iterable[str]) -> tuple[str, ...]:
-    """Lines of `here`; those that differ in nothing but the commit are one line."""
+    """Merge lines of `here` that differ only in the commit."""
     places: dict[str, list[str]] = {}
     for line in lines:
         place, _, sources = line.partition(_COMMIT)
@@ -109,7 +109,7 @@ def commits_of(lines: Iterable[str]) -> tuple[str, ...]:
 
 
 def here() -> str:
-    """One line on this machine and what is installed on it."""
+    """Return one line that describes this machine, its versions and the commit."""
     packages = ", ".join(f"{name} {number}" for name, number in versions().items())
     sources = commit()
     return _line(f"{machine()}; {packages}", [sources] if sources else [])

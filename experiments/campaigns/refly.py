@@ -1,4 +1,4 @@
-"""Flies some of a campaign's flights again: are its rows what this code gives on this machine?"""
+"""Repeats some of a campaign's flights, to check whether this code on this machine gives the same rows."""
 
 import random
 from collections.abc import Callable
@@ -10,25 +10,26 @@ from configs.loader import ConfigError
 from experiments.campaigns.campaign import Seeds
 from experiments.campaigns.flight_row import Row
 from experiments.campaigns.flown import FlownCampaign
-from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, run_campaign
+from experiments.campaigns.runner import CampaignRun, Progress, open_store, run_campaign
 from experiments.campaigns.store import read_table
+from experiments.campaigns.worker_pools import Workers
 
 
 @dataclass(frozen=True)
 class Reflown:
-    """One flight, as recorded and as flown again."""
+    """One flight, as recorded and as repeated."""
 
     recorded: Row
     again: Row
 
     @property
     def same(self) -> bool:
-        """Whether all datagrams were the same to the bit."""
+        """Whether all datagrams are the same to the bit."""
         return bool(self.recorded["trace_sha256"] == self.again["trace_sha256"])
 
     @property
     def difference(self) -> str:
-        """What came out otherwise, in words."""
+        """Description of the difference."""
         if self.again["error"]:
             return f"failed: {self.again['error']}"
         before, now = (_outcome(row) for row in (self.recorded, self.again))
@@ -40,18 +41,18 @@ def _outcome(row: Row) -> str:
 
 
 def pick(flown: FlownCampaign, sample: int | None, seed: int) -> list[str]:
-    """Keys of so many flights, drawn without regard to what came out and from all controllers alike.
+    """Return the keys of random flights, in equal numbers from all controllers, whatever their results.
 
     Parameters
     ----------
-    sample: None: one of each controller. If there are fewer, all are picked; failed flights are left out.
+    sample: number of flights (all if there are fewer); None: one of each controller. Failed flights are left out.
 
     Raises
     ------
     ConfigError
-        If the settings have changed since, so that these flights cannot be flown again, or if there is none.
+        If the settings have changed, so that the flights cannot be repeated, or if there is no flight.
     """
-    flown.about.check_settings(flown.config, str(flown.place), "they cannot be flown again with these")
+    flown.about.check_settings(flown.config, str(flown.place), "the flights cannot be repeated with these")
     keys: dict[str, list[str]] = {}
     for row in flown.table.select(["key", "controller", "error"]).sort_by("key").to_pylist():
         if not row["error"]:
@@ -68,12 +69,12 @@ def pick(flown: FlownCampaign, sample: int | None, seed: int) -> list[str]:
 def refly(
     flown: FlownCampaign, keys: list[str], folder: Path, workers: Workers, report: Callable[[Progress], None]
 ) -> list[Reflown]:
-    """Flies these flights again, and before them those whose experience they start from.
+    """Repeat flights, after those whose experience they start from.
 
     Parameters
     ----------
-    keys: as `pick` gives them.
-    folder: for what the flights leave; empty.
+    keys: from `pick`.
+    folder: an empty folder for the repeated flights.
     """
     recorded = {row["key"]: row for row in flown.table.to_pylist()}
     seeds = [row["seed"] for row in recorded.values()]

@@ -1,105 +1,35 @@
-"""Runs a campaign's flights side by side and keeps their rows. The same loop feeds a local pool and a Dask cluster.
+"""Runs a campaign's flights side by side and stores their rows, with a local pool or a Dask cluster.
 
-Both are a `concurrent.futures.Executor`. Few flights are under way at a time, so memory does not grow with the
-campaign; a worker that dies costs its flight one more try, then that flight becomes a row with its error.
+Only a few flights are submitted at a time, so memory does not grow with the campaign. If a worker dies, its flight is
+tried once more; if that fails too, the flight becomes a row with its error.
 """
 
-import json
-import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator, Set
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from configs.loader import ConfigError
-from experiments.campaigns.campaign import CampaignConfig, FlightJob, unfold
+from experiments.campaigns.campaign import CampaignConfig
 from experiments.campaigns.fingerprint import fingerprint
-from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.flight_jobs import FlightJob, unfold
 from experiments.campaigns.flown import CAMPAIGN_FILE, About, is_campaign, read_about
 from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore
-from experiments.campaigns.worker import FlightResult, fly_job, one_thread_each
+from experiments.campaigns.worker import FlightResult, fly_job
+from experiments.campaigns.worker_pools import TRIES, Workers
 from runtime.files import write_atomically
 
-TRIES: Final = 2
 QUEUED_PER_WORKER: Final = 2
 """Flights submitted for each worker: one in flight, one waiting."""
-FLIGHTS_PER_PROCESS: Final = 200
-"""Then a worker process is replaced by a fresh one, so that memory stays flat whatever a library may keep."""
-
-
-class Workers(Protocol):
-    """Where flights are flown."""
-
-    count: int
-
-    def open(self) -> Executor:
-        """An executor; called again after it broke."""
-
-    def close(self) -> None:
-        """Ends everything that was opened."""
-
-
-class LocalPool:
-    """Processes of this machine, started afresh (spawn), one thread each."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self._executor: ProcessPoolExecutor | None = None
-
-    def open(self) -> Executor:
-        """A new pool."""
-        one_thread_each()
-        context = multiprocessing.get_context("spawn")
-        self._executor = ProcessPoolExecutor(
-            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=FLIGHTS_PER_PROCESS
-        )
-        return self._executor
-
-    def close(self) -> None:
-        """Drops what waits and lets flights in the air finish."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=True, cancel_futures=True)
-
-
-def _ignore_interrupt() -> None:
-    """Ctrl-C is for the parent, which ends the pool in order."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-class DaskWorkers:
-    """Workers of a Dask cluster, by its scheduler's address."""
-
-    def __init__(self, address: str) -> None:
-        """Raises ConfigError if distributed is not installed or nobody answers."""
-        try:
-            from distributed import Client
-        except ImportError:
-            raise ConfigError("--scheduler needs the extra `cluster`: pip install 'async-dmrac[cluster]'") from None
-        try:
-            self._client: Any = Client(address, timeout="10s", set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"--scheduler {address}: no scheduler answers: {error}") from None
-        self.count = max(sum(self._client.nthreads().values()), 1)
-
-    def open(self) -> Executor:
-        """The cluster as an executor. pure=False: the same job twice is two flights."""
-        executor: Executor = self._client.get_executor(pure=False, retries=TRIES - 1)
-        return executor
-
-    def close(self) -> None:
-        """Leaves the cluster as it was found."""
-        self._client.close()
 
 
 @dataclass
 class Progress:
-    """How far a campaign is."""
+    """Progress of a campaign."""
 
     total: int
     done: int = 0
@@ -110,24 +40,24 @@ class Progress:
 
     @property
     def flights_per_s(self) -> float:
-        """Since this run began."""
+        """Mean rate since this run began."""
         return self.flown / max(time.monotonic() - self.started_s, 1e-9)
 
 
 @dataclass
 class CampaignRun:
-    """A campaign in its folder."""
+    """A campaign and its folder."""
 
     campaign: CampaignConfig
     name: str
     folder: Path
     seeds: int | None = None
-    """So many instead of the campaign's own number."""
+    """Number of seeds; None: the campaign's."""
     only: frozenset[str] | None = None
-    """Keys of the flights to fly, with those that they start from; None: all."""
+    """Keys of the flights to fly, in addition to those they start from; None: all."""
 
     def jobs(self) -> Iterator[FlightJob]:
-        """Every flight to fly."""
+        """Yield every flight to fly."""
         every = unfold(self.campaign, self.name, self.seeds)
         if self.only is None:
             return every
@@ -137,12 +67,12 @@ class CampaignRun:
 
 
 def prepare_folder(run: CampaignRun, resume: bool) -> None:
-    """Writes what the folder is about, or checks that it is about the same.
+    """Write the campaign file into the folder, or check that the folder's flights have the same settings.
 
     Raises
     ------
     ConfigError
-        If the folder holds flights and `resume` is not set, or holds those of another campaign or other settings.
+        If the folder holds a campaign and `resume` is not set, or if its settings differ.
     """
     tree = run.campaign.model_dump(mode="json")
     flown_on: tuple[str, ...] = ()
@@ -163,7 +93,7 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
 
 
 def note_place(folder: Path) -> None:
-    """Writes into a prepared folder that flights are flown here, with the versions of now."""
+    """Record this machine and its versions in the campaign file of a prepared folder."""
     about = read_about(folder)
     flown_on = tuple(dict.fromkeys([*about.flown_on, here()]))
     _write(folder / CAMPAIGN_FILE, about.model_copy(update={"flown_on": flown_on}).file_content())
@@ -172,10 +102,12 @@ def note_place(folder: Path) -> None:
 def run_campaign(
     run: CampaignRun, store: CampaignStore, workers: Workers, report: Callable[[Progress], None]
 ) -> Progress:
-    """Flies what is not in the store yet, and notes in a prepared folder where, if anything is missing.
+    """Fly the flights that are not in the store; if there are any, record the machine in a prepared folder.
 
-    KeyboardInterrupt passes through; everything reported is kept.
+    KeyboardInterrupt is passed on; reported flights are stored.
 
+    Parameters
+    ----------
     report: called after every flight.
     """
     jobs = list(run.jobs())
@@ -194,9 +126,9 @@ def run_campaign(
 
 
 def _sources_to_refly(folder: Path, jobs: Iterable[FlightJob], done: Set[str]) -> set[str]:
-    """Flights that are done, but not what they learnt is here, and others start from it.
+    """Return flights that are done but whose experience is missing, although other flights start from it.
 
-    So it is where published rows were taken up: they come without it.
+    Published rows come without the experience.
     """
     sources = {job.source for job in jobs if job.source and job.key not in done}
     return {key for key in sources & done if not experience_path(folder, key).exists()}
@@ -218,28 +150,28 @@ class _Loop:
         self._executor = workers.open()
         self._under_way: dict[Future[FlightResult], FlightJob] = {}
         self._suspects: list[FlightJob] = []
-        """Under way when a worker died; any of them may have been the one that killed it."""
+        """Jobs that were under way when a worker died; any of them may have killed it."""
         self._tries: dict[str, int] = {}
         self._sources_under_way: set[str] = set()
 
     def fly(self, jobs: Iterable[FlightJob]) -> None:
-        """Submits and takes in until nothing is left."""
+        """Submit jobs and receive results until all are done."""
         limit = self._workers.count * QUEUED_PER_WORKER
         for job in jobs:
             while len(self._under_way) >= limit or job.source in self._sources_under_way:
-                self._take_in()
+                self._receive()
                 self._clear_suspects()
             self._submit(job)
         self._land()
         self._clear_suspects()
 
     def _land(self) -> None:
-        """Takes in until nothing is under way."""
+        """Receive results until no job is under way."""
         while self._under_way:
-            self._take_in()
+            self._receive()
 
     def _clear_suspects(self) -> None:
-        """Flies each suspect alone, so that no other flight pays for the one that kills its worker."""
+        """Fly each suspect alone, so that the one that kills its worker affects no other flight."""
         while self._suspects:
             self._land()
             self._submit(self._suspects.pop())
@@ -251,27 +183,27 @@ class _Loop:
             if not path.exists():
                 self._fail(job, f"the flight it starts from left no experience: {job.source}")
                 return
-            job = job.with_experience(path.read_bytes())
+            job = replace(job, experience=path.read_bytes())
         if job.keep_experience:
             self._sources_under_way.add(job.key)
         self._tries[job.key] = self._tries.get(job.key, 0) + 1
         try:
             future = self._executor.submit(fly_job, job)
-        except (RuntimeError, OSError):  # a pool that broke takes nothing more
+        except (RuntimeError, OSError):  # a broken pool accepts no more jobs
             self._executor = self._workers.open()
             future = self._executor.submit(fly_job, job)
         self._under_way[future] = job
 
-    def _take_in(self) -> None:
+    def _receive(self) -> None:
         done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
         for future in done:
             job = self._under_way.pop(future)
             try:
                 result = future.result()
-            except Exception as error:  # the worker died, or its answer did not come through
+            except Exception as error:  # the worker died, or its answer was lost
                 self._again(job, f"the worker failed: {type(error).__name__}: {error}")
             else:
-                self._keep(job, result)
+                self._store_result(job, result)
 
     def _again(self, job: FlightJob, reason: str) -> None:
         if self._tries[job.key] < TRIES:
@@ -279,7 +211,7 @@ class _Loop:
         else:
             self._fail(job, reason)
 
-    def _keep(self, job: FlightJob, result: FlightResult) -> None:
+    def _store_result(self, job: FlightJob, result: FlightResult) -> None:
         folder = self._run.folder
         if result.trace is not None:
             _write(folder / "traces" / f"{job.file_stem}.npz", result.trace)
@@ -289,14 +221,7 @@ class _Loop:
         self._finish(job, result.row | {"command": job.command(folder)})
 
     def _fail(self, job: FlightJob, reason: str) -> None:
-        about: dict[str, Any] = {
-            "key": job.key,
-            "campaign": job.campaign,
-            "case": job.case,
-            "controller": job.controller,
-        }
-        about |= {"seed": job.seed, "point": json.dumps(dict(job.point)), "command": job.command(self._run.folder)}
-        self._finish(job, empty_row() | about | {"error": reason})
+        self._finish(job, job.empty_row(self._run.folder) | {"error": reason})
 
     def _finish(self, job: FlightJob, row: dict[str, Any]) -> None:
         self._store.append(row)
@@ -316,13 +241,13 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def experience_path(folder: Path, key: str) -> Path:
-    """Where what a flight learnt is kept."""
+    """Return the file with what a flight learnt."""
     return folder / "experience" / f"{key.replace('/', '__')}.npz"
 
 
 @contextmanager
 def open_store(folder: Path) -> Iterator[CampaignStore]:
-    """The folder's rows. Raises ConfigError if another campaign is writing there."""
+    """Open the rows of a folder. Raises ConfigError if another process has it open."""
     try:
         store = CampaignStore(folder)
     except BlockingIOError:

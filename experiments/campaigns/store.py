@@ -1,10 +1,10 @@
-"""Where a campaign's rows are kept: one Parquet file, and a journal of what came in since it was last rewritten.
+"""Stores the rows of a campaign: one Parquet file, and a journal of the rows since it was last rewritten.
 
-Theory of operation. A Parquet file cannot be appended to, so each row first goes, flushed to the disk, as one line of
-JSON into flights.journal. Every so often the journal is folded into flights.parquet: a new file is written beside the
-old one and renamed over it, then the journal is emptied. Whenever the process dies, nothing that was reported is lost:
-a torn last line is a flight that was not reported; a row that is in both files (death between rename and emptying)
-is counted once, by its key.
+Theory of operation. Rows cannot be appended to a Parquet file. So each row is first written as a line of JSON to
+flights.journal and flushed to the disk. From time to time the journal is merged into flights.parquet: a new file is
+written beside the old one and renamed over it, then the journal is deleted. No reported row is lost, whenever the
+process dies: an incomplete last line belongs to a flight that was not reported; a row that is in both files (death
+between rename and deletion) counts once, by its key.
 """
 
 import json
@@ -20,15 +20,15 @@ from runtime.files import write_atomically
 
 PARQUET: Final = "flights.parquet"
 JOURNAL: Final = "flights.journal"
-FOLD_EVERY: Final = 500
-"""Rows in the journal before it is folded into the Parquet file."""
+MERGE_EVERY: Final = 500
+"""Rows in the journal before it is merged into the Parquet file."""
 
 
 class CampaignStore:
     """Rows of one campaign folder. One process at a time: the folder is locked while it is open."""
 
     def __init__(self, folder: Path) -> None:
-        """Raises BlockingIOError if another process has the folder open."""
+        """Raise BlockingIOError if another process has the folder open."""
         import fcntl
 
         folder.mkdir(parents=True, exist_ok=True)
@@ -40,31 +40,31 @@ class CampaignStore:
             raise
         self._folder = folder
         self.done: set[str] = set()
-        """Keys of the flights that need not be flown again."""
-        self._fold()
+        """Keys of the flights that are done."""
+        self._merge()
         self._journal = (folder / JOURNAL).open("ab")
         self._waiting = 0
 
     def append(self, row: Row) -> None:
-        """Keeps one row; it is on the disk when this returns."""
+        """Store one row; it is on the disk when this returns."""
         self._journal.write(json.dumps(row).encode() + b"\n")
         self._journal.flush()
         os.fsync(self._journal.fileno())
         self.done.add(row["key"])
         self._waiting += 1
-        if self._waiting >= FOLD_EVERY:
+        if self._waiting >= MERGE_EVERY:
             self._journal.close()
-            self._fold()
+            self._merge()
             self._journal = (self._folder / JOURNAL).open("ab")
             self._waiting = 0
 
     def close(self) -> None:
-        """Folds the journal in and gives the folder free."""
+        """Merge the journal and release the folder."""
         self._journal.close()
-        self._fold()
+        self._merge()
         self._lock.close()
 
-    def _fold(self) -> None:
+    def _merge(self) -> None:
         rows = read_table(self._folder)
         self.done = set(rows.column("key").to_pylist())
         journal = self._folder / JOURNAL
@@ -74,7 +74,7 @@ class CampaignStore:
 
 
 def read_table(folder: Path) -> pa.Table:
-    """All rows, those of the journal included, each key once (the newest counts)."""
+    """Return all rows, with those of the journal, each key once (the newest row)."""
     parquet = folder / PARQUET
     table = pq.read_table(parquet, schema=SCHEMA) if parquet.exists() else SCHEMA.empty_table()
     fresh = {row["key"]: row for row in _journal_rows(folder / JOURNAL)}
@@ -92,14 +92,14 @@ def _journal_rows(path: Path) -> list[dict[str, Any]]:
         try:
             row = json.loads(line)
         except ValueError:
-            continue  # torn by the death of the writer: that flight was not reported
+            continue  # incomplete, the writer died: that flight was not reported
         if isinstance(row, dict) and set(SCHEMA.names) >= set(row) and "key" in row:
             rows.append(row)
     return rows
 
 
 def drop_rows(folder: Path, keys: set[str]) -> None:
-    """Forgets rows, so that their flights are flown again (`--retry-errors`)."""
+    """Delete rows, so that their flights are flown again (`--retry-errors`)."""
     table = read_table(folder)
     keep = pa.array([key not in keys for key in table.column("key").to_pylist()], type=pa.bool_())
     write_table(folder / PARQUET, table.filter(keep))
@@ -107,7 +107,7 @@ def drop_rows(folder: Path, keys: set[str]) -> None:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """A Parquet file, complete or not at all."""
+    """Write a Parquet file, complete or not at all."""
     content = pa.BufferOutputStream()
     pq.write_table(table, content, compression="zstd")
     write_atomically(path, content.getvalue().to_pybytes())

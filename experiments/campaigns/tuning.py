@@ -1,18 +1,17 @@
-"""Search of a controller's gains on training seeds: the same flights, parameters in common and budget for every one.
+"""Searches a controller's gains on training seeds, with the same flights, common parameters and budget for all of them.
 
-The search is Optuna's tree-structured Parzen estimator. A trial flies every case of the tuning campaign once per seed;
-its value is the mean cost over those flights, where
+The search uses Optuna's tree-structured Parzen estimator. A trial flies every case of the tuning campaign once for each
+seed. Its value is the mean cost of these flights:
 
-    cost = RMSE / reference of the case                  of a vehicle that survived, at most `crash_cost`,
-    cost = crash_cost (2 - share of the flight flown)    of one that was lost,
+    cost = RMSE / reference of the case                  if the vehicle survived, at most `crash_cost`,
+    cost = crash_cost (2 - share of the flight flown)    if it crashed,
 
-so that a crash is never worth a good lap, and a late crash is better than an early one. RMSE is taken over the window
-the case names. The first trial is the file as it stands, the next are the same with the campaign's `starts` in it. A
-trial that does worse than the median of the others after a part of its seeds is given up (not before every case was
-flown once).
+so a crash always costs more than a large error, and an early crash more than a late one. The case names the window of
+the RMSE. The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. A
+trial is stopped early if its mean cost is above the median of the other trials at the same number of seeds (after every
+case was flown once).
 
-A search is kept in a journal file and goes on where it stopped: trial n draws from a generator seeded with
-(seed, n), whenever it runs.
+A search is stored in a journal file and can be continued: trial n uses a generator seeded with (seed, n).
 """
 
 import math
@@ -27,13 +26,14 @@ from pydantic import Field, model_validator
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load, merge, read_tree
 from configs.parts import read_part
-from experiments.campaigns.campaign import CampaignConfig, Case, FlightJob, Seeds, flights_of_seed
+from experiments.campaigns.campaign import CampaignConfig, Case, Seeds
+from experiments.campaigns.flight_jobs import FlightJob, flights_of_seed
 from experiments.campaigns.worker import FlightResult, fly_job
 
 CONTROLLER_ROOT: Final = "onboard.controller."
 GUIDANCE_ROOT: Final = "onboard.guidance."
 TRAINING_SEEDS: Final = range(1000)
-"""Seeds from 1000 on are for evaluation."""
+"""Seeds of tuning; the others are for evaluation."""
 
 
 class Parameter(ConfigRecord):
@@ -41,7 +41,7 @@ class Parameter(ConfigRecord):
 
     name: str
     paths: tuple[str, ...] = Field(min_length=1)
-    """All of these get the value: settings..., or guidance... for the leads."""
+    """All of these get the value: settings..., or guidance... for lead times."""
     low: float
     high: float
     log: bool = False
@@ -57,7 +57,7 @@ Window = Literal["settled_rmse_m", "position_rmse_m", "after_onset_rmse_m", "set
 
 
 class TuneCase(ConfigRecord):
-    """A case of the tuning campaign with what its error is measured against."""
+    """A case of the tuning campaign, with the reference of its error."""
 
     case: Case
     window: Window
@@ -72,11 +72,11 @@ class TuneConfig(ConfigRecord):
     seeds: Seeds
     crash_cost: Annotated[float, Field(gt=1)]
     common: tuple[Parameter, ...]
-    """Searched for every controller, over the same ranges."""
+    """Parameters of every controller, with the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
-    """By controller name: its own gains."""
+    """Own gains of each controller, by its name."""
     starts: tuple[dict[str, float], ...] = ()
-    """Values of common parameters for the first trials of every search; the others as the file has them."""
+    """Values of common parameters for the first trials of every search; other parameters as in the file."""
 
     @model_validator(mode="after")
     def _training_seeds(self) -> Self:
@@ -93,7 +93,7 @@ class TuneConfig(ConfigRecord):
         return self
 
     def space(self, controller: str) -> tuple[Parameter, ...]:
-        """What is searched for a controller. Raises ConfigError for one that is not declared."""
+        """Return the parameters of a controller. Raises ConfigError if none are declared."""
         name = Path(controller).stem
         if name not in self.own:
             raise ConfigError(f"no search space for controller {name!r}: declared are {', '.join(sorted(self.own))}")
@@ -102,11 +102,11 @@ class TuneConfig(ConfigRecord):
 
 @dataclass(frozen=True)
 class Search:
-    """One search: which controller, over what, with which budget."""
+    """One search: controller, campaign and budget."""
 
     config: TuneConfig
     name: str
-    """Of the campaign."""
+    """Name of the campaign."""
     controller: str
     trials: int
     seed: int = 0
@@ -118,7 +118,7 @@ def load_tuning(path: Path) -> TuneConfig:
 
 
 def cost(row: dict[str, Any], window: str, reference_m: float, crash_cost: float) -> float:
-    """Cost of one flight, see the theory of operation."""
+    """Return the cost of one flight, defined at the head of this file."""
     if row["error"]:
         return 2.0 * crash_cost
     if not row["survived"]:
@@ -129,7 +129,7 @@ def cost(row: dict[str, Any], window: str, reference_m: float, crash_cost: float
 
 
 def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tuple[TuneCase, FlightJob]]:
-    """The flights of one seed (the number-th) with the gains given by parameter name."""
+    """Return the flights of the number-th seed with these gains, by parameter name."""
     campaign = CampaignConfig(
         description=search.config.description,
         controllers=(search.controller,),
@@ -146,7 +146,7 @@ def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tu
 
 
 def assignments(space: Sequence[Parameter], values: dict[str, float]) -> dict[str, float]:
-    """Values by path on the flight's resolved tree."""
+    """Return the values by path of the flight's resolved configuration."""
     return {_flight_path(path): values[one.name] for one in space for path in one.paths if one.name in values}
 
 
@@ -157,7 +157,7 @@ def _flight_path(path: str) -> str:
 
 
 def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
-    """What the file holds now (guidance.yaml for leads it does not name), within the ranges: where a search starts."""
+    """Return the file's values (guidance.yaml's for missing leads), limited to the ranges: the start of a search."""
     tree = read_part("controllers", controller)
     tree["guidance"] = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), tree.get("guidance", {}))
     values = {}
@@ -176,11 +176,11 @@ def present_values(space: Sequence[Parameter], controller: str) -> dict[str, flo
 def fly_trial(
     search: Search, values: dict[str, float], executor: Executor, after_seed: Callable[[int, float], bool]
 ) -> float:
-    """Mean cost of one set of gains.
+    """Return the mean cost of one set of gains.
 
     Parameters
     ----------
-    after_seed: told the number of the seed and the mean so far; True gives the trial up.
+    after_seed: called with the number of the seed and the mean so far; returns True to stop the trial.
     """
     costs: list[float] = []
     for number in range(search.config.seeds.count):
@@ -188,7 +188,7 @@ def fly_trial(
         futures = [(tuned, executor.submit(fly_job, job)) for tuned, job in flights]
         for tuned, future in futures:
             result: FlightResult = future.result()
-            if result.row["error"]:  # a flight that could not be flown says nothing about the gains
+            if result.row["error"]:  # a flight that failed gives no information about the gains
                 raise ConfigError(f"{result.row['error']}\n  repeat with: {result.row['command']}")
             costs.append(cost(result.row, tuned.window, tuned.reference_m, search.config.crash_cost))
         mean = sum(costs) / len(costs)
@@ -198,7 +198,7 @@ def fly_trial(
 
 
 def open_study(search: Search, folder: Path) -> optuna.Study:
-    """The search's study, new or as it was left. One search at a time: what it was flying then is flown anew."""
+    """Open the study of a search, new or from its file; trials that were interrupted are repeated."""
     folder.mkdir(parents=True, exist_ok=True)
     backend = optuna.storages.journal.JournalFileBackend(str(folder / f"{Path(search.controller).stem}.journal"))
     study = optuna.create_study(
@@ -225,7 +225,7 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
 def run_search(
     search: Search, study: optuna.Study, executor: Executor, report: Callable[[optuna.Study], None]
 ) -> optuna.Study:
-    """Flies trials until the budget is spent; trials of an earlier run count."""
+    """Fly trials until the budget is spent; trials of earlier runs count."""
     space = search.config.space(search.controller)
     finished = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
     while (done := len(study.get_trials(deepcopy=False, states=finished))) < search.trials:
@@ -245,7 +245,7 @@ def run_search(
             study.tell(trial, state=optuna.trial.TrialState.PRUNED)
         except BaseException:
             study.tell(trial, state=optuna.trial.TrialState.FAIL)
-            study.enqueue_trial(values)  # to be flown first when the search goes on
+            study.enqueue_trial(values)  # the first trial when the search goes on
             raise
         else:
             study.tell(trial, value)
@@ -254,7 +254,7 @@ def run_search(
 
 
 def search_record(search: Search, study: optuna.Study) -> list[str]:
-    """Lines for the head of the controller file: what was searched, and what came of it."""
+    """Return the lines for the head of the controller file: search and result."""
     config = search.config
     last = config.seeds.first + config.seeds.count - 1
     first = next((trial.value for trial in study.trials if trial.number == 0 and trial.value is not None), None)
@@ -270,6 +270,6 @@ def search_record(search: Search, study: optuna.Study) -> list[str]:
 
 
 def tuned_values(search: Search, study: optuna.Study) -> dict[str, float]:
-    """Best values by path in the controller file."""
+    """Return the best values by path in the controller file."""
     best = study.best_params
     return {path: best[one.name] for one in search.config.space(search.controller) for path in one.paths}

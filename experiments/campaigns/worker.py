@@ -1,10 +1,9 @@
-"""What a worker does with a job: one flight, answered as a row; a flight that fails is a row with its error.
+"""Flies one job in a worker process and returns a row; a flight that fails gives a row with its error.
 
-Runs in a process of its own (local pool or Dask worker). torch is loaded by the first flight that trains.
+The process belongs to a local pool or a Dask cluster. The first flight that trains imports torch.
 """
 
 import io
-import json
 import os
 import resource
 import sys
@@ -14,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.campaigns.campaign import FlightJob
-from experiments.campaigns.flight_row import LinkBytes, Row, empty_row, flight_row
+from experiments.campaigns.flight_jobs import FlightJob
+from experiments.campaigns.flight_row import LinkBytes, Row, flight_row
 from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
-from experiments.flights.scenario import Choices, FlightConfig, resolve
+from experiments.flights.scenario import FlightConfig
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 TRACE_STEP = 4
-"""Of every so many ticks one is kept: 50 Hz."""
+"""Every TRACE_STEP-th tick is stored: 50 Hz."""
 TRACE_COLUMNS = (
     *(f"{kind}_{axis}" for kind in ("position", "target", "velocity") for axis in "ned"),
     *(f"{kind}_{axis}" for kind in ("quaternion", "commanded_quaternion") for axis in "wxyz"),
@@ -40,44 +39,31 @@ TRUTH_COLUMNS = (*(f"{kind}_{axis}" for kind in ("position", "wind") for axis in
 
 @dataclass(frozen=True)
 class FlightResult:
-    """What comes back from a worker."""
+    """The answer of a worker."""
 
     key: str
     row: Row
     trace: bytes | None = None
-    """Archive of float32 columns at 50 Hz (read_trace_file), and of the training's losses."""
+    """Archive of float32 columns at 50 Hz, and of the training's losses."""
     experience: bytes | None = None
     config: str = ""
-    """The resolved configuration, of flights whose trace is kept."""
+    """Resolved configuration of a flight whose trace is stored."""
 
 
 def one_thread_each() -> None:
-    """For the environment of workers: flights run side by side, so that each is to use one core."""
+    """Set the environment of the workers: flights run side by side, so each uses one core."""
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
 
 
-def configuration(job: FlightJob) -> FlightConfig:
-    """The flight that a job is. Raises ConfigError."""
-    return resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s, job.assignments))
-
-
 def fly_job(job: FlightJob) -> FlightResult:
-    """Flies a job; whatever goes wrong is in the row."""
-    row = empty_row() | {
-        "key": job.key,
-        "campaign": job.campaign,
-        "case": job.case,
-        "controller": job.controller,
-        "seed": job.seed,
-        "point": json.dumps(dict(job.point)),
-        "command": job.command(),
-    }
+    """Fly a job and return its row; an error is recorded in the row."""
+    row = job.empty_row()
     started, used = time.perf_counter(), time.process_time()
     trace = experience = None
     config_text = ""
     try:
-        config = configuration(job)
+        config = job.configuration()
         link = LinkBytes()
         outcome = fly_lockstep(config, (link,), experience=job.experience)
         row |= flight_row(config, outcome, link)
@@ -103,7 +89,7 @@ def _peak_mib() -> float:
 
 
 def pack_trace(config: FlightConfig, outcome: LockstepOutcome) -> bytes:
-    """The columns that figures need, float32 at 50 Hz, and the losses of every epoch."""
+    """Return an archive of the columns that figures need, float32 at 50 Hz, and of the losses of every epoch."""
     trace = outcome.trace
     arrays = {f"tick_{name}": trace.tick[name][::TRACE_STEP].astype(np.float32) for name in TRACE_COLUMNS}
     arrays |= {f"truth_{name}": trace.truth[name][::TRACE_STEP].astype(np.float32) for name in TRUTH_COLUMNS}

@@ -6,7 +6,7 @@ from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from experiments.campaigns.runner import LocalPool
+from experiments.campaigns.worker_pools import LocalPool
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from experiments.link.dropout_trace import load_trace

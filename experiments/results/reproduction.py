@@ -10,7 +10,8 @@ from typing import Final
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.flown import is_campaign, publish, read_about, unpublish
 from experiments.campaigns.provenance import commits_of
-from experiments.campaigns.runner import CampaignRun, Progress, Workers, open_store, prepare_folder, run_campaign
+from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
+from experiments.campaigns.worker_pools import Workers
 from experiments.results.campaign_data import OURS
 from experiments.results.campaign_page import CampaignReport, write_report
 from experiments.results.comparisons import BETTER, OPEN, WORSE, Comparison, judged, verdict_counts

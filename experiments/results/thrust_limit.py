@@ -16,8 +16,7 @@ from math import sqrt
 from statistics import median
 from typing import Any
 
-from experiments.campaigns.campaign import unfold
-from experiments.campaigns.worker import configuration
+from experiments.campaigns.flight_jobs import unfold
 from experiments.results.campaign_data import CampaignData
 from experiments.results.tables import Table
 from sim_vehicle.config import SimVehicleConfig
@@ -75,7 +74,7 @@ def limit_table(data: CampaignData, case: str, sweep: str) -> Table:
     for job in unfold(data.config, data.name, seeds):
         if job.case != case or job.controller != first:
             continue
-        flight = configuration(job)
+        flight = job.configuration()
         step: Any = dict(job.point)[sweep]
         reserves.setdefault(step, {})[flight.seed] = reserve(flight.vehicle, flight.seed)
     rows = []

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from experiments.campaigns.campaign import FlightJob
+from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.worker import FlightResult
 
 

@@ -19,19 +19,13 @@ import pytest
 
 from async_dmrac.command_line import build_parser
 from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, parse_yaml, read_tree
-from experiments.campaigns.campaign import CampaignConfig, FlightJob, load_campaign, unfold
+from experiments.campaigns.campaign import CampaignConfig, load_campaign
+from experiments.campaigns.flight_jobs import FlightJob, unfold
 from experiments.campaigns.flight_row import empty_row, recovery_s
-from experiments.campaigns.runner import (
-    CampaignRun,
-    DaskWorkers,
-    LocalPool,
-    Progress,
-    open_store,
-    prepare_folder,
-    run_campaign,
-)
+from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
 from experiments.campaigns.store import JOURNAL, PARQUET, CampaignStore, read_table
 from experiments.campaigns.worker import FlightResult, fly_job
+from experiments.campaigns.worker_pools import DaskWorkers, LocalPool
 from experiments.flights.scenario import Choices, resolve
 from tests.dask_cluster import running_cluster
 from tests.experiments.inline_workers import InlineWorkers
@@ -250,8 +244,8 @@ def test_two_campaigns_do_not_share_a_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("together", "said"),
     [
-        ("[[chip, ghost]]", "case ghost is none; allowed are source, chip, warm"),
-        ("[[chip], [chip]]", "chip stands there"),
+        ("[[chip, ghost]]", "case ghost does not exist; allowed are source, chip, warm"),
+        ("[[chip], [chip]]", "chip is listed"),
     ],
 )
 def test_cases_under_the_same_conditions_are_known_and_named_once(together: str, said: str) -> None:

@@ -12,7 +12,8 @@ import pytest
 from async_dmrac.command_line import main
 from configs.loader import ConfigError, fill, parse_yaml
 from experiments.campaigns import flown as flown_module
-from experiments.campaigns.campaign import CampaignConfig, FlightJob
+from experiments.campaigns.campaign import CampaignConfig
+from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.flown import FlownCampaign, publish, read_flown
 from experiments.campaigns.provenance import here, kernels_of, openblas_kernels, other_kernels
@@ -158,7 +159,7 @@ def test_what_came_out_otherwise_is_told(tmp_path: Path) -> None:
 def test_flights_of_other_settings_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = flown(tmp_path / "flown")
     monkeypatch.setattr(flown_module, "fingerprint", lambda tree: "another")
-    with pytest.raises(ConfigError, match=r"flown: its flights were made with other settings.*cannot be flown again"):
+    with pytest.raises(ConfigError, match=r"flown: its flights were made with other settings.*cannot be repeated"):
         pick(campaign, None, 0)
 
 
@@ -194,10 +195,10 @@ def test_parquet_of_something_else_is_a_plain_error(tmp_path: Path) -> None:
     file = tmp_path / "other.parquet"
     other = pa.table({"x": [1.0]})
     pq.write_table(other, file)
-    with pytest.raises(ConfigError, match="do not say what it is of"):
+    with pytest.raises(ConfigError, match="name no campaign"):
         read_flown(file)
     pq.write_table(other.replace_schema_metadata(about), file)
-    with pytest.raises(ConfigError, match="no flights of a campaign"):
+    with pytest.raises(ConfigError, match="not flights of a campaign"):
         read_flown(file)
 
 

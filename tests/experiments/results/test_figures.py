@@ -11,7 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from configs.loader import ConfigError, fill, parse_yaml
-from experiments.campaigns.campaign import CampaignConfig, FlightJob, unfold
+from experiments.campaigns.campaign import CampaignConfig
+from experiments.campaigns.flight_jobs import FlightJob, unfold
 from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
 from experiments.campaigns.store import CampaignStore

@@ -8,7 +8,7 @@ import pytest
 
 from configs.loader import ConfigError
 from experiments.campaigns import flown
-from experiments.campaigns.campaign import FlightJob
+from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.provenance import by_place
 from experiments.campaigns.runner import prepare_folder

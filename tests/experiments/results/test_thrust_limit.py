@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import sim_vehicle.physics.layout as at
-from experiments.campaigns.campaign import load_campaign, unfold
+from experiments.campaigns.campaign import load_campaign
+from experiments.campaigns.flight_jobs import unfold
 from experiments.campaigns.flight_row import empty_row
 from experiments.flights.scenario import Choices, resolve
 from experiments.results.campaign_data import CampaignData

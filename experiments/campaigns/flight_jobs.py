@@ -1,0 +1,128 @@
+"""The flights of a campaign: cases x sweeps x controllers x seeds, as jobs for the workers.
+
+Every controller flies the same seeds. The values drawn for a seed (onset, rotor, severity) are the same for all.
+"""
+
+import itertools
+import json
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.campaigns.campaign import CampaignConfig, Case
+from experiments.campaigns.flight_row import Row, empty_row
+from experiments.flights.scenario import Choices, FlightConfig, resolve
+
+DRAW_STREAM = 401
+
+
+@dataclass(frozen=True)
+class FlightJob:
+    """One flight, as it is sent to a worker."""
+
+    campaign: str
+    case: str
+    controller: str
+    seed: int
+    point: tuple[tuple[str, Any], ...]
+    """(sweep, value) of each sweep."""
+    scenario: str
+    duration_s: float | None
+    assignments: tuple[str, ...]
+    keep_trace: bool
+    keep_experience: bool
+    source: str = ""
+    """Key of the flight whose experience this one starts from; empty: none."""
+    experience: bytes | None = None
+
+    @property
+    def key(self) -> str:
+        """Name of the flight within its campaign, and of its files."""
+        swept = [f"{name}={value}" for name, value in self.point]
+        return "/".join([self.case, *swept, Path(self.controller).stem, str(self.seed)])
+
+    @property
+    def file_stem(self) -> str:
+        """The key as a file name."""
+        return self.key.replace("/", "__")
+
+    def command(self, out: Path | None = None) -> str:
+        """Return the command that repeats this flight."""
+        words = ["dmrac", "fly", self.scenario, "--lockstep", "--controller", self.controller, "--seed", str(self.seed)]
+        if self.duration_s is not None:
+            words += ["--duration", f"{self.duration_s:g}"]
+        for assignment in self.assignments:
+            words += ["--set", assignment]
+        if self.source:
+            folder = out if out is not None else Path("OUT")
+            words += ["--set", f"experience={folder / 'experience' / self.source.replace('/', '__')}.npz"]
+        return shlex.join(words)
+
+    def empty_row(self, out: Path | None = None) -> Row:
+        """Return a row that identifies the flight and has no results yet."""
+        names = ("key", "campaign", "case", "controller", "seed")
+        row = empty_row() | {name: getattr(self, name) for name in names}
+        return row | {"point": json.dumps(dict(self.point)), "command": self.command(out)}
+
+    def configuration(self) -> FlightConfig:
+        """Return the resolved configuration of the flight. Raises ConfigError."""
+        return resolve(self.scenario, Choices(self.controller, self.seed, self.duration_s, self.assignments))
+
+
+def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None) -> Iterator[FlightJob]:
+    """Yield every flight: first those whose experience others need; seed by seed, so that any part is balanced.
+
+    Parameters
+    ----------
+    seeds: number of seeds; None: the campaign's.
+    """
+    needed = {case.experience for case in campaign.cases if case.experience is not None}
+    for source in (True, False):
+        cases = [case for case in campaign.cases if (case.name in needed) is source]
+        for number in range(campaign.seeds.count if seeds is None else seeds):
+            for case in cases:
+                keep = source or case.keep_experience
+                yield from flights_of_seed(campaign, name, case, campaign.seeds.first + number, number, keep)
+
+
+def flights_of_seed(
+    campaign: CampaignConfig, name: str, case: Case, seed: int, number: int, keep_experience: bool
+) -> Iterator[FlightJob]:
+    """Yield a case's flights at every point and with every controller, for one seed, the number-th of the campaign."""
+    drawn = {
+        draw.path: draw.value(np.random.default_rng([seed, DRAW_STREAM, index]), case.scenario)
+        for index, draw in enumerate(case.draws)
+    }
+    sweeps = campaign.sweeps if case.swept else ()
+    for steps in itertools.product(*(sweep.steps() for sweep in sweeps)):
+        values = dict(case.set)
+        for _, assigned in steps:
+            values |= assigned
+        values |= {path: value for path, value in drawn.items() if path not in values}
+        point = tuple((sweep.name, value) for sweep, (value, _) in zip(sweeps, steps, strict=True))
+        for controller in case.controllers or campaign.controllers:
+            job = FlightJob(
+                campaign=name,
+                case=case.name,
+                controller=controller,
+                seed=seed,
+                point=point,
+                scenario=case.scenario,
+                duration_s=case.duration_s,
+                assignments=tuple(f"{path}={json.dumps(value)}" for path, value in values.items()),
+                keep_trace=number < campaign.traces,
+                keep_experience=keep_experience,
+            )
+            yield replace(job, source=_source(campaign, case, job)) if case.experience else job
+
+
+def _source(campaign: CampaignConfig, case: Case, job: FlightJob) -> str:
+    assert case.experience is not None
+    other = campaign.case(case.experience)
+    controller = case.experience_controller or job.controller
+    point = job.point if other.swept else ()
+    return replace(job, case=other.name, controller=controller, point=point).key

@@ -1,0 +1,78 @@
+"""Where flights are flown: processes of this machine, or a Dask cluster. Both are `concurrent.futures` executors."""
+
+import multiprocessing
+import signal
+from concurrent.futures import Executor, ProcessPoolExecutor
+from typing import Any, Final, Protocol
+
+from configs.loader import ConfigError
+from experiments.campaigns.worker import one_thread_each
+
+TRIES: Final = 2
+"""Number of times that a flight is tried if its worker dies."""
+FLIGHTS_PER_PROCESS: Final = 200
+"""After so many flights a worker process is replaced, so that memory stays flat even if a library leaks."""
+
+
+class Workers(Protocol):
+    """Workers that fly."""
+
+    count: int
+
+    def open(self) -> Executor:
+        """Return a new executor; called again if one breaks."""
+
+    def close(self) -> None:
+        """End all executors."""
+
+
+class LocalPool:
+    """Spawned processes of this machine, one thread each."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._executor: ProcessPoolExecutor | None = None
+
+    def open(self) -> Executor:
+        """Return a new pool."""
+        one_thread_each()
+        context = multiprocessing.get_context("spawn")
+        self._executor = ProcessPoolExecutor(
+            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=FLIGHTS_PER_PROCESS
+        )
+        return self._executor
+
+    def close(self) -> None:
+        """Drop waiting flights and wait for those in the air."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _ignore_interrupt() -> None:
+    """Leave Ctrl-C to the parent, which ends the pool in order."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class DaskWorkers:
+    """Workers of a Dask cluster, at the address of its scheduler."""
+
+    def __init__(self, address: str) -> None:
+        """Raise ConfigError if `distributed` is not installed or no scheduler answers."""
+        try:
+            from distributed import Client
+        except ImportError:
+            raise ConfigError("--scheduler needs the extra `cluster`: pip install 'async-dmrac[cluster]'") from None
+        try:
+            self._client: Any = Client(address, timeout="10s", set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--scheduler {address}: no scheduler answers: {error}") from None
+        self.count = max(sum(self._client.nthreads().values()), 1)
+
+    def open(self) -> Executor:
+        """Return the cluster as an executor; with pure=False the same job twice is two flights."""
+        executor: Executor = self._client.get_executor(pure=False, retries=TRIES - 1)
+        return executor
+
+    def close(self) -> None:
+        """Disconnect from the cluster."""
+        self._client.close()
