@@ -1,4 +1,4 @@
-"""The commands that README and docs show, as words for `dmrac`."""
+"""The pages of the documentation and the commands that they show, as arguments of `dmrac`."""
 
 import os
 import re
@@ -7,23 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (*(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")), *sorted(ROOT.glob("docs/*.md")))
 START = r"(?:\.venv/bin/dmrac|dmrac|scripts/[a-z_]+)"
 NO_ARGUMENTS = {"scripts/test", "scripts/environment"}
-"""Scripts that are no subcommands of `dmrac`; scripts/replay_dropouts is `dmrac dropouts`."""
+"""Scripts that are no subcommand of `dmrac`; scripts/replay_dropouts is `dmrac dropouts`."""
 PLACEHOLDERS = {"N": "3", "S": "20", "HOST:PORT": "127.0.0.1:14600", "GROUND:14550": "127.0.0.1:14550"}
 OPEN_END = {"...", "…", "[...]"}
 
 
 def text_of(page: Path) -> str:
-    """The page without its continued lines."""
+    """The page, with continued lines joined."""
     return re.sub(r"\\\n\s*", " ", page.read_text(encoding="utf-8"))
 
 
 def block_commands(page: Path) -> Iterator[str]:
-    """Whole commands: lines of fenced or indented code, without prompt and comment."""
+    """Complete commands: lines of code blocks, without prompt and comment."""
     for line in text_of(page).splitlines():
-        if line.startswith("|"):  # a table's cells are prose; their commands stand in backticks
+        if line.startswith("|"):  # cells of a table are prose; commands in them are in backticks
             continue
         for part in re.split(r"(?:&&|\||\s&)(?:\s|$)", line):
             found = re.match(rf"^\s*(?:\$ )?({START}(?:\s.*)?)$", part)
@@ -31,12 +31,10 @@ def block_commands(page: Path) -> Iterator[str]:
                 yield found.group(1)
 
 
-def inline_commands(page: Path) -> Iterator[str]:
-    """Commands in running text, which may leave arguments out."""
+def inline_code(page: Path) -> list[str]:
+    """Everything in backticks in running text."""
     text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.MULTILINE | re.DOTALL)
-    for quoted in re.findall(r"(?<!`)`([^`]+)`(?!`)", text):
-        if re.fullmatch(rf"{START}(?:\s.*)?", quoted, flags=re.DOTALL):
-            yield " ".join(quoted.split())
+    return [" ".join(code.split()) for code in re.findall(r"(?<!`)`([^`]+)`(?!`)", text)]
 
 
 def words_of(command: str) -> list[str]:
@@ -46,15 +44,14 @@ def words_of(command: str) -> list[str]:
         return []
     if program.startswith("scripts/"):
         assert (ROOT / program).is_file(), f"{command}: there is no {program}"
-        assert os.access(ROOT / program, os.X_OK), f"{program} cannot be run"
+        assert os.access(ROOT / program, os.X_OK), f"{program} is not executable"
         name = program.removeprefix("scripts/")
         words = ["dropouts" if name == "replay_dropouts" else name, *words]
     return [PLACEHOLDERS.get(word.strip("[]"), word.strip("[]")) for word in words if word not in OPEN_END]
 
 
-def pages_with(commands: dict[Path, list[str]]) -> list[tuple[Path, str]]:
-    return [(page, command) for page, found in commands.items() for command in dict.fromkeys(found)]
-
-
-BLOCKS = pages_with({page: list(block_commands(page)) for page in PAGES})
-INLINE = pages_with({page: list(inline_commands(page)) for page in PAGES})
+BLOCKS = [(page, command) for page in PAGES for command in dict.fromkeys(block_commands(page))]
+INLINE = [
+    (page, code) for page in PAGES for code in dict.fromkeys(inline_code(page)) if re.match(rf"{START}(\s|$)", code)
+]
+"""Commands in running text, which may omit arguments."""

@@ -1,8 +1,7 @@
-"""Every command that README and docs show runs.
+"""Every command that the documentation shows runs: the cheap ones always, all of them with `full`.
 
-The cheap ones always; with `full` all of them, on short flights and small campaigns. `SHORTER` says what is added to a
-command to make it short, `PLACES` what stands for a name that the page leaves to its reader, `small` what is left of a
-campaign; the rest of a command runs as it is shown.
+They run on short flights and small campaigns: `SHORTER` is appended to a command, `PLACES` replaces names that the page
+leaves to its reader, `small` reduces a campaign. The rest of a command runs as it is shown.
 """
 
 import contextlib
@@ -32,7 +31,7 @@ from tests.experiments.processes import Processes
 
 NETWORK = sorted(name for name in Addresses.model_fields if not name.endswith("key_file"))
 ADDRESSES = {name: f"127.0.0.1:{16660 + index}" for index, name in enumerate(NETWORK)}
-"""That no flight of a person uses."""
+"""Other addresses than those of a user's flights."""
 SHORT_FLIGHT = ["--duration", "6", *(f"--set=network.{name}={address}" for name, address in ADDRESSES.items())]
 SHORTER: dict[str, list[str]] = {
     "fly": SHORT_FLIGHT,
@@ -44,7 +43,7 @@ SHORTER: dict[str, list[str]] = {
     "reproduce": ["--seeds", "1"],
     "tune": ["--trials", "2", "--dry-run"],
 }
-"""What is added to a subcommand's words; of two values of an option the last one holds."""
+"""Appended to a subcommand's words; of two values of an option the last one counts."""
 PLACES = {
     "udp://192.168.3.1:14560": f"udp://{ADDRESSES['vehicle']}",
     "10.0.0.7:14573": ADDRESSES["offboard_link"],
@@ -54,21 +53,21 @@ PLACES = {
     "NAME": "pid",
     "FILE": "rotor_chip",
     "ROWS": "campaigns/rotor_chip",
-    "docs/data/*.parquet": "campaigns/rotor_chip",
+    "run/vehicle_2": "flight",
     "$1": "rotor_chip",
     "campaigns/$(basename $1 .yaml)": "campaigns/rotor_chip",
 }
 TOGETHER = ("sim", "offboard", "onboard")
-"""Processes that need each other: those that a page shows run side by side."""
+"""Processes that need each other: those of a page run at the same time."""
 BARE = ("fly", "bench", "reproduce")
-"""Complete without a further word; `dmrac tune` and the like are names of a subcommand."""
+"""Complete without another word; `dmrac tune` and the like only name a subcommand."""
 BINDS = ["--bind-vehicle", ADDRESSES["onboard_vehicle"], "--bind-link", ADDRESSES["onboard_link"]]
-"""Of an onboard process that is shown without a configuration."""
+"""Options of an onboard process that is shown without a configuration."""
 END_LIMIT_S = 60.0
 
 
 def typed(command: str) -> bool:
-    """Whether a command in running text is one to be typed, and no name of a subcommand or of an option."""
+    """Returns whether a command in running text is complete, and not the name of a subcommand or of an option."""
     words = words_of(command)
     if not words or words[0] in TOGETHER or (len(words) == 1 and words[0] not in BARE):
         return False
@@ -84,12 +83,8 @@ SHOWN = [command for _, command in BLOCKS] + [command for _, command in INLINE i
 COMMANDS = list({tuple(words_of(command)) or command: command for command in SHOWN}.values())
 
 
-def of(way: str) -> list[str]:
-    return [command for command in COMMANDS if way_of(command) == way]
-
-
 def way_of(command: str) -> str:
-    """How a command is run here."""
+    """Returns how a command is run here."""
     words = words_of(command)
     if not words:
         return "script"
@@ -98,16 +93,19 @@ def way_of(command: str) -> str:
     return "together" if words[0] in TOGETHER else "alone"
 
 
-def pages_with_processes() -> list[Path]:
-    return [page for page in PAGES if any(way_of(command) == "together" for command in block_commands(page))]
+def of(way: str) -> list[str]:
+    return [command for command in COMMANDS if way_of(command) == way]
+
+
+TOGETHER_PAGES = [page for page in PAGES if any(way_of(command) == "together" for command in block_commands(page))]
 
 
 def short_form(command: str, address: str = "") -> list[str]:
-    words = [PLACES.get(word, word) for word in words_of(command)]
+    words = [re.sub(r"docs/data/.*\.parquet", PLACES["ROWS"], PLACES.get(word, word)) for word in words_of(command)]
     if "--scheduler" in words:
         words[words.index("--scheduler") + 1] = address
     added = SHORTER.get(words[0], [])
-    if "--vehicle" in words:  # that has its own addresses
+    if "--vehicle" in words:  # it has its own addresses
         added = [word for word in added if not word.startswith("--set")]
     return [*words, *added]
 
@@ -116,7 +114,7 @@ def test_every_kind_of_command_is_there() -> None:
     assert len(COMMANDS) > 40
     assert len(of("alone")) > 25
     assert {command.split()[0] for command in of("script")} <= NO_ARGUMENTS
-    assert len(pages_with_processes()) == 4
+    assert len(TOGETHER_PAGES) == 4
 
 
 @pytest.mark.parametrize("command", of("cheap"))
@@ -146,7 +144,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def place(tmp_path: Path, flight: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where a reader of the docs stands: a flight, a controller of his own, and campaigns that are soon over."""
+    """The working folder of a reader: a flight, a controller of their own, and small campaigns."""
     shutil.copytree(flight, tmp_path / "flight")
     page = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
     [controller] = re.findall(r"`toy_controller\.py`.*?```python\n(.*?)```", page, flags=re.DOTALL)
@@ -166,21 +164,16 @@ def place(tmp_path: Path, flight: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 
 def small(campaign: dict[str, Any]) -> dict[str, Any]:
-    """What is left: one short case, one controller, one step of each sweep, one figure."""
+    """Returns the campaign with one short case, one controller, one step of each sweep and one figure."""
     case = campaign["cases"][0]
-    if "case" in case:  # of a tuning campaign
+    if "case" in case:  # a tuning campaign
         return {**campaign, "cases": [{**case, "case": {**case["case"], "duration_s": 6.0}}]}
-    sweeps = [{**sweep, **first_step(sweep)} for sweep in campaign.get("sweeps", [])]
+    first = {"points": lambda points: dict(list(points.items())[:1]), "values": lambda values: values[:1]}
+    sweeps = [{k: first[k](v) if k in first else v for k, v in sweep.items()} for sweep in campaign.get("sweeps", [])]
     changed = {"cases": [{**case, "duration_s": 6.0}], "controllers": campaign["controllers"][-1:], "sweeps": sweeps}
     changed["figures"] = [{"kind": "compare", "metric": "position_rmse_m"}]
     dropped = ("targets", "traces", "compare_to", "same_conditions", "quick_seeds")
     return {key: value for key, value in campaign.items() if key not in dropped} | changed
-
-
-def first_step(sweep: dict[str, Any]) -> dict[str, Any]:
-    if "points" in sweep:
-        return {"points": dict(list(sweep["points"].items())[:1])}
-    return {"values": sweep["values"][:1]}
 
 
 @pytest.mark.full
@@ -199,16 +192,16 @@ def test_a_command_runs(command: str, place: Path) -> None:
     else:
         if words[0] in ("figures", "refly"):
             assert main(short_form("dmrac campaign rotor_chip")) == 0
-        if "--draw-only" in words:  # of what was flown before
+        if "--draw-only" in words:  # needs flights that were flown before
             assert main([word for word in words if word != "--draw-only"]) == 0
         assert main(words) == 0
 
 
 def run_view(words: list[str]) -> None:
-    """The page is served until Ctrl-C."""
+    """Serves the page and ends with Ctrl-C."""
     pytest.importorskip("flight_log.rerun_scene", reason="the viz extra is not installed")
     command = [sys.executable, "-m", "async_dmrac", *words, "--port", "0"]
-    environment = {**os.environ, "BROWSER": "true"}  # no window of a person's own browser
+    environment = {**os.environ, "BROWSER": "true"}  # opens no window
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as view:
         assert view.stdout is not None
         with urllib.request.urlopen(view.stdout.readline().strip(), timeout=END_LIMIT_S) as answer:
@@ -218,7 +211,7 @@ def run_view(words: list[str]) -> None:
 
 
 def run_preflight(words: list[str], place: Path) -> None:
-    """Against the simulated vehicle; a busy machine's jitter may be what fails."""
+    """Checks the simulated vehicle; on a busy machine its jitter may fail the check."""
     assert main(short_form("dmrac config hover --out vehicle.yaml")) == 0
     with Processes(place) as processes:
         processes.start("sim", place / "vehicle.yaml")
@@ -226,7 +219,7 @@ def run_preflight(words: list[str], place: Path) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("page", pages_with_processes(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", TOGETHER_PAGES, ids=lambda page: page.name)
 def test_the_processes_of_a_page_run_together(page: Path, place: Path) -> None:
     commands = dict.fromkeys(block_commands(page))
     for command in commands:
@@ -236,7 +229,7 @@ def test_the_processes_of_a_page_run_together(page: Path, place: Path) -> None:
     words = [short_form(command) for command in commands if way_of(command) == "together"]
     with Processes(place) as processes:
         for name, *options in words:
-            if name in processes.running:  # shown in another way: first the one, then the other
+            if name in processes.running:  # the page shows two ways to start it
                 processes.end(name)
                 assert processes.running[name].returncode == 0
             processes.start(name, *((place / "flight.yaml",) if "--config" in options else (None, *BINDS)), *options)
@@ -246,8 +239,8 @@ def test_the_processes_of_a_page_run_together(page: Path, place: Path) -> None:
         assert [processes.running[name].returncode for name in ("onboard", "offboard")] == [0, 0]
 
 
-def test_no_script_lets_the_environment_see_its_own_arguments() -> None:
-    """A file sourced without any word sees the script's: `scripts/onboard --config x` would install an extra `x`."""
+def test_no_script_passes_its_own_arguments_to_the_environment() -> None:
+    """A file sourced without arguments sees the script's: `scripts/onboard --config x` would install an extra `x`."""
     for script in (ROOT / "scripts").iterdir():
         lines = script.read_text(encoding="utf-8").splitlines()
         assert all('/environment" with' in line for line in lines if line.startswith(". ")), script.name
@@ -256,11 +249,11 @@ def test_no_script_lets_the_environment_see_its_own_arguments() -> None:
 @pytest.mark.full
 @pytest.mark.parametrize("script", sorted((ROOT / "scripts").iterdir()), ids=lambda script: script.name)
 def test_a_script_starts(script: Path) -> None:
-    """`scripts/test` checks format, lint and types, and pytest only says its version."""
+    """`scripts/test --version` checks format, lint and types; pytest only prints its version."""
     if script.name == "environment":
         pytest.skip("sourced by the others")
     if not (ROOT / ".venv" / "installed-dev").exists():
-        pytest.skip("the environment was not made by the scripts")
+        pytest.skip("the environment was not created by the scripts")
     option = "--version" if script.name == "test" else "--help"
     result = subprocess.run([script, option], capture_output=True, text=True, timeout=600, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
