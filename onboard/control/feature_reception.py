@@ -1,6 +1,6 @@
 """From chunks to a complete feature version, and what became of it: in use, or refused and why.
 
-Gathering (digest, decoding) and swapping (a k x k solve) take place in different ticks, so that neither makes one late.
+The core decodes a version and swaps it in the same tick, the one in which its last chunk arrives.
 """
 
 from typing import NamedTuple

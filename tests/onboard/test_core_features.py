@@ -100,7 +100,7 @@ def test_features_that_wait_are_void_when_the_peer_restarts():
     assert reception.status[-2:] == (0, 0)
 
 
-def test_gathering_and_swapping_never_fall_into_one_tick():
+def test_a_version_is_swapped_in_the_tick_of_its_last_chunk():
     loop = Loop("dmrac", peer=Peer()).fly(1.0)
     chunks = split(encode_feature_set(features(), "float32"), 1, 300)
     loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns) for chunk in chunks[:-1]]
