@@ -5,6 +5,7 @@ their defaults. Nothing is checked here but the scenario file itself: each proce
 section (experiments.flights.scenario from all of them), so that none needs the others' code.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final
@@ -25,6 +26,11 @@ Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot
 VehicleNumber = Annotated[int, Field(ge=1, le=100)]
 PORTS_EACH: Final = 100
 """The ports of vehicle n lie so many times n - 1 above those of network.yaml."""
+FORMER_PATHS: Final = {
+    "offboard.network.features": "features.trained.count",
+    "offboard.network": "features.trained",
+}
+"""Where a value was when the flights of docs/data were flown, and where it is now: their assignments still work."""
 REAL_PEERS: Final = ("vehicle", "ground")
 """Addresses that a real vehicle and its ground station bind themselves."""
 
@@ -86,13 +92,21 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)
     for assignment in choices.assignments:
-        tree = set_path(tree, assignment)
+        tree = set_path(tree, _present_path(assignment))
     return tree, str(path) + "".join(f" --set {item}" for item in choices.assignments)
 
 
 def read_scenario(name: str) -> ScenarioFile:
     """A scenario by its name in configs/scenarios, or by its file. Raises ConfigError."""
     return fill(ScenarioFile, read_part("scenarios", name), str(named_file("scenarios", name)))
+
+
+def _present_path(assignment: str) -> str:
+    """The same assignment with the path that the value has now."""
+    for former, present in FORMER_PATHS.items():
+        if re.match(rf"\s*{re.escape(former)}[.=\s]", assignment):
+            return assignment.replace(former, present, 1)
+    return assignment
 
 
 def _check_choices(choices: Choices) -> None:
@@ -132,6 +146,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     careful = read_tree(CONFIG_DIRECTORY / "real_vehicle.yaml") if choices.real else {}
     law = read_part("controllers", controller)
     onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
+    features = read_tree(CONFIG_DIRECTORY / "features.yaml")
     onboard = merge(onboard, {"seed": seed, "controller": law})
     vehicle = read_vehicle(file.vehicle)
     onboard["airframe"] = vehicle.airframe
@@ -144,6 +159,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "duration_s": duration,
         "training_time_s": file.training_time_s,
         "experience": file.experience,
+        "features": merge(features, law.pop("features", {})),
         "onboard": merge(merge(onboard, file.onboard), careful),
         "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
         "vehicle": merge(simulated, file.vehicle_values),

@@ -148,22 +148,12 @@ def fill_section(record_type: type[RecordT], tree: Mapping[str, Any], source: st
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the keys of `over` laid over it: mappings are merged, everything else is replaced.
-
-    A mapping with another `kind` replaces the one below it: the keys of two kinds do not mix.
-    """
+    """`base` with the keys of `over` laid over it: mappings are merged, everything else is replaced."""
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)
-        if isinstance(value, Mapping) and isinstance(below, Mapping) and _one_kind(below, value):
-            merged[key] = merge(below, value)
-        else:
-            merged[key] = value
+        merged[key] = merge(below, value) if isinstance(value, Mapping) and isinstance(below, Mapping) else value
     return merged
-
-
-def _one_kind(base: Mapping[str, Any], over: Mapping[str, Any]) -> bool:
-    return bool(over.get("kind", base.get("kind")) == base.get("kind"))
 
 
 def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:

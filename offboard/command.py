@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from configs.addresses import seen_from_offboard
-from configs.loader import ConfigError, fill_section
+from configs.loader import ConfigError
 from flight_log.writer import FlightLogWriter
 from offboard.background import BackgroundThread
 from offboard.config import OffboardConfig
@@ -19,6 +19,7 @@ from offboard.core import OffboardCore
 from offboard.data.experience import ExperienceError
 from offboard.links.vehicle_service import VehicleService
 from offboard.process import serve
+from protocol.feature_config import fill_process
 from protocol.keys import load_key
 from protocol.session import session_number
 from runtime.errors import StartError
@@ -171,7 +172,7 @@ def _vehicle(arguments: argparse.Namespace, config_path: Path | None, several: b
     """One vehicle, with nothing learnt yet. Raises ConfigError."""
     own = argparse.Namespace(**{**vars(arguments), "config": config_path})
     flight = flight_of(own, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
-    config = fill_section(OffboardConfig, flight.tree, flight.source, "offboard")
+    config = fill_process(OffboardConfig, flight.tree, flight.source, "offboard")
     session = session_number(time.time_ns(), secrets.randbits(20))
     core = OffboardCore(config, session, load_key(flight.network.key_file))
     out = arguments.out / f"vehicle_{config.vehicle_id}" if several else arguments.out

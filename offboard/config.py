@@ -6,10 +6,8 @@ from pydantic import Field, model_validator
 
 from configs.loader import ConfigRecord
 from protocol.config import TransferConfig
-from protocol.feature_set import LAYERS_MAX, WIDTH_MAX
-from protocol.signals import SIGNAL_NAMES, input_indices
-
-ChannelName = Literal["position", "attitude"]
+from protocol.feature_config import FeaturesConfig
+from protocol.signals import input_indices
 
 
 class LabelConfig(ConfigRecord):
@@ -50,48 +48,6 @@ class BufferConfig(ConfigRecord):
     def _inputs_known(self) -> Self:
         input_indices(self.novelty_inputs)
         return self
-
-
-class SignalScale(ConfigRecord):
-    """How a signal becomes an input of about unit size: z = (signal - offset) / scale."""
-
-    offset: float = Field(description="in the signal's unit")
-    scale: float = Field(gt=0.0, description="in the signal's unit")
-
-
-class NetworkConfig(ConfigRecord):
-    """Shape of the networks (control.md, section 3)."""
-
-    channels: tuple[ChannelName, ...] = Field(min_length=1, description="channels that get learnt features")
-    position_inputs: tuple[str, ...] = Field(min_length=1, description="signals the position features see")
-    attitude_inputs: tuple[str, ...] = Field(min_length=1, description="signals the attitude features see")
-    hidden: tuple[int, ...] = Field(min_length=1, max_length=LAYERS_MAX - 1, description="widths of the hidden layers")
-    features: int = Field(ge=2, le=WIDTH_MAX + 1, description="k, the constant feature included")
-    spectral_norm_max: float = Field(gt=0.0, description="bound on each inner layer's largest singular value")
-    first_layer_gain: float = Field(gt=0.0, description="spread of the random first layer")
-    dropout: float = Field(ge=0.0, lt=1.0, description="share of the features dropped in a training step")
-    scaling: Literal["fixed", "data"] = Field(
-        description="fixed: the scales below; data: mean and spread of the first training set, at least half the scales"
-    )
-    scales: dict[str, SignalScale] = Field(description="of each signal")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        for names in (self.position_inputs, self.attitude_inputs):
-            input_indices(names)
-        missing = [name for name in SIGNAL_NAMES if name not in self.scales]
-        unknown = [name for name in self.scales if name not in SIGNAL_NAMES]
-        if missing or unknown:
-            raise ValueError(f"scales: missing {missing}, unknown {unknown}")
-        if len(set(self.channels)) != len(self.channels):
-            raise ValueError("a channel stands twice")
-        if not all(1 <= width <= WIDTH_MAX for width in self.hidden):
-            raise ValueError(f"hidden: widths from 1 to {WIDTH_MAX}")
-        return self
-
-    def inputs(self, channel: str) -> tuple[str, ...]:
-        """Input names of a channel."""
-        return self.position_inputs if channel == "position" else self.attitude_inputs
 
 
 class TrainerConfig(ConfigRecord):
@@ -149,8 +105,8 @@ class OffboardConfig(ConfigRecord):
     vehicle_id: int = Field(ge=1, le=255)
     seed: int = Field(ge=0, description="of initial weights and mini-batches")
     labels: LabelConfig
+    features: FeaturesConfig
     buffer: BufferConfig
-    network: NetworkConfig
     trainer: TrainerConfig
     gate: GateConfig
     experience: ExperienceConfig

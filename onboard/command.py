@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Final
 
 from configs.addresses import is_loopback, seen_from_onboard
-from configs.loader import ConfigError, fill_section
+from configs.loader import ConfigError
 from flight_log.writer import FlightLogWriter
 from onboard.config import OnboardConfig
 from onboard.core import OnboardCore
 from onboard.preflight.certificate import Clearance, arming_refusal, certificate_name, read_certificate, vehicle_url
 from onboard.process import OnboardProcess, Sockets
+from protocol.feature_config import fill_process
 from protocol.keys import load_keys
 from protocol.session import session_number
 from runtime.errors import StartError
@@ -78,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         needed = {"--vehicle": "URL", "--offboard": "HOST:PORT"}
         flight = flight_of(arguments, OPTIONS, needed, seen_from_onboard)
         network = flight.network
-        config = fill_section(OnboardConfig, flight.tree, flight.source, "onboard")
+        config = fill_process(OnboardConfig, flight.tree, flight.source, "onboard")
         keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
         session = session_number(time.time_ns(), secrets.randbits(20))
         clearance = clearance_of(arguments, network.vehicle, config)

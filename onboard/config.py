@@ -16,6 +16,7 @@ from onboard.links.ground import GroundLinkConfig
 from onboard.links.vehicle import VehicleLinkConfig
 from onboard.sampling.sampler import SamplerConfig
 from protocol.endpoint import CHALLENGE_PERIOD_NS
+from protocol.feature_config import FeaturesConfig
 
 STATUS_BYTES: Final = 154
 """The longest status, UDP and IP included."""
@@ -40,6 +41,7 @@ class OnboardConfig(ConfigRecord):
     pose_health: PoseHealthConfig = PoseHealthConfig()
     guidance: GuidanceConfig
     controller: ControllerConfig
+    features: FeaturesConfig
     samples: SamplerConfig
     realtime: RealtimeConfig
 

@@ -108,7 +108,7 @@ class OnboardCore:
         self._uncertainty = UncertaintyMeasurement(config.airframe, self._dt)
         self._signals = SignalVector(self._dt)
         self._reception = FeatureReception()
-        self.controller = config.controller.build(config.airframe, config.seed)
+        self.controller = config.controller.build(config.airframe, config.features, config.seed)
         self._mixer = Mixer(config.airframe)
         self._samples = SampleQueue(config.samples)
         self._output = OnboardOutput()

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from configs.addresses import ONBOARD_VEHICLE_PORT, check_address, check_vehicle_address, load_network, own_address
-from configs.loader import ConfigError, load_section
+from configs.loader import ConfigError, read_tree
 from experiments.flights.preflight_session import PreflightSession
 from offboard.config import PoseRelayConfig
 from offboard.links.pose_relay import PoseRelay
@@ -24,6 +24,7 @@ from onboard.preflight.certificate import arming_refusal, certificate_name, read
 from onboard.preflight.checks import Check, MotorAnswer, PreflightConfig, Result, Step, skipped
 from onboard.preflight.recorder import PoseSample, StepRecorder
 from onboard.process import open_vehicle
+from protocol.feature_config import fill_process
 from protocol.keys import load_key
 from protocol.mavlink.signing import SigningClock
 from runtime.errors import StartError
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     link, config, key_file = VehicleLinkConfig(), PreflightConfig(), arguments.vehicle_key_file
     if arguments.config is not None:
         key_file = load_network(arguments.config, {"vehicle_key_file": key_file}).vehicle_key_file
-        onboard = load_section(OnboardConfig, arguments.config, "onboard")
+        onboard = fill_process(OnboardConfig, read_tree(arguments.config), str(arguments.config), "onboard")
         link = onboard.vehicle_link
         config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
     key = load_key(key_file)

@@ -3,7 +3,7 @@ section of it. configs/flight_tree.py lays the files over one another.
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import yaml
 from pydantic import Field
@@ -15,10 +15,13 @@ from configs.parts import named_file
 from offboard.config import OffboardConfig
 from onboard.config import OnboardConfig
 from onboard.control.interface import LearningController
+from protocol.feature_config import FeaturesConfig, with_features
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.radio import RadioConfig
 
-__all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "resolve"]
+COPIES: Final = {"onboard": {"features"}, "offboard": {"features"}}
+"""What the records of both processes repeat of the flight's."""
+__all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "fill_flight", "resolve"]
 
 
 class FlightConfig(ConfigRecord):
@@ -33,6 +36,7 @@ class FlightConfig(ConfigRecord):
     experience: Annotated[str, Field(description="lockstep: file of what an earlier flight learnt; empty: nothing")] = (
         ""
     )
+    features: FeaturesConfig
     onboard: OnboardConfig
     offboard: OffboardConfig
     vehicle: SimVehicleConfig
@@ -41,7 +45,7 @@ class FlightConfig(ConfigRecord):
 
     def to_yaml(self) -> str:
         """The record as YAML that the processes read back."""
-        tree = self.model_dump(mode="json", by_alias=True)
+        tree = self.model_dump(mode="json", by_alias=True, exclude=COPIES)
         return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=110)
 
 
@@ -64,12 +68,17 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
     ConfigError
         Naming `source`, path, value and what is allowed.
     """
-    flight = fill(FlightConfig, tree, source)
+    flight = fill_flight(tree, source)
     _, and_set, assignments = source.partition(" --set ")
     law = f"{named_file('controllers', flight.controller)}{and_set}{assignments}"
-    controller = flight.onboard.controller.build(flight.onboard.airframe, flight.seed, law)
+    controller = flight.onboard.controller.build(flight.onboard.airframe, flight.features, flight.seed, law)
     learns = isinstance(controller, LearningController) and controller.accepts_features
     return flight if learns else _without_training(flight)
+
+
+def fill_flight(tree: Mapping[str, Any], source: str) -> FlightConfig:
+    """The record of a flight's plain tree. Raises ConfigError naming `source`, path, value and what is allowed."""
+    return fill(FlightConfig, with_features(tree, source), source)
 
 
 def _without_training(flight: FlightConfig) -> FlightConfig:

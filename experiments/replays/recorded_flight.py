@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from configs.loader import ConfigError, fill, parse_yaml
+from configs.loader import ConfigError, parse_mapping
 from experiments.flights.lockstep_flight import Deliveries
 from experiments.flights.lockstep_log import EXPERIENCE
-from experiments.flights.scenario import FlightConfig
+from experiments.flights.scenario import FlightConfig, fill_flight
 from experiments.flights.trace import FlightTrace, trace_of
 from flight_log.log_file import LogFile
 from flight_log.reader import Flight, FlightError, open_flight
@@ -80,6 +80,6 @@ def _config(flight: Flight, path: Path) -> FlightConfig:
     for attachments in flight.attachments.values():
         if CONFIG_NAME in attachments:
             source = f"{path}: {CONFIG_NAME}"
-            tree = parse_yaml(attachments[CONFIG_NAME].decode(), source)
-            return fill(FlightConfig, tree, source)
+            tree = parse_mapping(attachments[CONFIG_NAME].decode(), source)
+            return fill_flight(tree, source)
     raise ConfigError(f"{path}: its logs hold no {CONFIG_NAME}, so nobody knows how it was flown")

@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 from rich.table import Table
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, merge, read_tree
+from configs.loader import CONFIG_DIRECTORY, ConfigError, merge, read_tree
 from configs.parts import named_file, read_part
 from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome, fly_lockstep
 from experiments.flights.lockstep_log import LockstepLog
 from experiments.flights.metrics import flight_metrics, lost_target
-from experiments.flights.scenario import FlightConfig, complete
+from experiments.flights.scenario import FlightConfig, complete, fill_flight
 from experiments.flights.trace import FlightTrace
 from experiments.replays.link_quality import LinkQuality, link_quality
 from experiments.replays.recorded_flight import RecordedFlight
@@ -81,9 +81,11 @@ def with_choices(config: FlightConfig, controller: str | None, seed: int | None)
             raise ConfigError(f"--seed {seed}: allowed are 0 to {SEED_MAX}")
         tree["seed"] = tree["onboard"]["seed"] = tree["offboard"]["seed"] = seed
     if controller is None:
-        return fill(FlightConfig, tree, f"--seed {seed}")
+        return fill_flight(tree, f"--seed {seed}")
     law = read_part("controllers", controller)
     leads = law.pop("guidance", {})
+    untrained = read_tree(CONFIG_DIRECTORY / "features.yaml")["untrained"]
+    tree["features"] = merge({**tree["features"], "untrained": untrained}, law.pop("features", {}))
     tree["controller"], tree["onboard"]["controller"] = controller, law
     tree["onboard"]["guidance"] = merge(merge(tree["onboard"]["guidance"], _former_leads(config)), leads)
     if not _learns(config):  # then nobody was taught, whatever the configuration of the teacher said
@@ -102,7 +104,7 @@ def _former_leads(config: FlightConfig) -> dict[str, Any]:
 
 
 def _learns(config: FlightConfig) -> bool:
-    controller = config.onboard.controller.build(config.onboard.airframe, config.seed)
+    controller = config.onboard.controller.build(config.onboard.airframe, config.features, config.seed)
     return isinstance(controller, LearningController) and controller.accepts_features
 
 

@@ -1,7 +1,7 @@
 """Measures whether features distinguish flight regimes: silhouette, a linear probe, t-SNE and PCA.
 
 "before" is the network that the trainer started from, "after" the last version it sent, "rbf" the radial basis
-functions of configs/controllers/mrac.yaml, and "rbf_same" the same number of the same width with the network's inputs
+functions of the controller mrac, and "rbf_same" the same number of the same width with the network's inputs
 only (motor thrusts alone may identify a regime). All are evaluated on the same flight. The time of a sample gives its
 regime. The probe is trained and tested on separate blocks of time, so that it cannot profit from neighbouring samples.
 """
@@ -15,15 +15,18 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, fill, read_tree
+from configs.parts import read_part
 from experiments.campaigns.runner import experience_path
+from experiments.flights.scenario import fill_flight
 from experiments.results.campaign_data import CampaignData, Trace
 from experiments.results.figure_style import legend_below, new_figure
 from experiments.results.statistics import median
 from experiments.results.tables import Table
-from offboard.config import NetworkConfig
 from onboard.control.features import Features, NetworkFeatures, RadialFeatures
+from onboard.control.laws.adaptive import AdaptiveConfig
 from protocol.codec import decode_feature_set
 from protocol.conventions import Array
+from protocol.feature_config import FeatureInputs, FeaturesConfig
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import CHANNELS, SIGNAL_NAMES
 
@@ -99,7 +102,7 @@ def signals_of(trace: Trace) -> Array:
 class LearntFlight:
     """The network of a flight: how it started, and what was learnt."""
 
-    network: NetworkConfig
+    features: FeaturesConfig
     seed: int
     """Of the offboard side."""
     learnt: bytes
@@ -115,14 +118,14 @@ def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
     """
     from offboard.training.network import InputPlan, feature_set, initial_state
 
-    start = initial_state(flight.network, np.random.default_rng([flight.seed, 1]))
-    before = feature_set(start, InputPlan.of(flight.network), 1, 0, 0)
+    start = initial_state(flight.features.trained, np.random.default_rng([flight.seed, 1]))
+    before = feature_set(start, InputPlan.of(flight.features.trained), 1, 0, 0)
     with np.load(io.BytesIO(flight.learnt), allow_pickle=False) as archive:
         if "features" not in archive.files:
             raise ConfigError("the flight sent no features to probe")
         after = decode_feature_set(archive["features"].tobytes())
     first, last = (_of(features, channel) for features in (before, after))
-    radial, width = _rbf(channel)
+    radial, width = _rbf(flight.features.untrained, CHANNELS[channel])
     same = RadialFeatures(first.inputs, first.offset, first.scale, width)
     return {"before": NetworkFeatures(first), "after": NetworkFeatures(last), "rbf_same": same, "rbf": radial}
 
@@ -134,18 +137,12 @@ def _of(features: FeatureSet, channel: int) -> ChannelFeatures:
     return one
 
 
-def _rbf(channel: int) -> tuple[RadialFeatures, float]:
+def _rbf(inputs: FeatureInputs, channel: str) -> tuple[RadialFeatures, float]:
     """Return the radial basis functions of mrac, and their width in scaled inputs."""
-    from configs.loader import CONFIG_DIRECTORY
-    from onboard.control.cascade import CascadeSettings
-
-    tree = read_tree(CONFIG_DIRECTORY / "controllers" / "mrac.yaml")
-    settings = fill(CascadeSettings, tree["settings"], "mrac.yaml", "settings.")
-    augmentation: Any = (settings.position, settings.attitude)[channel].augmentation
-    names = tuple(item.signal for item in augmentation.inputs)
-    offset = np.array([item.offset for item in augmentation.inputs])
-    scale = np.array([item.scale for item in augmentation.inputs])
-    return RadialFeatures(names, offset, scale, augmentation.rbf_width), augmentation.rbf_width
+    augmentation = read_part("controllers", "mrac")["settings"][channel]["augmentation"]
+    width = fill(AdaptiveConfig, augmentation, "mrac").rbf_width
+    names = inputs.inputs(channel)
+    return RadialFeatures(names, *inputs.offset_and_scale(names), width), width
 
 
 def phi(features: Features, signals: Array) -> Array:
@@ -187,9 +184,9 @@ def _flights(data_folder: Path, keys: tuple[str, ...]) -> tuple[LearntFlight, ..
     found = []
     for key in keys:
         stem = key.replace("/", "__")
-        offboard = read_tree(data_folder / "traces" / f"{stem}.yaml")["offboard"]
-        network = fill(NetworkConfig, offboard["network"], stem, "offboard.network.")
-        found.append(LearntFlight(network, offboard["seed"], experience_path(data_folder, key).read_bytes()))
+        flight = fill_flight(read_tree(data_folder / "traces" / f"{stem}.yaml"), stem)
+        learnt = experience_path(data_folder, key).read_bytes()
+        found.append(LearntFlight(flight.features, flight.offboard.seed, learnt))
     return tuple(found)
 
 

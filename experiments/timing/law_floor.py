@@ -32,9 +32,9 @@ def law_floor_us(config: FlightConfig) -> float:
 
 def _features_like(config: FlightConfig) -> list[tuple[int, ...]]:
     """Widths of each learnt network: inputs, hidden layers, features without the constant."""
-    network = config.offboard.network
-    hidden = (*network.hidden, network.features - 1)
-    return [(len(network.inputs(channel)), *hidden) for channel in network.channels]
+    trained = config.features.trained
+    hidden = (*trained.hidden, trained.count - 1)
+    return [(len(trained.inputs(channel)), *hidden) for channel in trained.channels]
 
 
 def _bare_law(widths: tuple[int, ...]) -> Callable[[], None]:

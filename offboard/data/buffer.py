@@ -15,10 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from offboard.config import BufferConfig, NetworkConfig
+from offboard.config import BufferConfig
 from offboard.data.labels import LabelledSample
 from offboard.data.novelty import HistoryNovelty, KernelNovelty, best_swap
 from protocol.conventions import Array
+from protocol.feature_config import FeatureInputs
 from protocol.signals import CHANNELS, SIGNAL_COUNT, input_indices
 
 TRAINING: Final = 0
@@ -103,13 +104,12 @@ FeatureFunction = Callable[[NDArray[np.float32]], Array]
 class NoveltyBuffer:
     """At most `capacity` samples that differ enough from each other."""
 
-    def __init__(self, config: BufferConfig, network: NetworkConfig, features: FeatureFunction) -> None:
+    def __init__(self, config: BufferConfig, inputs: FeatureInputs, features: FeatureFunction) -> None:
         self._config = config
         self._features = features
         self._inputs = input_indices(config.novelty_inputs)
-        scales = [network.scales[name] for name in config.novelty_inputs]
-        self._offset = np.array([scale.offset for scale in scales])
-        self._width = np.array([scale.scale for scale in scales]) * config.kernel_width
+        self._offset, scale = inputs.offset_and_scale(config.novelty_inputs)
+        self._width = scale * config.kernel_width
         self.table = SampleTable.empty(config.capacity)
         self._entered = np.zeros(config.capacity, dtype=np.int64)
         self._admitted = 0

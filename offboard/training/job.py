@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from offboard.config import BufferConfig, NetworkConfig, TrainerConfig
+from offboard.config import BufferConfig, TrainerConfig
 from offboard.data.buffer import SampleTable
 from offboard.training.gate import Evidence
 from offboard.training.network import Array32, NetworkState
 from protocol.conventions import Array
+from protocol.feature_config import TrainedFeatures
 from protocol.feature_set import FeatureSet
 
 
@@ -40,7 +41,7 @@ class TrainingResult:
 class TrainingJob:
     """A round of training to be run. Its tables are copies, which nothing else changes."""
 
-    network_config: NetworkConfig
+    network_config: TrainedFeatures
     config: TrainerConfig
     seed: int
     state: TrainerState

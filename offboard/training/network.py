@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from offboard.config import NetworkConfig
 from protocol.conventions import Array
+from protocol.feature_config import TrainedFeatures
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import CHANNELS, input_indices
 
@@ -50,7 +50,7 @@ class InputPlan:
     """Signal names of each channel's inputs."""
 
     @staticmethod
-    def of(config: NetworkConfig) -> "InputPlan":
+    def of(config: TrainedFeatures) -> "InputPlan":
         """The plan of a configuration."""
         channels = tuple(index for index, name in enumerate(CHANNELS) if name in config.channels)
         return InputPlan(channels, tuple(config.inputs(CHANNELS[index]) for index in channels))
@@ -69,11 +69,11 @@ class InputPlan:
         return z
 
 
-def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkState:
+def initial_state(config: TrainedFeatures, rng: np.random.Generator) -> NetworkState:
     """Random inner layers within the spectral bound, last layer zero."""
     plan = InputPlan.of(config)
     C, m = len(plan.channels), plan.width
-    widths = (m, *config.hidden, config.features - 1)
+    widths = (m, *config.hidden, config.count - 1)
     weights, biases = [], []
     for layer, (fan_in, fan_out) in enumerate(pairwise(widths)):
         W = np.zeros((C, fan_in, fan_out), dtype=np.float32)
@@ -85,26 +85,25 @@ def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkSta
         biases.append(rng.uniform(-0.5, 0.5, (C, 1, fan_out)).astype(np.float32))
     offset, scale = np.zeros((C, m), dtype=np.float32), np.ones((C, m), dtype=np.float32)
     for row, names in enumerate(plan.names):
-        offset[row, : len(names)] = [config.scales[name].offset for name in names]
-        scale[row, : len(names)] = [config.scales[name].scale for name in names]
+        offset[row, : len(names)], scale[row, : len(names)] = config.offset_and_scale(names)
     return NetworkState(
         offset,
         scale,
         tuple(weights),
         tuple(biases),
-        np.zeros((C, config.features - 1, 3), dtype=np.float32),
+        np.zeros((C, config.count - 1, 3), dtype=np.float32),
         np.zeros((C, 1, 3), dtype=np.float32),
     )
 
 
-def scales_from_data(config: NetworkConfig, signals: Array32) -> tuple[Array32, Array32]:
+def scales_from_data(config: TrainedFeatures, signals: Array32) -> tuple[Array32, Array32]:
     """Mean, and standard deviation but at least half the fixed scale, of signals [n, SIGNAL_COUNT]; [C, m] each."""
     plan = InputPlan.of(config)
     offset = np.zeros((len(plan.channels), plan.width), dtype=np.float32)
     scale = np.ones_like(offset)
     for row, names in enumerate(plan.names):
         columns = signals[:, input_indices(names)]
-        floor = 0.5 * np.array([config.scales[name].scale for name in names])
+        floor = 0.5 * config.offset_and_scale(names)[1]
         offset[row, : len(names)] = columns.mean(axis=0)
         scale[row, : len(names)] = np.maximum(columns.std(axis=0), floor)
     return offset, scale
@@ -139,7 +138,7 @@ def feature_set(state: NetworkState, plan: InputPlan, version: int, parent: int,
     return FeatureSet(version, parent, samples, channels.get("position"), channels.get("attitude"))
 
 
-def state_of(features: FeatureSet, config: NetworkConfig) -> NetworkState:
+def state_of(features: FeatureSet, config: TrainedFeatures) -> NetworkState:
     """The networks of a feature version, to be trained further.
 
     Raises

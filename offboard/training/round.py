@@ -131,7 +131,7 @@ class _Round:
         share = self._job.network_config.dropout
         if share == 0.0:
             return None
-        shape = (len(self._plan.channels), self._job.network_config.features - 1, rows)
+        shape = (len(self._plan.channels), self._job.network_config.count - 1, rows)
         return (torch.rand(shape, generator=self._generator) >= share) / (1.0 - share)
 
     def _held_out_losses(self) -> Array:

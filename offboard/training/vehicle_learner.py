@@ -39,12 +39,13 @@ class VehicleLearner:
 
     def __init__(self, config: OffboardConfig) -> None:
         self._config = config
-        self._plan = InputPlan.of(config.network)
+        networks = config.features.trained
+        self._plan = InputPlan.of(networks)
         self._labels = LabelMaker(config.labels)
-        self._state = TrainerState(initial_state(config.network, np.random.default_rng([config.seed, 1])), (), 0, 0)
-        self._buffer = NoveltyBuffer(config.buffer, config.network, self._feature_function(self._state.network))
+        self._state = TrainerState(initial_state(networks, np.random.default_rng([config.seed, 1])), (), 0, 0)
+        self._buffer = NoveltyBuffer(config.buffer, networks, self._feature_function(self._state.network))
         self._newest = NewestRing(config.buffer.newest)
-        self._gate = Gate(config.gate, config.network.spectral_norm_max)
+        self._gate = Gate(config.gate, networks.spectral_norm_max)
         self._issued: dict[int, FeatureSet] = {}
         self.latest: FeatureSet | None = None
         """The newest version issued or loaded."""
@@ -114,7 +115,7 @@ class VehicleLearner:
         self._labelled_at_last_job = self.labelled
         before_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
         return TrainingJob(
-            network_config=self._config.network,
+            network_config=self._config.features.trained,
             config=self._config.trainer,
             seed=self._config.seed,
             state=self._state,
@@ -207,7 +208,7 @@ class VehicleLearner:
         ValueError
             If its networks are not the configured ones.
         """
-        self._state = TrainerState(state_of(features, self._config.network), (), 0, 1)
+        self._state = TrainerState(state_of(features, self._config.features.trained), (), 0, 1)
         self._buffer.set_features(self._feature_function(self._state.network))
         self.latest = features
 

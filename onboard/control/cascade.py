@@ -25,6 +25,7 @@ from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutp
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
+from protocol.feature_config import ChannelName, FeaturesConfig
 from protocol.feature_set import FeatureSet
 from protocol.geometry import (
     Quaternion,
@@ -59,6 +60,7 @@ class ChannelSettings(ConfigRecord):
 class CascadeSettings(ConfigRecord):
     """Settings of the cascade."""
 
+    features: FeaturesConfig
     position: ChannelSettings
     attitude: ChannelSettings
     hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
@@ -67,11 +69,12 @@ class CascadeSettings(ConfigRecord):
     level_sink_speed_m_s: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
-def _augmentation(settings: ChannelSettings, rng: np.random.Generator) -> Augmentation:
-    config = settings.augmentation
+def _augmentation(settings: CascadeSettings, channel: ChannelName, rng: np.random.Generator) -> Augmentation:
+    one: ChannelSettings = getattr(settings, channel)
+    config = one.augmentation
     match config:
         case AdaptiveConfig():
-            return AdaptiveAugmentation(config, settings.gains, rng)
+            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng)
         case IntegralConfig():
             return Integral(config)
         case L1Config():
@@ -91,7 +94,7 @@ class CascadedController:
         self._settings = settings
         self._airframe = airframe
         rng = np.random.default_rng([seed, 101])
-        self.augmentations = (_augmentation(settings.position, rng), _augmentation(settings.attitude, rng))
+        self.augmentations = (_augmentation(settings, "position", rng), _augmentation(settings, "attitude", rng))
         """Position and attitude channel."""
         self._has_features = any(isinstance(one, AdaptiveAugmentation) for one in self.augmentations)
         self._position_model = PositionReferenceModel(settings.position.gains)

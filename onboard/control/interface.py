@@ -15,6 +15,7 @@ from pydantic import Field
 from configs.loader import ConfigError, ConfigRecord, fill
 from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ControlInputs, ControlOutput
+from protocol.feature_config import FeaturesConfig
 from protocol.feature_set import FeatureSet
 
 
@@ -51,8 +52,10 @@ class ControllerConfig(ConfigRecord):
     class_path: str = Field(alias="class", pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class")
     settings: dict[str, Any]
 
-    def build(self, airframe: AirframeConfig, seed: int, source: str = "controller") -> Controller:
-        """Build the controller.
+    def build(
+        self, airframe: AirframeConfig, features: FeaturesConfig, seed: int, source: str = "controller"
+    ) -> Controller:
+        """Build the controller. A field `features` of its `Settings` gets the flight's features section.
 
         Raises
         ------
@@ -60,7 +63,8 @@ class ControllerConfig(ConfigRecord):
             If the class cannot be found or its settings do not fit; names `source` and the path.
         """
         controller_class = self.controller_class(source)
-        settings = fill(controller_class.Settings, self.settings, source, "controller.settings.")
+        given = {"features": features} if "features" in controller_class.Settings.model_fields else {}
+        settings = fill(controller_class.Settings, self.settings | given, source, "controller.settings.")
         controller: Controller = controller_class(settings, airframe, seed)
         return controller
 

@@ -28,12 +28,9 @@ def test_a_family_of_variants_holds_a_part_for_each() -> None:
 
 
 def test_a_file_extends_the_one_beside_it(tmp_path: Path) -> None:
-    written(tmp_path, low="a: {b: 1, c: 2}\nshape: {kind: circle, radius: 1}", middle="extends: low.yaml\na: {b: 3}")
-    written(tmp_path, high="extends: middle.yaml\nshape: {kind: square, side: 2}")
-    assert read_part("vehicles", str(tmp_path / "high.yaml")) == {
-        "a": {"b": 3, "c": 2},
-        "shape": {"kind": "square", "side": 2},
-    }
+    written(tmp_path, low="a: {b: 1, c: 2}\nd: [1, 2]", middle="extends: low.yaml\na: {b: 3}")
+    written(tmp_path, high="extends: middle.yaml\nd: [3]")
+    assert read_part("vehicles", str(tmp_path / "high.yaml")) == {"a": {"b": 3, "c": 2}, "d": [3]}
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from configs.addresses import seen_from_offboard, seen_from_onboard
-from configs.loader import ConfigError, fill, fill_section, parse_yaml
-from experiments.flights.scenario import Choices, FlightConfig, resolve
+from configs.loader import ConfigError, parse_mapping
+from experiments.flights.scenario import Choices, fill_flight, resolve
 from offboard import command as offboard_command
 from onboard import command as onboard_command
 from onboard.config import OnboardConfig
+from protocol.feature_config import fill_process
 from runtime.flight_options import FlightOptions, flight_of
 
 NEEDED = {"--vehicle": "URL", "--offboard": "HOST:PORT"}
@@ -31,9 +32,9 @@ def offboard(*words: str) -> FlightOptions:
 
 def test_addresses_alone_make_a_flight_with_the_settings_for_a_real_vehicle() -> None:
     flight = onboard("--vehicle", "udp://192.168.3.1:14560", "--offboard", "127.0.0.1:14573")
-    config = fill(FlightConfig, parse_yaml(flight.text.decode(), "log"), "log")
+    config = fill_flight(parse_mapping(flight.text.decode(), "log"), "log")
     expected = resolve("hover", Choices("dmrac", real=True))
-    assert config.onboard == expected.onboard == fill_section(OnboardConfig, flight.tree, "", "onboard")
+    assert config.onboard == expected.onboard == fill_process(OnboardConfig, flight.tree, "", "onboard")
     assert config.onboard.supervisor.auto_arm is False
     assert config.network == flight.network
     assert flight.network.vehicle == "192.168.3.1:14560"
@@ -46,7 +47,7 @@ def test_controller_scenario_and_values_can_be_chosen() -> None:
     words = ("--controller", "pid", "--scenario", "figure8_calm", "--duration", "90")
     words += ("--set", "onboard.airframe.mass_kg=0.068", "--bind-link", "127.0.0.2:1234", "--ground", "127.0.0.1:9")
     flight = onboard("--vehicle", "serial:///dev/ttyS7", "--offboard", "127.0.0.1:14573", *words)
-    config = fill_section(OnboardConfig, flight.tree, "", "onboard")
+    config = fill_process(OnboardConfig, flight.tree, "", "onboard")
     chosen = Choices("pid", None, 90.0, ("onboard.airframe.mass_kg=0.068",), real=True)
     assert config == resolve("figure8_calm", chosen).onboard
     network = flight.network

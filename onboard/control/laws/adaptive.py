@@ -4,7 +4,7 @@ from math import exp, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
@@ -14,28 +14,13 @@ from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from protocol.conventions import Array
+from protocol.feature_config import ChannelName, FeatureInputs
 from protocol.feature_set import ChannelFeatures
 from protocol.geometry import Vector3, vector
-from protocol.signals import SIGNAL_COUNT, input_indices
+from protocol.signals import SIGNAL_COUNT
 
 EPS_1_MEMORY_S = 2.0
 """Averaging time of eps_1, the misfit between W'Phi and Delta_hat."""
-
-
-class InputScaling(ConfigRecord):
-    """One input of a feature network."""
-
-    signal: str
-    """Name, from protocol.signals."""
-    offset: float
-    scale: Annotated[float, Field(gt=0)]
-    """Offset and scale in the signal's unit, so that (x - offset) / scale is about -1 to 1."""
-
-    @field_validator("signal")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        input_indices((name,))
-        return name
 
 
 class AdaptiveConfig(ConfigRecord):
@@ -43,10 +28,6 @@ class AdaptiveConfig(ConfigRecord):
 
     kind: Literal["adaptive"]
     features: Literal["network", "rbf", "bias"]
-    inputs: tuple[InputScaling, ...]
-    """Inputs of the start features and of the radial basis functions. Not used by bias."""
-    hidden: tuple[Annotated[int, Field(ge=1, le=128)], ...] = (32, 32, 19)
-    """Widths of the start features' inner layers; the last one plus the bias is the number of features."""
     rbf_width: Annotated[float, Field(gt=0, description="width of the Gaussians, scaled units per sqrt(input)")] = 0.6
     law: AdaptationConfig
     error_weight: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 0.1)
@@ -54,17 +35,38 @@ class AdaptiveConfig(ConfigRecord):
     swap: SwapConfig
 
 
+def _start_features(
+    config: AdaptiveConfig, inputs: FeatureInputs, channel: ChannelName, rng: np.random.Generator
+) -> Features:
+    """The features of a channel at the start of a flight."""
+    if config.features == "bias":
+        return BiasFeatures()
+    names = inputs.inputs(channel)
+    offset, scale = inputs.offset_and_scale(names)
+    if config.features == "rbf":
+        return RadialFeatures(names, offset, scale, config.rbf_width)
+    return NetworkFeatures(random_channel(names, offset, scale, (*inputs.hidden, inputs.count - 1), rng))
+
+
 class AdaptiveAugmentation:
     """One channel's features, last layer, and swap."""
 
-    def __init__(self, config: AdaptiveConfig, gains: ChannelGains, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        config: AdaptiveConfig,
+        gains: ChannelGains,
+        inputs: FeatureInputs,
+        channel: ChannelName,
+        rng: np.random.Generator,
+    ) -> None:
+        """inputs: what the start features and the radial basis functions see; the bias alone sees nothing."""
         self._config = config
         A_rm = gains.closed_loop_matrix()
         Q = np.diag(np.repeat(config.error_weight, 3))
         P = lyapunov_p(A_rm, Q)
         # norm(B) = 1 for a double integrator.
         self._bound_factor = 2.0 * float(np.linalg.eigvalsh(P)[-1]) / min(config.error_weight)
-        self.features: Features = self._start_features(rng)
+        self.features: Features = _start_features(config, inputs, channel, rng)
         self.last_layer = LastLayer(
             config.law, self.features.feature_count, tracking_weights(P, gains.natural_frequency_rad_s)
         )
@@ -75,17 +77,6 @@ class AdaptiveAugmentation:
         self._Delta_hat: Vector3 = (0.0, 0.0, 0.0)
         self._eps_1_squared = 0.0
         self._eps_2 = 0.0
-
-    def _start_features(self, rng: np.random.Generator) -> Features:
-        config = self._config
-        if config.features == "bias":
-            return BiasFeatures()
-        inputs = tuple(item.signal for item in config.inputs)
-        offset = np.array([item.offset for item in config.inputs])
-        scale = np.array([item.scale for item in config.inputs])
-        if config.features == "rbf":
-            return RadialFeatures(inputs, offset, scale, config.rbf_width)
-        return NetworkFeatures(random_channel(inputs, offset, scale, config.hidden, rng))
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
         """Update W with Phi(x); returns nu_ad = W'Phi(x_ahead), [3]."""

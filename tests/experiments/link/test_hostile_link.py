@@ -44,7 +44,7 @@ LEARNING = (
     "offboard.gate.trigger_unexplained=0.0",
     "offboard.gate.margin=0.0",
     "offboard.gate.significance=0.0",
-    "offboard.network.channels=[position]",
+    "features.trained.channels=[position]",
     "onboard.guidance.trajectory.settle_s=0.0",
     "onboard.guidance.land_after_s=60.0",
 )

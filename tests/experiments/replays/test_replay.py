@@ -35,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recorded flight of six and a half seconds that trains, and is sent the features it starts from."""
     folder = tmp_path_factory.mktemp("flight")
     config = resolve("figure8_wind", Choices("dmrac", 11, 6.5, SETTINGS))
-    network = config.offboard.network
+    network = config.features.trained
     features = feature_set(initial_state(network, np.random.default_rng(3)), InputPlan.of(network), 1, 0, 100)
     experience = tmp_path_factory.mktemp("experience") / "start.npz"
     teacher = build_offboard(config, 1).learner

@@ -31,7 +31,7 @@ def features(signals: np.ndarray) -> np.ndarray:
 
 def buffer(**over: object) -> NoveltyBuffer:
     config = CONFIG.buffer.model_copy(update={"capacity": 24, **over})
-    return NoveltyBuffer(config, CONFIG.network, features)
+    return NoveltyBuffer(config, CONFIG.features.trained, features)
 
 
 def fill(kept: NoveltyBuffer, n: int = 400, seed: int = 0) -> None:

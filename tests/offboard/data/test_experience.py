@@ -73,13 +73,13 @@ def test_pickled_objects_are_refused() -> None:
 
 
 def test_a_checkpoint_of_other_networks_is_refused(saved: bytes) -> None:
-    narrow = VehicleLearner(offboard_config(network={"hidden": [16, 16]}))
+    narrow = VehicleLearner(offboard_config(features={"trained": {"hidden": [16, 16]}}))
     with pytest.raises(ValueError, match="shape"):
         narrow.resume(load_experience(saved))
 
 
 def test_a_version_file_and_a_checkpoint_both_give_a_version(saved: bytes) -> None:
-    config = offboard_config().network
+    config = offboard_config().features.trained
     version = feature_set(initial_state(config, np.random.default_rng(3)), InputPlan.of(config), 5, 4, 100)
     loaded = load_version(dump_version(version))
     assert (loaded.version, loaded.parent, loaded.samples) == (5, 4, 100)

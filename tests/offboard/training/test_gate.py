@@ -11,11 +11,12 @@ from protocol.feature_set import FeatureSet
 from tests.offboard.flights import offboard_config
 
 CONFIG = offboard_config()
+NETWORKS = CONFIG.features.trained
 S = 1_000_000_000
 
 
 def candidate() -> FeatureSet:
-    return feature_set(initial_state(CONFIG.network, np.random.default_rng(1)), InputPlan.of(CONFIG.network), 1, 0, 100)
+    return feature_set(initial_state(NETWORKS, np.random.default_rng(1)), InputPlan.of(NETWORKS), 1, 0, 100)
 
 
 def evidence(new: tuple[float, float], flying: tuple[float, float], n: int = 80, seed: int = 0) -> Evidence:
@@ -33,7 +34,7 @@ def evidence(new: tuple[float, float], flying: tuple[float, float], n: int = 80,
 
 
 def gate() -> Gate:
-    return Gate(CONFIG.gate, CONFIG.network.spectral_norm_max)
+    return Gate(CONFIG.gate, NETWORKS.spectral_norm_max)
 
 
 def judge(found: Evidence, features: FeatureSet | None = None) -> Verdict:
@@ -78,7 +79,7 @@ def test_too_few_samples_and_too_soon() -> None:
     [
         ({"numpy_difference": 1e-2}, Verdict.NUMPY_DIFFERS),
         ({"numpy_difference": float("nan")}, Verdict.NUMPY_DIFFERS),
-        ({"spectral_norms": (1.0, 2.0 * CONFIG.network.spectral_norm_max)}, Verdict.SPECTRAL_NORM),
+        ({"spectral_norms": (1.0, 2.0 * NETWORKS.spectral_norm_max)}, Verdict.SPECTRAL_NORM),
         ({"candidate_errors": np.full((80, 2), np.nan)}, Verdict.NOT_FINITE),
     ],
 )

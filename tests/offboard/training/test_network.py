@@ -6,7 +6,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from offboard.config import NetworkConfig
 from offboard.training.gradient import LossGradient, Views, layer_outputs, parameters_of
 from offboard.training.network import (
     InputPlan,
@@ -18,10 +17,11 @@ from offboard.training.network import (
     state_of,
 )
 from offboard.training.spectral_bound import SpectralBound
+from protocol.feature_config import TrainedFeatures
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 from tests.offboard.flights import figure8_through_jet, offboard_config
 
-CONFIG = offboard_config().network
+CONFIG = offboard_config().features.trained
 BOUND = CONFIG.spectral_norm_max
 
 
@@ -41,7 +41,7 @@ def test_numpy_features_equal_torchs(channels: tuple[str, ...]) -> None:
     by_torch = layer_outputs(z, parameters_of(state))[-1].numpy()
     for row in range(len(channels)):
         Phi = phi(channel_features(state, plan, row), x)
-        assert Phi.shape == (200, config.features)
+        assert Phi.shape == (200, config.count)
         assert np.array_equal(Phi[:, -1], np.ones(200))
         assert np.abs(Phi[:, :-1] - by_torch[row].T).max() < 2e-6
 
@@ -89,7 +89,7 @@ def test_power_iteration_keeps_the_norm_close_to_the_bound_while_weights_move() 
 def test_gradient_by_hand_equals_autograd(dropout: bool) -> None:
     rng = np.random.default_rng(8)
     state = initial_state(CONFIG, rng)
-    C, m, k = len(CONFIG.channels), state.weights[0].shape[1], CONFIG.features
+    C, m, k = len(CONFIG.channels), state.weights[0].shape[1], CONFIG.count
     flat = (
         parameters_of(state).flat
         + 0.1 * torch.from_numpy(rng.normal(size=4096 * 4).astype(np.float32))[: parameters_of(state).flat.numel()]
@@ -141,9 +141,9 @@ def test_unknown_or_missing_signals_are_named() -> None:
     tree = CONFIG.model_dump()
     tree["scales"].pop("roll")
     with pytest.raises(ValueError, match="roll"):
-        NetworkConfig.model_validate(tree)
+        TrainedFeatures.model_validate(tree)
     with pytest.raises(ValueError, match="altitude"):
-        NetworkConfig.model_validate({**CONFIG.model_dump(), "position_inputs": ("altitude",)})
+        TrainedFeatures.model_validate({**CONFIG.model_dump(), "position_inputs": ("altitude",)})
 
 
 def test_flight_maker_is_consistent() -> None:

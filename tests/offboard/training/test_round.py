@@ -61,13 +61,13 @@ def test_ten_rounds_explain_most_of_the_uncertainty(optimiser: dict[str, object]
     assert result.epoch_losses.shape == (offboard_config().trainer.epochs, 3, 2)
     assert np.isfinite(result.epoch_losses[:, :2]).all()
     assert result.evidence.numpy_difference < 1e-5
-    assert max(result.evidence.spectral_norms) <= offboard_config().network.spectral_norm_max
+    assert max(result.evidence.spectral_norms) <= offboard_config().features.trained.spectral_norm_max
 
 
 def test_without_the_projection_the_spectral_bound_is_exceeded() -> None:
     """The safeguard is needed: with the bound lifted the same training goes past it."""
-    bound = offboard_config().network.spectral_norm_max
-    loose = job_after(offboard_config(network={"spectral_norm_max": 1e3, "first_layer_gain": 4.0}))
+    bound = offboard_config().features.trained.spectral_norm_max
+    loose = job_after(offboard_config(features={"trained": {"spectral_norm_max": 1e3, "first_layer_gain": 4.0}}))
     assert max(rounds(loose, 2).evidence.spectral_norms) > bound
 
 
@@ -80,13 +80,14 @@ def test_a_round_that_runs_away_is_taken_back() -> None:
     )
     assert result.state.rounds == job.state.rounds + 1
     config = offboard_config()
-    verdict = Gate(config.gate, config.network.spectral_norm_max).judge(result.candidate, result.evidence, 10**10)
+    gate = Gate(config.gate, config.features.trained.spectral_norm_max)
+    verdict = gate.judge(result.candidate, result.evidence, 10**10)
     assert verdict is Verdict.NOT_FINITE
 
 
 def test_dropout_and_one_channel_and_mrgen_train_too() -> None:
     config = offboard_config(
-        network={"dropout": 0.2, "channels": ["attitude"], "scaling": "data"}, labels={"kind": "mrgen"}
+        features={"trained": {"dropout": 0.2, "channels": ["attitude"], "scaling": "data"}}, labels={"kind": "mrgen"}
     )
     result = rounds(job_after(config), 3)
     assert result.candidate.position is None

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from configs.loader import CONFIG_DIRECTORY, fill, merge, read_tree
+from configs.loader import CONFIG_DIRECTORY, fill, load, merge
+from configs.parts import read_part
 from configs.vehicle import read_vehicle
 from onboard.control.actuators import ActuatorModel
 from onboard.control.airframe import GRAVITY, AirframeConfig
@@ -19,12 +20,14 @@ from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import PathPoint
 from onboard.sampling.signal_vector import SignalVector
+from protocol.feature_config import FeaturesConfig
 
 DT = 0.005
 FORCE, TORQUE = (0.5, -0.3, 0.8), (5.0, -4.0, 0.5)
 SUBSTEPS = 5
 REST = (0.0, 0.0, 0.0)
 AIRFRAME = fill(AirframeConfig, read_vehicle("mambo").airframe, "mambo.yaml")
+FEATURES = load(FeaturesConfig, CONFIG_DIRECTORY / "features.yaml")
 
 
 def _both(position: dict[str, Any], attitude: dict[str, Any]) -> dict[str, Any]:
@@ -54,14 +57,14 @@ OWN: dict[str, dict[str, Any]] = {
 
 def controller_tree(name: str, settings: dict[str, Any] | None = None) -> dict[str, Any]:
     """A shipped controller's file with the gains above, and settings laid over."""
-    tree = read_tree(CONFIG_DIRECTORY / "controllers" / f"{name}.yaml")
+    tree = read_part("controllers", name)
     over = merge(merge(POLES, OWN.get(name, {})), settings or {})
     return merge({"class": tree["class"], "settings": tree["settings"]}, {"settings": over})
 
 
 def shipped_controller(name: str, settings: dict[str, Any] | None = None) -> Any:
     """A shipped controller, built."""
-    return fill(ControllerConfig, controller_tree(name, settings), name).build(AIRFRAME, seed=1)
+    return fill(ControllerConfig, controller_tree(name, settings), name).build(AIRFRAME, FEATURES, seed=1)
 
 
 class Rig:

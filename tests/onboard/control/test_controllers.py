@@ -19,7 +19,17 @@ from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
-from tests.onboard.control.fixture import AIRFRAME, DT, FORCE, TORQUE, Rig, column, controller_tree, shipped_controller
+from tests.onboard.control.fixture import (
+    AIRFRAME,
+    DT,
+    FEATURES,
+    FORCE,
+    TORQUE,
+    Rig,
+    column,
+    controller_tree,
+    shipped_controller,
+)
 
 BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")
 NO_TRAINING = "offboard.trainer.minimum_samples=1000000"
@@ -100,7 +110,7 @@ def test_the_documents_controller_plugs_in_by_a_config_entry(tmp_path: Path, mon
 )
 def test_a_controller_that_does_not_fit_is_refused_with_its_place(path: str, what: str) -> None:
     with pytest.raises(ConfigError, match=what) as fault:
-        fill(ControllerConfig, {"class": path, "settings": {}}, "toy.yaml").build(AIRFRAME, 1, "toy.yaml")
+        fill(ControllerConfig, {"class": path, "settings": {}}, "toy.yaml").build(AIRFRAME, FEATURES, 1, "toy.yaml")
     assert "toy.yaml" in str(fault.value)
 
 
@@ -307,8 +317,8 @@ def test_a_swap_in_flight_does_not_kick_the_vehicle() -> None:
 
 
 def test_equal_seeds_make_equal_controllers() -> None:
-    one, other = (fill(ControllerConfig, controller_tree("dmrac"), "t").build(AIRFRAME, seed) for seed in (5, 5))
-    third = fill(ControllerConfig, controller_tree("dmrac"), "t").build(AIRFRAME, 6)
+    config = fill(ControllerConfig, controller_tree("dmrac"), "t")
+    one, other, third = (config.build(AIRFRAME, FEATURES, seed) for seed in (5, 5, 6))
     signals = np.random.default_rng(0).normal(size=(21, 2))
     features = [c.augmentations[0].features for c in (one, other, third)]
     Phi = [f.evaluate(f.select(signals)) for f in features]
@@ -319,6 +329,6 @@ def test_equal_seeds_make_equal_controllers() -> None:
 def test_settings_out_of_range_name_their_path() -> None:
     tree = controller_tree("mrac", {"position": {"augmentation": {"law": {"composite_gain": -1.0}}}})
     with pytest.raises(ConfigError, match=r"controller\.settings\.position\.augmentation\..*composite_gain"):
-        fill(ControllerConfig, tree, "mrac.yaml").build(AIRFRAME, 1)
+        fill(ControllerConfig, tree, "mrac.yaml").build(AIRFRAME, FEATURES, 1)
     with pytest.raises(ValueError, match="weight_norm_max"):
         AdaptationConfig(tracking_gain=1.0, composite_gain=1.0, bias_weight=1.0, leak=0.0, weight_norm_max=0.0)

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from onboard.control.feature_swap import RecentStates, SwapConfig, bumpless_last_layer, plan_swap, resemblance
 from onboard.control.features import NetworkFeatures, random_channel
-from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig, InputScaling
+from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.last_layer import PROJECTION_MARGIN, AdaptationConfig, lyapunov_p
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
+from protocol.feature_config import FeatureInputs, SignalScale
 from protocol.feature_set import ChannelFeatures
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
@@ -248,13 +249,13 @@ def flying_augmentation(swap_config):
     config = AdaptiveConfig(
         kind="adaptive",
         features="network",
-        inputs=tuple(InputScaling(signal=name, offset=0.0, scale=1.0) for name in INPUTS),
-        hidden=(16, 9),
         law=AdaptationConfig(tracking_gain=5.0, composite_gain=10.0, bias_weight=1.0, leak=0.0, weight_norm_max=RADIUS),
         swap=swap_config,
     )
+    scales = {name: SignalScale(offset=0.0, scale=1.0) for name in INPUTS}
+    inputs = FeatureInputs(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
     gains = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
-    augmentation = AdaptiveAugmentation(config, gains, np.random.default_rng(0))
+    augmentation = AdaptiveAugmentation(config, gains, inputs, "position", np.random.default_rng(0))
     state = ChannelState(dt=0.005, adapt=True, signals=np.zeros((SIGNAL_COUNT, 2)))
     for tick in range(400):
         for column, t in enumerate((tick * 0.005, tick * 0.005 + 0.17)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from configs.loader import CONFIG_DIRECTORY, read_tree
+from configs.parts import part_names, read_part
 from onboard.control.laws.last_layer import (
     AdaptationConfig,
     LastLayer,
@@ -98,12 +98,12 @@ def test_the_normalisation_condition_is_what_makes_the_form_definite():
 
 
 def shipped_channels():
-    for path in sorted((CONFIG_DIRECTORY / "controllers").glob("*.yaml")):
+    for name in part_names("controllers"):
         for channel in ("position", "attitude"):
-            tree = read_tree(path)["settings"].get(channel, {})
+            tree = read_part("controllers", name)["settings"].get(channel, {})
             augmentation = tree.get("augmentation", {})
             if augmentation.get("kind") == "adaptive" and augmentation["law"]["composite_gain"] > 0.0:
-                yield pytest.param(tree["gains"], augmentation, id=f"{path.stem}-{channel}")
+                yield pytest.param(tree["gains"], augmentation, id=f"{name}-{channel}")
 
 
 @pytest.mark.parametrize(("gains", "augmentation"), list(shipped_channels()))
@@ -114,7 +114,7 @@ def test_shipped_gains_satisfy_the_normalisation_condition(gains, augmentation):
     Q = np.diag(np.repeat(np.array(weights, dtype=float), 3))
     P = lyapunov_p(channel.closed_loop_matrix(), Q)
     PB = tracking_weights(P, channel.natural_frequency_rad_s)
-    k = {"bias": 1, "rbf": 21, "network": augmentation.get("hidden", [20])[-1] + 1}[augmentation["features"]]
+    k = {"bias": 1, "rbf": 21, "network": 21}[augmentation["features"]]
     for axis in range(3):
         scale = PB[axis, axis] / P[axis, 3 + axis]
         needed = composite_gain_needed(law, PB[:, [axis]], scale * Q, k)
