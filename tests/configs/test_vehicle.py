@@ -8,7 +8,8 @@ from configs.flight_tree import Choices
 from configs.loader import ConfigError, fill
 from configs.parts import part_names
 from configs.vehicle import AIRFRAME, Range, read_vehicle
-from experiments.campaigns.campaign import CampaignConfig, unfold
+from experiments.campaigns.campaign import CampaignConfig
+from experiments.campaigns.flight_jobs import unfold
 from experiments.flights.scenario import resolve
 from sim_vehicle.config import load_vehicle
 
