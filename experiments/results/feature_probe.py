@@ -17,7 +17,6 @@ import numpy as np
 from configs.loader import ConfigError, fill, read_tree
 from configs.parts import read_part
 from experiments.campaigns.runner import experience_path
-from experiments.flights.scenario import fill_flight
 from experiments.results.campaign_data import CampaignData, Trace
 from experiments.results.figure_style import legend_below, new_figure
 from experiments.results.statistics import median
@@ -184,9 +183,9 @@ def _flights(data_folder: Path, keys: tuple[str, ...]) -> tuple[LearntFlight, ..
     found = []
     for key in keys:
         stem = key.replace("/", "__")
-        flight = fill_flight(read_tree(data_folder / "traces" / f"{stem}.yaml"), stem)
-        learnt = experience_path(data_folder, key).read_bytes()
-        found.append(LearntFlight(flight.features, flight.offboard.seed, learnt))
+        flight = read_tree(data_folder / "traces" / f"{stem}.yaml")
+        features = fill(FeaturesConfig, flight["features"], stem, "features.")
+        found.append(LearntFlight(features, flight["offboard"]["seed"], experience_path(data_folder, key).read_bytes()))
     return tuple(found)
 
 
