@@ -225,6 +225,24 @@ def test_an_explicit_composite_step_would_overshoot():
     assert 0.8 < last.W[0, 0] < 1.0
 
 
+@settings(max_examples=60, **SETTINGS)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1e3), st.floats(0.1, 100.0), st.floats(0.5, 80.0))
+def test_a_step_is_an_explicit_step_of_the_law_with_effective_gains(seed, gamma, lambda_, kappa):
+    """docs/theory.md: gamma / (1 + gamma p dt^2) for gamma, eps + (1 + lambda dt) Phi'Gamma Phi for m^2."""
+    rng = np.random.default_rng(seed)
+    _, _, P = double_integrator()
+    law = config(tracking_gain=gamma, composite_gain=lambda_, bias_weight=kappa, weight_norm_max=1e6)
+    last = LastLayer(law, 5, P[:, 3:])
+    W, e, Delta_hat = rng.normal(size=(5, 3)), rng.normal(size=6), rng.normal(size=3)
+    last.replace(W, W)
+    Phi = np.append(np.tanh(rng.normal(size=4)), 1.0)
+    m_d2 = law.normalisation_floor + (1.0 + lambda_ * DT) * float(Phi @ (last.gamma * Phi))
+    gamma_d = gamma / (1.0 + gamma * float(np.abs(P[3:, 3:]).max()) * DT**2)
+    last.step(Phi, e, Delta_hat, DT)
+    rate = -np.outer(last.gamma * Phi, gamma_d * (e @ P[:, 3:]) + lambda_ * (W.T @ Phi - Delta_hat)) / m_d2
+    np.testing.assert_allclose(last.W, W + DT * rate, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("active", [1, 4, 20])
 def test_the_bandwidth_does_not_depend_on_how_many_features_are_active(active):
     _, _, P = double_integrator()
