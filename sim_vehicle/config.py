@@ -8,7 +8,6 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord, fill, merge
 from configs.vehicle import read_vehicle
-from sim_vehicle.disturbances.records import Disturbance
 from sim_vehicle.link.radio import RadioConfig
 from sim_vehicle.physics.parameters import (
     BatteryConfig,
@@ -21,6 +20,7 @@ from sim_vehicle.physics.parameters import (
     NominalConfig,
     SensorsConfig,
 )
+from sim_vehicle.world.catalogue import AnyDisturbance
 
 
 class SimVehicleConfig(ConfigRecord):
@@ -35,7 +35,7 @@ class SimVehicleConfig(ConfigRecord):
     sensors: SensorsConfig
     link: LinkConfig
     initial: InitialConfig = InitialConfig()
-    disturbances: tuple[Disturbance, ...] = Field(default=(), max_length=64)
+    disturbances: tuple[AnyDisturbance, ...] = Field(default=(), max_length=64)
     impairment: RadioConfig | None = Field(
         default=None, description="of the vehicle's own link, up: sensors, down: motors; left out: a perfect wire"
     )

@@ -6,13 +6,12 @@ point at or before its time, and sensors sample on every fifth one (200 Hz), wha
 
 from collections import Counter, deque
 from math import cos, degrees, sin
-from typing import Final
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 
 import sim_vehicle.physics.layout as at
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.disturbances.world import GUST_STREAM, World, row_count
 from sim_vehicle.link.mavlink import VehicleCodec
 from sim_vehicle.link.radio import Radio
 from sim_vehicle.physics.advance import (
@@ -26,22 +25,23 @@ from sim_vehicle.physics.advance import (
     verdict,
     write_truth,
 )
-from sim_vehicle.physics.draws import SubstepNormals
+from sim_vehicle.physics.disturb import knowing
 from sim_vehicle.physics.limits import flight_limits
 from sim_vehicle.physics.packing import COULOMB_PER_MAH, GRAVITY, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, Array, VehicleOutput
 from sim_vehicle.sensors.battery import Battery
-from sim_vehicle.sensors.faults import SensorFaults
 from sim_vehicle.sensors.flow import Flow
 from sim_vehicle.sensors.imu import Imu
 from sim_vehicle.sensors.motion_capture import MotionCapture
 from sim_vehicle.sensors.ultrasonic import Ultrasonic
+from sim_vehicle.world.world import World
 
 SAMPLE_NS: Final = 5 * SUBSTEP_NS
 """ns, IMU period."""
 IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM, WIRE_STREAM = 1, 2, 3, 4, 5, 6
 """Random streams [seed, n] of the sensors and the vehicle's link."""
 _TRUTH_SIZE: Final = len(TRUTH.fields)
+SampleT = TypeVar("SampleT")
 LONGEST_RUN: Final = 400
 """Sub-steps in one call of the compiled step."""
 
@@ -52,8 +52,7 @@ class SimVehicle:
     def __init__(self, config: SimVehicleConfig, seed: int, key: bytes | None = None) -> None:
         self._config = config
         self._world = World(config, seed)
-        self._world.apply(0)
-        self._noise = substep_normals(config, seed)
+        self._advance = knowing(advance, config.disturbances)
         self._state = initial_state(config)
         self._sums: Array = np.zeros(at.SUMS_SIZE)
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
@@ -67,7 +66,7 @@ class SimVehicle:
         self._capture = MotionCapture(sensors.motion_capture, seed, CAPTURE_STREAM)
         self._battery = Battery(sensors.battery_noise_v, config.battery.capacity_mah, seed, BATTERY_STREAM)
         self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key)
-        self._faults = SensorFaults(self._world)
+        self._last_samples: dict[str, Any] = {}
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
         self._command_delay_ns = round(config.motors.command_delay_s * 1e9)
         self._command_timeout_ns = round(config.motors.command_timeout_s * 1e9)
@@ -134,7 +133,7 @@ class SimVehicle:
         while self._poses and self._poses[0][0] <= now_ns:
             to_motion_capture.append(self._poses.popleft()[1])
         truth = np.empty(_TRUTH_SIZE)
-        write_truth(self._state, self._sums, self._world.parameters, truth)
+        write_truth(self._state, self._sums, self._world.condition.parameters, truth)
         return VehicleOutput(to_onboard, to_motion_capture, truth)
 
     def _take_command(self) -> int:
@@ -164,13 +163,13 @@ class SimVehicle:
     def _run(self, end_ns: int) -> None:
         count = (end_ns - self._time_ns) // SUBSTEP_NS
         world = self._world
-        advance(
+        self._advance(
             self._state,
             self._commands,
-            world.parameters,
+            world.condition.parameters,
             world.rows,
-            world.row_state,
-            self._noise.take(count),
+            world.memories,
+            world.normals.take(count),
             self._sums,
             self._work,
             self._time_ns * 1e-9,
@@ -195,36 +194,40 @@ class SimVehicle:
 
     def _sample(self, to_onboard: list[bytes]) -> None:
         """Sample every sensor that is due at the present time."""
-        now_ns, state, sums, codec, passed = self._time_ns, self._state, self._sums, self._codec, self._faults.passed
+        now_ns, state, sums, codec, sent = self._time_ns, self._state, self._sums, self._codec, self._sent
+        condition = self._world.condition
         capture_us = now_ns // 1000 + self._clock_offset_us
-        time_us = max(0, capture_us + self._world.clock_jump_ns // 1000)
-        imu = passed("imu", self._imu.sample(state, sums, self._world.shaking))
+        time_us = max(0, capture_us + condition.clock_jump_ns // 1000)
+        imu = sent("imu", self._imu.sample(state, sums, condition.shaking))
         if imu is not None:
             to_onboard.append(codec.imu(imu, time_us))
         if self._flow.schedule.is_due(now_ns):
-            flow = passed("flow", self._flow.sample(state, sums))
+            flow = sent("flow", self._flow.sample(state, sums))
             if flow is not None:
                 to_onboard.append(codec.flow(flow, time_us))
         if self._ultrasonic.schedule.is_due(now_ns):
-            distance_m = passed("ultrasonic", self._ultrasonic.sample(state))
+            distance_m = sent("ultrasonic", self._ultrasonic.sample(state))
             if distance_m is not None:
                 to_onboard.append(codec.distance(distance_m, time_us))
         if self._battery.schedule.is_due(now_ns):
             to_onboard.append(codec.heartbeat(self._armed))
-            battery = passed("battery", self._battery.sample(state, sums))
+            battery = sent("battery", self._battery.sample(state, sums))
             if battery is not None:
                 to_onboard.append(codec.battery(battery))
         if self._capture.schedule.is_due(now_ns):
-            pose = passed("motion_capture", self._capture.sample(state, now_ns))
+            pose = sent("motion_capture", self._capture.sample(state, now_ns))
             if pose is not None:
                 due_ns = now_ns + round(self._capture.config.latency_s * 1e9)
                 self._poses.append((due_ns, codec.pose(pose, capture_us)))
 
-
-def substep_normals(config: SimVehicleConfig, seed: int) -> SubstepNormals:
-    """The draws of all rows of a vehicle's world, sub-step by sub-step."""
-    rng = np.random.default_rng([seed, GUST_STREAM, 1])
-    return SubstepNormals(rng, row_count(config.disturbances), at.NOISE_PER_ROW)
+    def _sent(self, sensor: str, sample: SampleT | None) -> SampleT | None:
+        """What the sensor sends instead of `sample`, which is `sample` itself without a fault. None: nothing."""
+        fault = self._world.condition.sensor_faults.get(sensor)
+        if fault is not None:
+            return cast(SampleT | None, fault(sample, self._last_samples.get(sensor)))
+        if sample is not None:
+            self._last_samples[sensor] = sample
+        return sample
 
 
 def initial_state(config: SimVehicleConfig) -> Array:

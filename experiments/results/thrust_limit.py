@@ -20,9 +20,10 @@ from experiments.campaigns.flight_jobs import unfold
 from experiments.results.campaign_data import CampaignData
 from experiments.results.tables import Table
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.disturbances.world import World
+from sim_vehicle.disturbances.rotor_chip import chipped_rotors
 from sim_vehicle.physics import layout as at
 from sim_vehicle.physics.packing import GRAVITY
+from sim_vehicle.world.world import World
 
 LONG_AFTER_NS = 10**15
 """A time at which every fault of the scenario is present."""
@@ -43,10 +44,10 @@ def reserve(vehicle: SimVehicleConfig, seed: int) -> float:
     """
     world = World(vehicle, seed)
     world.apply(LONG_AFTER_NS)
-    chipped = world.chipped_rotors()
+    chipped = chipped_rotors(world.disturbances)
     if not chipped:
         raise ValueError("no rotor of this vehicle is chipped")
-    P = world.parameters
+    P = world.condition.parameters
     rotor = chipped[0] - 1
     factor, gain = float(P[at.THRUST_FACTOR + rotor]), float(P[at.GAIN + rotor])
     quarter = 0.25 * vehicle.body.mass_kg * GRAVITY

@@ -56,7 +56,7 @@ def _rigid_body() -> Callable[[], object]:
     config = load_vehicle("mambo", HIGH)
     state, parameters, sums = initial_state(config), pack_parameters(config), np.zeros(at.SUMS_SIZE)
     work, commands = np.zeros((WORK_ROWS, at.RIGID)), np.full(4, HOVER)
-    rows, row_state, noise = np.zeros((0, at.ROW_SIZE)), np.zeros((0, at.ROW_STATE_SIZE)), np.zeros((SUBSTEPS, 0, 3))
+    rows, row_state, noise = np.zeros((0, at.ROW_VALUES)), np.zeros((0, at.ROW_VALUES)), np.zeros((SUBSTEPS, 0, 3))
     return lambda: advance(state, commands, parameters, rows, row_state, noise, sums, work, 0.0, SUBSTEPS)
 
 

@@ -1,1 +1,1 @@
-"""Disturbances that a scenario can list."""
+"""Disturbances that a scenario can list: one file per kind, found by its name."""

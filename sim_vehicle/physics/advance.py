@@ -3,8 +3,8 @@
 from math import acos
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.physics.airflow import air_velocity, outside_load
 from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.physics.disturb import disturb
 from sim_vehicle.physics.dynamics import (
     FLOOR_REACH,
     Matrix,
@@ -20,8 +20,8 @@ from sim_vehicle.records import Array
 
 CLEARANCE = 0.01
 """m above the floor from which the vehicle counts as airborne (touching is at 0, so that it does not chatter)."""
-WORK_ROWS = 9
-"""Rows of 13 of the work array: 5 for Runge-Kutta, 3 thrusts, 1 load."""
+WORK_ROWS = 10
+"""Rows of 13 of the work array: 5 for Runge-Kutta, 3 thrusts, 1 effect of the disturbances, 1 nominal thrust."""
 
 
 @compiled
@@ -102,7 +102,7 @@ def advance(
     commands: Array,
     P: Array,
     rows: Array,
-    row_state: Array,
+    memories: Array,
     noise: Array,
     sums: Array,
     work: Array,
@@ -114,19 +114,16 @@ def advance(
     Parameters
     ----------
     state: [STATE_SIZE]. commands: [4] fractions, zero is off. P: [PARAMETERS_SIZE].
-    rows, row_state: [k, ROW_SIZE], [k, ROW_STATE_SIZE], see world.py. noise: [>= count, k, 3] unit normal draws.
+    rows, memories: [k, .], see sim_vehicle.world.world. noise: [>= count, k, NOISE_PER_ROW] unit normal draws.
     sums: [SUMS_SIZE]. work: [WORK_ROWS, 13], contents of no meaning.
     """
-    thrust, load = work[5:8, :4], work[8, :6]
-    wind, before, nominal = state[at.WIND : at.WIND + 3], work[4], work[8, 6:10]
+    thrust, effect, nominal = work[5:8, :4], work[8, : at.EFFECT_SIZE], work[9, :4]
+    wind, before, load = state[at.WIND : at.WIND + 3], work[4], effect[at.FORCE : at.TORQUE + 3]
     for step in range(count):
         now = time_s + step * P[at.STEP]
-        air = air_velocity(state, rows, row_state, now, P[at.STEP], noise[step])
-        for i in range(3):
-            wind[i] = air[i]
-        drop_v = outside_load(state, rows, row_state, now, P, noise[step], load)
+        disturb(state, rows, memories, now, P, noise[step], effect)
         lag_motors(state, commands, P, thrust)
-        sums[at.CURRENT] = drain_battery(state, drop_v, P)
+        sums[at.CURRENT] = drain_battery(state, effect[at.VOLTAGE_DROP], P)
         wanted = nominal_torque(state, P)
         for i in range(4):
             nominal[i] = wanted[i]

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 import sim_vehicle.physics.layout as at
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.disturbances.world import World
 from sim_vehicle.physics.advance import SOUND, WORK_ROWS, advance, verdict
 from sim_vehicle.physics.compiled import compiled
-from sim_vehicle.physics.draws import SubstepNormals
+from sim_vehicle.physics.disturb import knowing
 from sim_vehicle.physics.limits import flight_limits
 from sim_vehicle.physics.packing import SUBSTEP_NS
 from sim_vehicle.records import Array
-from sim_vehicle.vehicle import initial_state, substep_normals
+from sim_vehicle.vehicle import initial_state
+from sim_vehicle.world.world import World
 
 LONGEST_STEP: Final = 400
 """Sub-steps in one call of `step`."""
@@ -31,13 +31,13 @@ class VehicleBatch:
     def __init__(self, config: SimVehicleConfig, seeds: Sequence[int]) -> None:
         self._config = config
         self._worlds = [World(config, seed) for seed in seeds]
-        self._normals: list[SubstepNormals] = [substep_normals(config, seed) for seed in seeds]
+        self._advance_all = knowing(advance_all, config.disturbances)
         first = self._worlds[0]
         self.states: Array = np.tile(initial_state(config), (len(seeds), 1))
         """[vehicles, STATE_SIZE], see layout.py; position, velocity, quaternion and rates are the first 13."""
         self._parameters: Array = np.zeros((len(seeds), at.PARAMETERS_SIZE))
         self._rows: Array = first.rows
-        self._row_states: Array = np.stack([world.row_state for world in self._worlds])
+        self._memories: Array = np.stack([world.memories for world in self._worlds])
         self._sums: Array = np.zeros((len(seeds), at.SUMS_SIZE))
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
         self._limits: Array = flight_limits(config)
@@ -60,12 +60,12 @@ class VehicleBatch:
         end_ns = self.time_ns + substeps * SUBSTEP_NS
         while self.time_ns < end_ns:
             count = (min(end_ns, self._worlds[0].next_event_ns) - self.time_ns) // SUBSTEP_NS
-            advance_all(
+            self._advance_all(
                 self.states,
                 np.ascontiguousarray(commands, dtype=np.float64),
                 self._parameters,
                 self._rows,
-                self._row_states,
+                self._memories,
                 self._noise(count),
                 self._sums,
                 self._work,
@@ -81,12 +81,12 @@ class VehicleBatch:
     def _apply_worlds(self) -> None:
         for world, parameters in zip(self._worlds, self._parameters, strict=True):
             world.apply(self.time_ns)
-            parameters[:] = world.parameters
+            parameters[:] = world.condition.parameters
 
     def _noise(self, count: int) -> Array:
         if len(self._rows) == 0:
             return np.zeros((len(self._worlds), count, 0, at.NOISE_PER_ROW))
-        return np.stack([normals.take(count) for normals in self._normals])
+        return np.stack([world.normals.take(count) for world in self._worlds])
 
 
 @compiled
@@ -95,7 +95,7 @@ def advance_all(
     commands: Array,
     parameters: Array,
     rows: Array,
-    row_states: Array,
+    memories: Array,
     noise: Array,
     sums: Array,
     work: Array,
@@ -111,7 +111,7 @@ def advance_all(
     for k in range(states.shape[0]):
         if lost[k]:
             commands[k, :] = 0.0
-        advance(states[k], commands[k], parameters[k], rows, row_states[k], noise[k], sums[k], work, time_s, count)
+        advance(states[k], commands[k], parameters[k], rows, memories[k], noise[k], sums[k], work, time_s, count)
         if not lost[k] and verdict(states[k], sums[k], limits) != SOUND:
             lost[k] = True
         sums[k, : at.TOUCH_SPEED] = 0.0

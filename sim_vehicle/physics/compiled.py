@@ -10,6 +10,7 @@ import os
 import shutil
 import types
 from collections.abc import Callable
+from inspect import getclosurevars
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -64,29 +65,64 @@ _CACHE: Final = _cache_directory() if COMPILED else None
 
 
 def compiled(function: FunctionT) -> FunctionT:
-    """`function`, compiled at its first call when numba is installed, else as it is."""
-    if not COMPILED:
+    """`function`, compiled at its first call where numba is installed, else as it is."""
+    return _compile(function, cache=_CACHE is not None)  # type: ignore[no-any-return]
+
+
+def inlined(function: FunctionT) -> FunctionT:
+    """`function`, compiled as a part of each of its callers, which saves the time of a call. May be a closure."""
+    return _compile(function, inline="always")  # type: ignore[no-any-return]
+
+
+def replaced(function: FunctionT, old: Any, new: Any) -> FunctionT:
+    """A compiled copy of `function` in which it and all that it calls call `new` instead of `old`.
+
+    It is `function` itself if nothing calls `old`. The machine code is not cached, because it depends on `new`, and
+    an index out of range raises IndexError.
+    """
+    if function is old:
+        return new  # type: ignore[no-any-return]
+    called = {name: (value, replaced(value, old, new)) for name, value in _called(function).items()}
+    changed = {name: after for name, (before, after) in called.items() if after is not before}
+    if not changed:
         return function
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
-    try:
-        return numba.njit(cache=_CACHE is not None, error_model="numpy")(function)  # type: ignore[no-any-return]
-    finally:
-        numba.config.CACHE_DIR = before
+    return _compile(_copy(function, changed), boundscheck=True)  # type: ignore[no-any-return]
 
 
 def python_twin(function: FunctionT) -> FunctionT:
     """The pure Python form of a compiled function, whose calls go to pure Python forms as well."""
-    return _twin(function, {})  # type: ignore[no-any-return]
+    names = {name: python_twin(value) for name, value in _called(function).items()}
+    return _copy(function, names) if names or hasattr(function, "py_func") else function
 
 
-def _twin(function: Any, known: dict[int, Any]) -> Any:
-    source = getattr(function, "py_func", None)
-    if source is None:
+def _compile(function: Any, **options: Any) -> Any:
+    if not COMPILED or hasattr(function, "py_func"):
         return function
-    if id(source) not in known:
-        names: dict[str, Any] = {}
-        twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__)
-        known[id(source)] = twin
-        names.update({name: _twin(value, known) for name, value in source.__globals__.items()})
-    return known[id(source)]
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
+    try:
+        return numba.njit(error_model="numpy", **options)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def _called(function: Any) -> dict[str, Any]:
+    """The functions that a function calls, by their names in it; none for one that is not written in Python."""
+    source = getattr(function, "py_func", function)
+    if not isinstance(source, types.FunctionType):
+        return {}
+    known = {**source.__globals__, **getclosurevars(source).nonlocals}
+    values: dict[str, Any] = {
+        name: known.get(name) for name in (*source.__code__.co_names, *source.__code__.co_freevars)
+    }
+    return {name: one for name, one in values.items() if isinstance(one, types.FunctionType) or hasattr(one, "py_func")}
+
+
+def _copy(function: Any, names: dict[str, Any]) -> Any:
+    """A Python function with other values for some of the names that it uses."""
+    source = getattr(function, "py_func", function)
+    cells = zip(source.__code__.co_freevars, source.__closure__ or (), strict=True)
+    closure = tuple(types.CellType(names.get(name, cell.cell_contents)) for name, cell in cells)
+    return types.FunctionType(
+        source.__code__, source.__globals__ | names, source.__name__, source.__defaults__, closure
+    )

@@ -86,18 +86,25 @@ NOMINAL_ARM_X: Final = 68  # m
 NOMINAL_ARM_Y: Final = 69  # m
 PARAMETERS_SIZE: Final = 70
 
-# --- one row per disturbance that acts at every sub-step --------------------------------------------------------
-KIND_WIND: Final = 0
-KIND_JET: Final = 1
-KIND_GUSTS: Final = 2
-KIND_CLOTH: Final = 3
-KIND_SAG: Final = 4
-ROW_KIND: Final = 0
-ROW_ONSET: Final = 1  # s
-ROW_END: Final = 2  # s
-ROW_VALUES: Final = 3  # meaning by kind, see world.py
-ROW_SIZE: Final = 12
-ROW_STATE_SIZE: Final = 5
-"""Gusts: air velocity NED. Cloth: bob's offset north and east, its velocity, and the phase of the flapping."""
+# --- one row per disturbance that acts in every sub-step --------------------------------------------------------
+ROW_NUMBER: Final = 0  # of its class, see sim_vehicle.world.catalogue.acting_classes
+ROW_STAGE: Final = 1
+ROW_ONSET: Final = 2  # s
+ROW_END: Final = 3  # s
+ROW_VALUES: Final = 4  # its settings, from here to the end of the row
 NOISE_PER_ROW: Final = 3
-"""Normal draws that one row gets at each sub-step, used or not, so that blocks do not disturb each other's draws."""
+"""Normal draws per row and sub-step. A row that does not use them gets them too, so that no row changes the draws of
+another."""
+
+# --- stages of the disturbances in a sub-step -------------------------------------------------------------------
+MEAN_AIR: Final = 0
+TURBULENCE: Final = 1  # effect[AIR_SPEED] is known
+LOAD: Final = 2  # state[WIND] is known
+
+# --- effect of all disturbances in a sub-step -------------------------------------------------------------------
+AIR: Final = 0  # m/s, NED, [3] air velocity at the vehicle
+FORCE: Final = 3  # N, NED, [3]
+TORQUE: Final = 6  # N m, body FRD, [3] about the reference point
+VOLTAGE_DROP: Final = 9  # V
+AIR_SPEED: Final = 10  # m/s, of the vehicle through the mean air
+EFFECT_SIZE: Final = 11

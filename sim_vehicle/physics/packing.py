@@ -1,10 +1,12 @@
 """From typed configuration to the flat parameter array of the compiled step."""
 
+from collections.abc import Sequence
 from math import exp
 
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.geometry import Vector3
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.records import Array
 
@@ -81,9 +83,9 @@ def _pack_battery(P: Array, config: SimVehicleConfig) -> None:
 def set_mass(
     P: Array,
     mass_kg: float,
-    inertia_kg_m2: tuple[float, float, float],
-    centre_m: tuple[float, float, float],
-    payloads: tuple[tuple[float, tuple[float, float, float]], ...],
+    inertia_kg_m2: Vector3,
+    centre_m: Vector3,
+    payloads: Sequence[tuple[float, Vector3]],
 ) -> None:
     """Write mass, centre of mass, inertia about it and its inverse into P, for a body with point masses fixed to it.
 

@@ -1,11 +1,14 @@
 """Vehicles for the tests, and a bench that drives the compiled step directly."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from pymavlink.dialects.v20 import common as mavlink
 
 import sim_vehicle.physics.layout as at
@@ -16,6 +19,7 @@ from sim_vehicle.physics.packing import pack_parameters
 from sim_vehicle.records import Array
 from sim_vehicle.vehicle import SimVehicle, initial_state
 
+DOCUMENT = Path(__file__).parents[2] / "docs" / "vehicle.md"
 IDEAL: dict[str, Any] = {
     "battery": {"full_v": 3.7, "empty_v": 3.7, "resistance_ohm": 0.0, "polarisation_ohm": 0.0},
     "drag": {"linear_n_s_m": 0.0, "quadratic_n_s2_m2": 0.0},
@@ -43,7 +47,7 @@ class Bench:
 
     def run(self, commands: Any, seconds: float, function: Callable[..., None] = advance) -> None:
         count = round(seconds / self.step_s)
-        rows, row_state, noise = np.zeros((0, at.ROW_SIZE)), np.zeros((0, at.ROW_STATE_SIZE)), np.zeros((count, 0, 3))
+        rows, row_state, noise = np.zeros((0, at.ROW_VALUES)), np.zeros((0, at.ROW_VALUES)), np.zeros((count, 0, 3))
         work, fractions = np.zeros((WORK_ROWS, at.RIGID)), np.array(commands, dtype=np.float64)
         function(self.state, fractions, self.P, rows, row_state, noise, self.sums, work, 0.0, count)
 
@@ -93,3 +97,15 @@ def frames() -> Callable[..., list[Any]]:
         return [message for message in messages if not kind or message.get_type() == kind]
 
     return decode
+
+
+@pytest.fixture
+def tether(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Put the example of docs/vehicle.md on the Python path, in tmp_path; gives the tree of its disturbance."""
+    part = DOCUMENT.read_text(encoding="utf-8").split("<!-- example begins -->")[1].split("<!-- example ends -->")[0]
+    [code], [scenario] = (re.findall(rf"```{kind}\n(.*?)```", part, re.DOTALL) for kind in ("python", "yaml"))
+    assert sum(bool(line.strip()) for line in code.splitlines()) <= 25
+    (tmp_path / "my_tether.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    [tree] = yaml.safe_load(scenario)["disturbances"]
+    return dict(tree)

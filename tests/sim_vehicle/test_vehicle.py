@@ -287,11 +287,12 @@ print(*(float(x).hex() for x in truth))
 """
 
 
-def test_without_numba_it_flies_the_same():
+def test_without_numba_it_flies_the_same(tether, tmp_path):
     """The base install has no numba: the same source runs in CPython, with the same result up to rounding."""
-    code = WITHOUT_NUMBA.format(path=[os.getcwd()], over=STORM)
+    over = STORM | {"disturbances": [*STORM["disturbances"], tether | {"onset_s": 0.05}]}
+    code = WITHOUT_NUMBA.format(path=[os.getcwd(), str(tmp_path)], over=over)
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    flying = SimVehicle(load_vehicle("mambo", STORM), 3)
+    flying = SimVehicle(load_vehicle("mambo", over), 3)
     for k in range(1, 41):
         truth = flying.step(k * TICK).truth
     np.testing.assert_allclose([float.fromhex(x) for x in result.stdout.split()], truth, rtol=1e-9, atol=1e-9)

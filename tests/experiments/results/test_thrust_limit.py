@@ -14,10 +14,11 @@ from experiments.flights.scenario import Choices, resolve
 from experiments.results.campaign_data import CampaignData
 from experiments.results.thrust_limit import LONG_AFTER_NS, limit_table, reserve
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.disturbances.world import World
+from sim_vehicle.disturbances.rotor_chip import chipped_rotors
 from sim_vehicle.physics.motors import drain_battery, lag_motors
 from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.vehicle import initial_state
+from sim_vehicle.world.world import World
 
 
 def vehicle(factor: float) -> SimVehicleConfig:
@@ -32,7 +33,7 @@ def vehicle(factor: float) -> SimVehicleConfig:
 def simulated_reserve(config: SimVehicleConfig, seed: int) -> float:
     world = World(config, seed)
     world.apply(LONG_AFTER_NS)
-    P, state, rotor = world.parameters, initial_state(config), world.chipped_rotors()[0] - 1
+    P, state, rotor = world.condition.parameters, initial_state(config), chipped_rotors(world.disturbances)[0] - 1
     quarter, thrust = 0.25 * config.body.mass_kg * GRAVITY, np.zeros((3, 4))
     for _ in range(60_000):
         full = config.motors.max_thrust_n * (state[at.VOLTAGE] / config.battery.rated_v) ** 2

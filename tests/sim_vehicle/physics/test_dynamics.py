@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.physics.advance import advance
+from sim_vehicle.physics.advance import WORK_ROWS, advance
 from sim_vehicle.physics.compiled import python_twin
 from sim_vehicle.physics.dynamics import rotation
 from sim_vehicle.physics.packing import GRAVITY, set_mass
@@ -226,8 +226,8 @@ unit = st.floats(-1.0, 1.0)
 def test_compiled_equals_python(numbers, commands):
     """The compiled step gives what CPython gives for the same source: over the floor and high up, with a full world."""
     from sim_vehicle.config import load_vehicle
-    from sim_vehicle.disturbances.world import World
     from sim_vehicle.vehicle import initial_state
+    from sim_vehicle.world.world import World
 
     disturbances = [
         {"kind": "wind", "velocity_ned_m_s": [1.0, -2.0, 0.1]},
@@ -248,13 +248,23 @@ def test_compiled_equals_python(numbers, commands):
     results = []
     for function in (advance, python_twin(advance)):
         world = World(config, 3)
-        world.apply(0)
         state = initial_state(config)
         state[:13] = np.array(numbers) * [2, 2, 1, 3, 3, 2, 1, 1, 1, 1, 8, 8, 8]
         state[6] += 2.0
         state[6:10] /= np.linalg.norm(state[6:10])
         noise = np.random.default_rng(1).standard_normal((20, len(world.rows), 3))
-        sums, work = np.zeros(at.SUMS_SIZE), np.zeros((9, 13))
-        function(state, np.array(commands), world.parameters, world.rows, world.row_state, noise, sums, work, 0.25, 20)
-        results.append(np.concatenate([state, sums, world.row_state.ravel()]))
+        sums, work = np.zeros(at.SUMS_SIZE), np.zeros((WORK_ROWS, at.RIGID))
+        function(
+            state,
+            np.array(commands),
+            world.condition.parameters,
+            world.rows,
+            world.memories,
+            noise,
+            sums,
+            work,
+            0.25,
+            20,
+        )
+        results.append(np.concatenate([state, sums, world.memories.ravel()]))
     np.testing.assert_allclose(results[0], results[1], rtol=1e-9, atol=1e-12)
