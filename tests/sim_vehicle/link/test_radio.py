@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, load
+from configs.loader import ConfigError, fill
+from configs.parts import part_names, read_part
 from protocol.endpoint import Endpoint
 from protocol.messages import TimeSyncRequest
 from sim_vehicle.link.radio import (
@@ -23,8 +24,12 @@ from sim_vehicle.link.radio import (
 
 MS = 1_000_000
 S = 1_000_000_000
-PROFILES = sorted(path.stem for path in (CONFIG_DIRECTORY / "radio").glob("*.yaml"))
+PROFILES = part_names("radio")
 Arrivals = list[tuple[int, bytes]]
+
+
+def shipped(profile: str) -> RadioConfig:
+    return fill(RadioConfig, read_part("radio", profile), profile)
 
 
 def radio_of(seed: int = 0, direction: Direction = "down", **settings: Any) -> Radio:
@@ -59,7 +64,7 @@ def test_a_perfect_radio_changes_nothing() -> None:
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_every_profile_loads_and_counts_add_up(profile: str) -> None:
-    radio = Radio(load(RadioConfig, CONFIG_DIRECTORY / "radio" / f"{profile}.yaml"), np.random.default_rng(1))
+    radio = Radio(shipped(profile), np.random.default_rng(1))
     for direction in DIRECTIONS:
         arrivals = carry(radio, 300, direction=direction)
         counts = radio.counts(direction)
@@ -73,7 +78,7 @@ def test_every_profile_loads_and_counts_add_up(profile: str) -> None:
     [("good", 0.002 / 0.502, 2.0), ("medium", 0.01 / 0.21, 5.0), ("bad", 0.05 / 0.2, 1 / 0.15)],
 )
 def test_gilbert_elliott_has_the_stated_loss_and_bursts(profile: str, loss: float, burst: float) -> None:
-    config = load(RadioConfig, CONFIG_DIRECTORY / "radio" / f"{profile}.yaml")
+    config = shipped(profile)
     radio = Radio(config, np.random.default_rng(2))
     for index in range(40_000):
         radio.send("up", b"x" * 50, index * 10 * MS)
@@ -155,13 +160,13 @@ def trace(radio: Radio) -> str:
 
 @pytest.mark.parametrize("profile", ["bad", "bluetooth"])
 def test_the_same_seed_gives_the_same_luck(profile: str) -> None:
-    config = load(RadioConfig, CONFIG_DIRECTORY / "radio" / f"{profile}.yaml")
+    config = shipped(profile)
     one, same, other = (trace(Radio(config, np.random.default_rng(seed))) for seed in (5, 5, 6))
     assert one == same != other
 
 
 def test_the_directions_have_luck_of_their_own() -> None:
-    config = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "bad.yaml")
+    config = shipped("bad")
     alone, both = Radio(config, np.random.default_rng(5)), Radio(config, np.random.default_rng(5))
     down = carry(alone, 500)
     carry(both, 300, direction="up")
@@ -176,7 +181,7 @@ def test_more_loss_loses_the_same_datagrams_and_others() -> None:
 
 
 def test_recorded_deliveries_fly_again() -> None:
-    config = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "bad.yaml")
+    config = shipped("bad")
     first = Radio(config, np.random.default_rng(7))
     arrivals = {direction: carry(first, 800, direction=direction) for direction in DIRECTIONS}
     again = Radio(RadioConfig(), np.random.default_rng(99), recorded=first.deliveries)
@@ -216,7 +221,7 @@ def test_a_recorded_bit_flips_in_a_shorter_datagram_too() -> None:
 
 
 def test_a_delivery_survives_the_flight_log() -> None:
-    radio = Radio(load(RadioConfig, CONFIG_DIRECTORY / "radio" / "bad.yaml"), np.random.default_rng(7))
+    radio = Radio(shipped("bad"), np.random.default_rng(7))
     for direction in DIRECTIONS:
         carry(radio, 300, direction=direction)
         for delivery in radio.deliveries[direction]:
@@ -259,5 +264,5 @@ def test_settings_that_make_no_sense_are_named(settings: dict[str, Any], path: s
 
 
 def test_defaults_are_perfect() -> None:
-    assert load(RadioConfig, CONFIG_DIRECTORY / "radio" / "perfect.yaml") == RadioConfig()
+    assert shipped("perfect") == RadioConfig()
     assert DirectionConfig() == RadioConfig().down
