@@ -75,7 +75,9 @@ def measure(config: FlightConfig, seconds: float, console: Console) -> Report:
     law_us, floor_us = steps[LAW]["hot"][0], law_floor_us(config)
     ratio = f"{law_us / floor_us:.1f} x its bare numpy calls, {floor_us:.1f} us"
     console.print(f"control law of both channels, hot p50: {law_us:.1f} us, {ratio}")
-    console.print(f"onboard process: ready after {start_up.ready_s:.2f} s, {start_up.rss_mb:.0f} MB ({start_up.said})")
+    console.print(
+        f"onboard process: ready after {start_up.ready_s:.2f} s, {start_up.rss_mb:.0f} MB ({start_up.granted})"
+    )
     vehicle = vehicle_speeds()
     console.print(f"simulated vehicle, steps/s: {'; '.join(f'{name} {rate:,.0f}' for name, rate in vehicle.items())}")
     learning = {"admission_ms": admission_ms()}

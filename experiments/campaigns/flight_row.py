@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from experiments.flights.lockstep_flight import LockstepOutcome
-from experiments.flights.metrics import flight_metrics, rms
+from experiments.flights.metrics import bound_medians, flight_metrics, known_ages, median, rms
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
 from onboard.flight.supervisor import FlightMode
@@ -114,24 +114,18 @@ def _worst(trace: FlightTrace) -> float:
 
 
 def _ages(trace: FlightTrace) -> Row:
-    on_path = trace.on_path
-    features, pose = trace.tick["feature_age"][on_path], trace.tick["pose_age"][on_path]
-    features, pose = features[features >= 0.0], pose[pose >= 0.0]
+    features = known_ages(trace, "feature_age")
     return {
-        "feature_age_median_s": _median(features),
+        "feature_age_median_s": median(features),
         "feature_age_max_s": float(features.max()) if features.size else math.nan,
-        "pose_age_median_s": _median(pose),
+        "pose_age_median_s": median(known_ages(trace, "pose_age")),
     }
 
 
 def _bounds(trace: FlightTrace) -> Row:
     row: Row = {}
-    adapting = (trace.tick["adapting"] > 0.5) & trace.on_path
-    for channel, first, second in (("position", "ned", "ned"), ("attitude", "xyz", "pqr")):
-        parts = [trace.tick.vector(f"{channel}_error", first), trace.tick.vector(f"{channel}_error_rate", second)]
-        bound = trace.tick[f"{channel}_live_bound"][adapting]
-        row[f"{channel}_bound_median"] = _median(bound[bound > 0.0])
-        row[f"{channel}_error_norm_median"] = _median(np.linalg.norm(np.hstack(parts)[adapting], axis=1))
+    for channel, (bound, error) in bound_medians(trace, (trace.tick["adapting"] > 0.5) & trace.on_path).items():
+        row |= {f"{channel}_bound_median": bound, f"{channel}_error_norm_median": error}
     return row
 
 
@@ -178,10 +172,6 @@ def recovery_s(since_s: Array, attitude_error: Array) -> float:
     ends = np.concatenate([time[bad], time[-1:]])
     long_enough = np.flatnonzero(ends - starts >= RECOVERED_FOR_S)
     return float(starts[long_enough[0]]) if long_enough.size else math.nan
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values)) if values.size else math.nan
 
 
 def empty_row() -> Row:

@@ -1,8 +1,8 @@
-"""What one lockstep flight hands to another: a trainer's experience, last layers for controllers without a trainer.
+"""Carries what one lockstep flight learnt to another: a trainer's experience, or last layers of a fixed controller.
 
-The file is an experience (offboard.data.experience) with two things beside it: the last version alone (key
-"features") and the adaptive controllers' last layers. A learning controller gets the last version, which offboard
-sends again over the link; a controller with fixed features (mrac, bias) starts from the last layer.
+The file is an experience (offboard.data.experience) with two additions: the last version alone (key "features") and the
+adaptive controllers' last layers. For a learning controller, offboard sends the last version again over the link; a
+controller with fixed features (mrac, bias) starts from the last layer.
 """
 
 import io
@@ -13,14 +13,19 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError
-from onboard.control.interface import LearningController
+from onboard.control.interface import Controller, LearningController
 from onboard.core import OnboardCore
 
 CHANNEL_KEYS: Final = ("position_last_layer", "attitude_last_layer")
 
 
+def learns(controller: Controller) -> bool:
+    """Return whether a controller accepts features over the link."""
+    return isinstance(controller, LearningController) and controller.accepts_features
+
+
 def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
-    """What the flight learnt, as the bytes of a file; an archive without arrays if nothing in it adapts."""
+    """Return what the flight learnt as the content of a file; an archive without arrays if nothing adapts."""
     arrays: dict[str, Any] = {}
     controller = onboard.controller
     if offboard is not None and offboard.learner.latest is not None:
@@ -39,7 +44,7 @@ def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
 
 
 def read_experience(path: str) -> bytes | None:
-    """The bytes of the file a config names; None for no name. Raises ConfigError if it cannot be read."""
+    """Return the content of the file; None for an empty name. Raises ConfigError if it cannot be read."""
     if not path:
         return None
     try:
@@ -49,20 +54,19 @@ def read_experience(path: str) -> bytes | None:
 
 
 def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = False) -> None:
-    """Gives what was learnt to the cores before their first step.
+    """Load what was learnt into the cores, before their first step.
 
-    A trainer that goes on learning also takes over the samples: without them its first rounds, on a few seconds of the
-    new flight, would forget what the features were learnt for.
+    A trainer that goes on learning also gets the samples: without them its first rounds, on a few seconds of the new
+    flight, would forget what the features had learnt.
 
     Raises
     ------
     ConfigError
-        If the file is not one, holds nothing for this controller, or was made with other networks.
+        If the file is not an experience, has nothing for this controller, or was made with other networks.
     """
     controller = onboard.controller
-    learns = isinstance(controller, LearningController) and controller.accepts_features
     try:
-        if learns and offboard is not None:
+        if learns(controller) and offboard is not None:
             from offboard.data.experience import ExperienceError
 
             try:

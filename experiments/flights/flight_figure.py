@@ -1,4 +1,4 @@
-"""The picture of one flight: path, position against target, attitude, nu_ad against the true disturbance, link."""
+"""The figure of one flight: path, position and target, attitude, nu_ad and the true disturbance, link."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,14 +12,14 @@ from protocol.conventions import Array
 AXES = ("north", "east", "down")
 STYLES = ("-", "--", ":")
 WIND_SCALE = 12.0
-"""m/s that are drawn as a metre."""
+"""Wind speed, m/s, whose arrow is 1 m long."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 
 
 def draw_flight(trace: FlightTrace, title: str, path: Path, lost_s: Mapping[str, Array] | None = None) -> None:
-    """Writes the figure (format by the file's ending).
+    """Write the figure; the file's ending gives the format.
 
-    lost_s: times of the datagrams that were lost, by direction, on the trace's clock.
+    lost_s: times of the lost datagrams, by direction, on the trace's clock.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -68,7 +68,7 @@ def _draw_position(panel: Any, trace: FlightTrace) -> None:
 
 
 def _legend_above(panel: Any, note: str) -> None:
-    """The names in a row above the panel, where they cover nothing; the note at the row's right end."""
+    """Put the legend above the panel, where it covers nothing, with a note at its right end."""
     place: dict[str, Any] = {
         "loc": "lower left",
         "bbox_to_anchor": (0.0, 1.0),
@@ -158,7 +158,7 @@ def _draw_path(panel: Any, trace: FlightTrace) -> None:
             label=f"wind (1 m: {WIND_SCALE:g} m/s)",
         )
         tips = actual[rows, :2] + wind[rows, :2] / WIND_SCALE
-        panel.update_datalim(tips[:, ::-1])  # an arrow's tip is inside, too
+        panel.update_datalim(tips[:, ::-1])  # the tips of the arrows, too
         panel.autoscale_view()
     panel.set_aspect("equal", adjustable="datalim")
     panel.set_xlabel("east [m]")
@@ -185,7 +185,7 @@ def _draw_heights(panel: Any, trace: FlightTrace) -> None:
 
 
 def _worst_per_window(time_s: Array, values: Array, window_s: float) -> tuple[Array, Array]:
-    """Largest value in each window; NaN where there is none (values below 0 mean never)."""
+    """Return the middle of each window and its largest value; NaN if there is none (values below 0 mean never)."""
     window = (time_s / window_s).astype(np.int64)
     worst = np.full(int(window[-1]) + 1, -1.0)
     np.maximum.at(worst, window, values)
@@ -195,7 +195,7 @@ def _worst_per_window(time_s: Array, values: Array, window_s: float) -> tuple[Ar
 
 
 def _mark_losses(panel: Any, lost_s: Mapping[str, Array]) -> None:
-    """A stroke for each lost datagram along the panel's upper edge, one row a direction."""
+    """Draw a stroke for each lost datagram at the panel's upper edge, in one row per direction."""
     for row, times_s in enumerate(lost_s.values()):
         height = np.full(times_s.size, 0.95 - 0.07 * row)
         across = panel.get_xaxis_transform()
@@ -210,7 +210,7 @@ def _draw_link(panel: Any, trace: FlightTrace) -> None:
     panel.plot(trace.time_s, age, color=COLOURS[0], linewidth=1.0)
     panel.set_ylabel("age of features [s]", color=COLOURS[0])
     highest = float(np.nanmax(age)) if np.isfinite(age).any() else 1.0
-    panel.set_ylim(0.0, max(1.25 * highest, 0.1))  # room for the strokes of what was lost
+    panel.set_ylim(0.0, max(1.25 * highest, 0.1))  # leaves room for the strokes
     other = panel.twinx()
     seconds, worst = _worst_per_window(trace.time_s, trace.tick["pose_age"], 0.25)
     other.semilogy(seconds, np.clip(worst, 1e-3, None), color=COLOURS[1], linewidth=0.8, linestyle="--")

@@ -1,4 +1,4 @@
-"""The folder of a flight's record: made before the flight, and taken away again when none took place."""
+"""The folder of a flight's record: made before the flight, and removed if the flight does not start."""
 
 import time
 from collections.abc import Collection
@@ -8,16 +8,16 @@ from typing import Final
 from configs.loader import ConfigError
 
 OWN_FILES: Final = ("config.yaml", "*.mcap", "*_summary.json", "*.npz", "*_errors.txt")
-"""What `fly` and the processes of a flight write before it has begun."""
+"""Files that `fly` and the processes write before the flight begins."""
 
 
 def make_folder(out: Path | None, scenario: str) -> Path:
-    """A new folder for the record: `out`, or flights/<time>_<scenario>.
+    """Make a new folder for the record: `out`, or flights/<time>_<scenario>.
 
     Raises
     ------
     ConfigError
-        If it cannot be made, or holds another flight already.
+        If it cannot be made, or already contains a flight.
     """
     folder = out or Path("flights") / f"{time.strftime('%Y-%m-%d_%H%M%S')}_{scenario}"
     number = 1
@@ -33,25 +33,25 @@ def make_folder(out: Path | None, scenario: str) -> Path:
     return folder
 
 
-def clear_folder(folder: Path, kept: Collection[Path] = ()) -> str:
-    """Takes away what a flight that did not start has left, but for long reports of errors.
+def clear_folder(folder: Path, earlier: Collection[Path] = ()) -> str:
+    """Remove the files of a flight that did not start, except long error reports.
 
     Parameters
     ----------
-    kept: files that were there before.
+    earlier: files that were there before.
 
     Returns
     -------
-    A remark on where the reports are; "" where there are none.
+    A text on where the error reports are; "" if there are none.
     """
     reports = [path for path in sorted(folder.glob("*_errors.txt")) if _lines(path) > 1]
     for pattern in OWN_FILES:
         for path in folder.glob(pattern):
-            if path not in reports and path not in kept:
+            if path not in reports and path not in earlier:
                 path.unlink()
     if not any(folder.iterdir()):
         folder.rmdir()
-    return f"; all it said is in {', '.join(map(str, reports))}" if reports else ""
+    return f"; its full output is in {', '.join(map(str, reports))}" if reports else ""
 
 
 def _lines(path: Path) -> int:

@@ -1,14 +1,14 @@
 """The summary of a flight: summary.json and a table for the terminal, from the trace and the processes' summaries."""
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from experiments.flights.metrics import flight_metrics
+from experiments.flights.metrics import bound_medians, flight_metrics, known_ages, median
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
 from runtime.files import write_json
@@ -20,20 +20,22 @@ def build_summary(
     trace: FlightTrace | None,
     crash_reason: str,
     onboard: dict[str, Any],
+    offboard: dict[str, Any] | None,
     radio: dict[str, dict[str, int]],
-    rejected: dict[str, int],
 ) -> dict[str, Any]:
-    """The content of summary.json.
+    """Return the content of summary.json.
 
     Parameters
     ----------
     mode: "realtime" or "lockstep".
     trace: None if the flight left no usable log.
-    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, features.
+    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, features, rejected.
+    offboard: offboard's own summary; None without an offboard side.
     radio: sent, delivered, lost by direction.
-    rejected: datagrams refused by either end, by reason.
     """
     metrics = flight_metrics(trace, config.onboard.guidance.trajectory) if trace is not None else None
+    rejected = Counter(onboard.get("rejected", {}))
+    rejected.update((offboard or {}).get("rejected", {}))
     summary: dict[str, Any] = {
         "scenario": config.scenario,
         "controller": config.controller,
@@ -47,32 +49,17 @@ def build_summary(
         "lap_rmse_m": [_number(value) for value in metrics.lap_rmse_m] if metrics else [],
         "settled_rmse_m": _number(metrics.settled_rmse_m if metrics else math.nan),
         "features": onboard.get("features", {}),
-        "link": {**radio, "rejected": rejected},
+        "link": {**radio, "rejected": dict(rejected)},
         "onboard": {key: onboard[key] for key in ("ticks", "missed", "tick_us", "rss_mb") if key in onboard},
     }
     if trace is not None:
-        summary["live_bound_median"] = _bounds(trace)
-        age = trace.tick["feature_age"][trace.on_path & (trace.tick["feature_age"] >= 0.0)]
-        median = _number(float(np.median(age))) if age.size else None
-        summary["features"] = {**summary["features"], "age_s_median": median}
+        medians = bound_medians(trace, trace.tick["adapting"] > 0.5)
+        bounds = {channel: _number(bound) for channel, (bound, _) in medians.items()}
+        bounds |= {f"{channel}_error": _number(error) for channel, (_, error) in medians.items()}
+        summary["live_bound_median"] = bounds
+        age = _number(median(known_ages(trace, "feature_age")))
+        summary["features"] = {**summary["features"], "age_s_median": age}
     return summary
-
-
-def _bounds(trace: FlightTrace) -> dict[str, float | None]:
-    """Median of the live bound on norm(e) per channel, beside the median of norm(e) itself."""
-    medians: dict[str, float | None] = {}
-    adapting = trace.tick["adapting"] > 0.5
-    axes = {"position": ("ned", "ned"), "attitude": ("xyz", "pqr")}
-    for channel, (first, second) in axes.items():
-        error = np.hstack(
-            [trace.tick.vector(f"{channel}_error", first), trace.tick.vector(f"{channel}_error_rate", second)]
-        )
-        bound = trace.tick[f"{channel}_live_bound"]
-        known = adapting & (bound > 0.0)
-        medians[channel] = _number(float(np.median(bound[known]))) if known.any() else None
-        norm = np.linalg.norm(error[adapting], axis=1)
-        medians[f"{channel}_error"] = _number(float(np.median(norm))) if adapting.any() else None
-    return medians
 
 
 def _number(value: float) -> float | None:
@@ -80,7 +67,7 @@ def _number(value: float) -> float | None:
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    """summary.json, complete or not at all."""
+    """Write summary.json, complete or not at all."""
     write_json(folder / "summary.json", summary)
 
 
@@ -104,40 +91,26 @@ def _title(summary: dict[str, Any]) -> str:
 def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the lines of the table: name and text."""
     outcome = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
-    rows = [("flight", f"{summary['duration_s']:.1f} s, {outcome}")]
-    rows.append(("position RMSE", _metres(summary["position_rmse_m"]) + _laps(summary)))
-    attitude = summary["attitude_rmse_rad"]
-    rows.append(("attitude RMSE", "-" if attitude is None else f"{math.degrees(attitude):.2f} deg"))
-    features = summary["features"]
+    attitude, features, onboard = summary["attitude_rmse_rad"], summary["features"], summary["onboard"]
+    rows = [
+        ("flight", f"{summary['duration_s']:.1f} s, {outcome}"),
+        ("position RMSE", _metres(summary["position_rmse_m"]) + _laps(summary)),
+        ("attitude RMSE", "-" if attitude is None else f"{math.degrees(attitude):.2f} deg"),
+    ]
     if "version" in features:
+        text = f"version {features['version']}, {features['swaps']} swaps, {features['refused']} refused"
         age = features.get("age_s_median")
-        aged = "" if age is None else f", median age {age:.1f} s"
-        rows.append(
-            (
-                "features",
-                f"version {features['version']}, {features['swaps']} swaps, {features['refused']} refused{aged}",
-            )
-        )
+        rows.append(("features", text if age is None else f"{text}, median age {age:.1f} s"))
     bound = summary.get("live_bound_median") or {}
     if bound.get("position") is not None:
-        rows.append(
-            (
-                "live bound",
-                f"position {bound['position']:.2f} (|e| {bound['position_error']:.3f}), "
-                f"attitude {bound['attitude']:.2f} (|e| {bound['attitude_error']:.3f}), medians",
-            )
-        )
+        parts = [f"{one} {bound[one]:.2f} (|e| {bound[f'{one}_error']:.3f})" for one in ("position", "attitude")]
+        rows.append(("live bound", f"{', '.join(parts)}, medians"))
     rows.extend(_link_rows(summary["link"]))
-    onboard = summary["onboard"]
     if "tick_us" in onboard:
         tick = onboard["tick_us"]
-        rows.append(
-            (
-                "onboard",
-                f"{onboard['ticks']} ticks, {onboard['missed']} missed, step p50 {tick['p50']:.0f} us, "
-                f"p99 {tick['p99']:.0f} us, max {tick['max']:.0f} us, {onboard['rss_mb']:.0f} MB",
-            )
-        )
+        text = f"{onboard['ticks']} ticks, {onboard['missed']} missed, step p50 {tick['p50']:.0f} us, "
+        text += f"p99 {tick['p99']:.0f} us, max {tick['max']:.0f} us, {onboard['rss_mb']:.0f} MB"
+        rows.append(("onboard", text))
     return rows
 
 

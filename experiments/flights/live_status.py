@@ -1,4 +1,4 @@
-"""What a person sees while a flight goes on: a live table in a terminal, plain lines elsewhere."""
+"""Shows the status of a running flight: a live table in a terminal, plain lines elsewhere."""
 
 import time
 from collections import deque
@@ -14,35 +14,35 @@ from rich.text import Text
 PLAIN_PERIOD_S: Final = 2.0
 DRAWING_PERIOD_S: Final = 0.25
 SILENT_S: Final = 2.0
-"""Values of a process that has said nothing for so long are not shown any more."""
+"""Values of a process that has reported nothing for so long are not shown."""
 EVENTS_SHOWN: Final = 6
 
 
 class FlightStatus:
-    """The newest values each process reported, and the latest events. No output of its own."""
+    """The newest values that each process reported, and the latest events. Prints nothing."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._values: dict[str, dict[str, Any]] = {}
-        self._heard_s: dict[str, float] = {}
+        self._received_s: dict[str, float] = {}
         self.events: deque[str] = deque(maxlen=EVENTS_SHOWN)
 
-    def take_in(self, entry: dict[str, Any]) -> None:
-        """One line that a process reported."""
+    def receive(self, entry: dict[str, Any]) -> None:
+        """Store one line that a process reported."""
         process = str(entry.get("process", ""))
         if entry.get("kind") == "event":
             self.events.append(f"{process}: {entry.get('text', '')}")
         elif entry.get("kind") == "status":
             self._values[process] = entry
-            self._heard_s[process] = self._clock()
+            self._received_s[process] = self._clock()
 
     def of(self, process: str) -> dict[str, Any]:
-        """The newest values of a process; none when it has said nothing for a while."""
-        silent_s = self._clock() - self._heard_s.get(process, -SILENT_S)
+        """Return the newest values of a process; empty if it has reported nothing for SILENT_S."""
+        silent_s = self._clock() - self._received_s.get(process, -SILENT_S)
         return self._values[process] if silent_s < SILENT_S else {}
 
     def rows(self) -> list[tuple[str, str]]:
-        """(name, value) of everything worth showing now."""
+        """Return (name, value) of everything that is shown."""
         onboard, offboard, sim = (self.of(name) for name in ("onboard", "offboard", "sim"))
         return [
             ("time", _number(sim.get("time_s"), "s", 1)),
@@ -55,11 +55,11 @@ class FlightStatus:
         ]
 
     def line(self) -> str:
-        """Everything in one line."""
+        """Return everything in one line."""
         return "  ".join(f"{name} {value}" for name, value in self.rows())
 
     def table(self) -> Group:
-        """Everything as a table with the latest events below."""
+        """Return everything as a table, with the latest events below."""
         table = Table(show_header=False, box=None, pad_edge=False)
         for name, value in self.rows():
             table.add_row(Text(name, style="dim"), value)
@@ -67,11 +67,11 @@ class FlightStatus:
 
 
 class LiveStatus:
-    """Shows a flight's status while it goes on. A context manager.
+    """Shows the status of a running flight. A context manager.
 
     Parameters
     ----------
-    console: where to; a terminal gets a table that is redrawn, anything else a line every two seconds.
+    console: a terminal gets a table that is redrawn, any other output a line every two seconds.
     """
 
     def __init__(self, console: Console) -> None:
@@ -95,8 +95,8 @@ class LiveStatus:
             self._live.stop()
 
     def __call__(self, entry: dict[str, Any]) -> None:
-        """Take one reported line in and show what it changes."""
-        self.status.take_in(entry)
+        """Receive one reported line and update the display."""
+        self.status.receive(entry)
         if self._live is not None:
             self._redraw()
         elif entry.get("kind") == "event":
@@ -106,7 +106,7 @@ class LiveStatus:
             self._print(self.status.line())
 
     def _redraw(self) -> None:
-        """Not at every line: drawing takes milliseconds of a processor that the flight needs."""
+        """Draw at most every DRAWING_PERIOD_S: it takes milliseconds of a processor that the flight needs."""
         if self._live is not None and time.monotonic() >= self._next_drawing:
             self._next_drawing = time.monotonic() + DRAWING_PERIOD_S
             self._live.update(self.status.table(), refresh=True)
@@ -131,7 +131,7 @@ def _features(onboard: dict[str, Any]) -> str:
 
 
 def _losses(offboard: dict[str, Any]) -> str:
-    """Mean squared error of the newest training round on samples it did not see, by channel."""
+    """Return the mean squared error of the newest training round on validation samples, by channel."""
     if not offboard:
         return "-"
     losses = [_number(offboard.get(f"validation_loss_{channel}"), "", 3) for channel in ("position", "attitude")]

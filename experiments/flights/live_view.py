@@ -1,7 +1,7 @@
-"""`dmrac view --live` beside a flight.
+"""Runs `dmrac view --live` beside a flight.
 
-It reads the logs as they grow, so no process of the flight knows that it is watched, and it is started ahead of the
-flight with a low claim on the processors: preparing the viewer's page takes a second of one.
+The viewer reads the logs while they are written, so the processes of the flight are not involved. It is started before
+the flight, with low priority, because preparing its page takes a second of a processor.
 """
 
 import os
@@ -24,14 +24,15 @@ NICENESS: Final = 10
 
 @contextmanager
 def live_view(folder: Path, web: bool, port: int | None = None) -> Iterator[Callable[[], None]]:
-    """The viewer, which follows the flight into `folder`; what it gives waits until the viewer is no longer wanted.
+    """Run the viewer for the flight in `folder`, and end it on exit.
 
-    Prints the address of the page (`web`). On the way out the viewer is ended.
+    Yields a function that waits until the person closes the viewer or presses Ctrl-C. Prints the address of the page
+    (`web`).
 
     Raises
     ------
     ConfigError
-        If the viewer cannot be shown: what it said.
+        If the viewer does not start; contains its message.
     """
     command = [sys.executable, "-m", "async_dmrac", "view", str(folder), "--live"]
     command += ["--web"] if web else []
@@ -42,7 +43,7 @@ def live_view(folder: Path, web: bool, port: int | None = None) -> Iterator[Call
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        start_new_session=True,  # Ctrl-C is for the flight, which ends the viewer itself
+        start_new_session=True,  # Ctrl-C goes to the flight, which ends the viewer
         preexec_fn=_quietly(die_with_parent()),
     )
     try:
@@ -64,7 +65,7 @@ def _quietly(prepare: Callable[[], None]) -> Callable[[], None]:
 
 
 def _first_line(process: subprocess.Popen[str]) -> str:
-    """What the viewer says when it is ready. Raises ConfigError if it is not."""
+    """Return the viewer's line when it is ready. Raises ConfigError if it does not start."""
     assert process.stdout is not None
     deadline = time.monotonic() + READY_LIMIT_S
     while not select.select([process.stdout], (), (), 0.1)[0]:
@@ -77,7 +78,7 @@ def _first_line(process: subprocess.Popen[str]) -> str:
 
 
 def _wait(process: subprocess.Popen[str], web: bool) -> None:
-    """Until Ctrl-C, or until the viewer's window is closed."""
+    """Wait until Ctrl-C, or until the viewer's window is closed."""
     if process.poll() is None:
         print(f"the flight is over; the {'page stays up' if web else 'window stays open'} until Ctrl-C", flush=True)
     with suppress(KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""One flight in lockstep: builds the cores, runs them on one virtual clock, keeps the trace."""
+"""Flies in lockstep: builds the cores, runs them on one virtual clock and returns the trace."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,16 +31,16 @@ _FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)
 
 Deliveries = Mapping[Direction, Sequence[Delivery]]
 Observer = Callable[[TickResult], None]
-"""Called after every tick; what it is given is rewritten by the next tick."""
+"""Called after every tick; the next tick overwrites its argument."""
 
 
 @dataclass
 class LockstepOutcome:
-    """What a lockstep flight left behind."""
+    """The result of a lockstep flight."""
 
     trace: FlightTrace
     crash_reason: str
-    """Empty when the vehicle is alive."""
+    """Empty if the vehicle survived."""
     onboard: dict[str, Any]
     """onboard.core.OnboardCore.summary()."""
     offboard: dict[str, Any] | None
@@ -50,19 +50,19 @@ class LockstepOutcome:
     """(time_ns, process, text)."""
     offboard_records: list[tuple[RecordType, int, Array]] = field(default_factory=list)
     deliveries: Deliveries = field(default_factory=dict)
-    """What became of each datagram of the link, by direction."""
+    """Delivery of each datagram of the link, by direction."""
     recordings: dict[Direction, RecordedDeliveries] = field(default_factory=dict)
-    """How far the recorded deliveries, if any, were dealt out."""
+    """How many of the recorded deliveries, if any, were used."""
     learnt: bytes = b""
-    """What another flight can start from (experiments.flights.carried_experience)."""
+    """Experience for another flight (experiments.flights.carried_experience)."""
 
 
 def build(
     config: FlightConfig, with_offboard: bool = True, recorded: Deliveries | None = None
 ) -> tuple[Lockstep[TrainingResult], OnboardCore, OffboardCore | None, Radio]:
-    """The cores of a flight, joined: lockstep, onboard, offboard (None if absent) and radio.
+    """Return the connected cores of a flight: lockstep, onboard, offboard (None if absent) and radio.
 
-    recorded: deliveries that the link's datagrams meet instead of the configured radio's.
+    recorded: deliveries that replace those of the configured radio.
     """
     network = config.network
     keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
@@ -75,7 +75,7 @@ def build(
 
 
 def build_offboard(config: FlightConfig, session: int) -> OffboardCore:
-    """The offboard core; torch is loaded by its first round of training, if there is one."""
+    """Return the offboard core; its first round of training imports torch."""
     return OffboardCore(config.offboard, session, load_key(config.network.key_file))
 
 
@@ -86,13 +86,13 @@ def fly_lockstep(
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
 ) -> LockstepOutcome:
-    """Flies a scenario in virtual time, until its duration is over or the vehicle is lost.
+    """Fly a scenario in virtual time, until its duration is over or the vehicle crashes.
 
     Parameters
     ----------
-    experience: what an earlier flight learnt (carried_experience); None: what the config names, if any.
-    recorded: deliveries of an earlier flight, by direction, for this one's datagrams
-    (sim_vehicle.link.radio.RecordedDeliveries).
+    experience: what an earlier flight learnt (carried_experience); None: the file in the configuration, if any.
+    recorded: deliveries of an earlier flight, by direction, for the datagrams of this one
+        (sim_vehicle.link.radio.RecordedDeliveries).
 
     Raises
     ------

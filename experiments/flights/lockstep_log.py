@@ -1,11 +1,11 @@
-"""The flight log of a lockstep flight: the same files, topics and times as three processes would leave."""
+"""Writes the logs of a lockstep flight: the same files, topics and times as three processes in real time."""
 
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from experiments.flights.carried_experience import read_experience
-from experiments.flights.lockstep_flight import ONBOARD_SESSION
+from experiments.flights.lockstep_flight import ONBOARD_SESSION, Deliveries, LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import FlightConfig
 from flight_log.schema import CLOCK_OFFSET
 from flight_log.writer import FlightLogWriter
@@ -16,10 +16,8 @@ from sim_vehicle.lockstep import TickResult
 from sim_vehicle.records import TRUTH
 
 PROCESSES = ("sim_vehicle", "onboard", "offboard")
-
-
 EXPERIENCE = "experience.npz"
-"""Attachment of onboard's log: what the flight started from, where it did."""
+"""Attachment of onboard's log: the experience that the flight started from, if any."""
 
 
 class LockstepLog:
@@ -27,8 +25,8 @@ class LockstepLog:
 
     Parameters
     ----------
-    with_offboard: whether the flight has an offboard side, for a later replay.
-    experience: what the flight starts from; by default what the config names, if anything.
+    with_offboard: whether the flight has an offboard side; recorded for replays.
+    experience: content of the file that the flight starts from; None: of the file in the configuration, if any.
     """
 
     def __init__(
@@ -50,19 +48,19 @@ class LockstepLog:
         self._deliveries_logged = dict.fromkeys(DIRECTIONS, 0)
 
     def __call__(self, result: TickResult) -> None:
-        """Logs one tick."""
+        """Log one tick."""
         now, onboard = result.now_ns, self._logs["onboard"]
         self._logs["sim_vehicle"].write(TRUTH, now, result.truth)
         self._record_deliveries(result)
         onboard.write(TICK, now, result.onboard.tick)
         if result.onboard.clock_offset is not None:
             onboard.write(CLOCK_OFFSET, now, result.onboard.clock_offset)
-        onboard.write_bytes(TOPIC, now, self._logged(result))
+        onboard.write_bytes(TOPIC, now, self._datagram_log(result))
         if result.offboard is not None:
             for record_type, when_ns, vector in result.offboard.records:
                 self._logs["offboard"].write(record_type, when_ns, vector)
 
-    def _logged(self, result: TickResult) -> bytes:
+    def _datagram_log(self, result: TickResult) -> bytes:
         out = result.onboard
         for kind, datagrams in (
             (Entry.FROM_VEHICLE, result.from_vehicle),
@@ -81,7 +79,7 @@ class LockstepLog:
             self._deliveries_logged[direction] = len(deliveries)
 
     def event(self, process: str, time_ns: int, text: str) -> None:
-        """Logs something that happened, in words."""
+        """Log an event."""
         self._logs[process].event(time_ns, text)
 
     def __enter__(self) -> Self:
@@ -92,3 +90,18 @@ class LockstepLog:
     ) -> None:
         for log in self._logs.values():
             log.close()
+
+
+def fly_and_log(
+    config: FlightConfig,
+    folder: Path,
+    with_offboard: bool,
+    experience: bytes | None = None,
+    recorded: Deliveries | None = None,
+) -> LockstepOutcome:
+    """Fly in lockstep and write the logs into `folder`. Parameters and errors as of `fly_lockstep`."""
+    with LockstepLog(folder, config, with_offboard, experience) as log:
+        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded)
+        for when_ns, process, text in outcome.events:
+            log.event(process, when_ns, text)
+    return outcome

@@ -1,6 +1,5 @@
-"""One whole flight with its record: logs, summary, picture and report, in lockstep or in real time."""
+"""Flies once and writes the record: logs, summary, figure and report, in lockstep or in real time."""
 
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +20,12 @@ def fly_logged(
     command: str = "",
     console: Console | None = None,
 ) -> dict[str, Any]:
-    """Fly once and leave the whole record in `folder`; returns what its summary.json holds.
+    """Fly once and write the complete record into `folder`; return the content of summary.json.
 
     Parameters
     ----------
     command: the command line that repeats this flight, for the record.
-    console: where the live status of a real-time flight goes; None: nowhere.
+    console: shows the live status of a real-time flight; None: no output.
 
     Raises
     ------
@@ -41,7 +40,10 @@ def fly_logged(
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
     if lockstep:
-        summary, trace = fly_in_lockstep(config, folder, with_offboard)
+        from experiments.flights.lockstep_log import fly_and_log
+
+        outcome = fly_and_log(config, folder, with_offboard)
+        summary, trace = lockstep_summary(config, outcome), outcome.trace
     else:
         summary, trace = fly_in_real_time(config, folder, console or Console(quiet=True))
     summary["command"] = command
@@ -53,32 +55,16 @@ def fly_logged(
     return summary
 
 
-def fly_in_lockstep(config: FlightConfig, folder: Path, with_offboard: bool) -> tuple[dict[str, Any], FlightTrace]:
-    """One flight in virtual time, logged like a real one."""
-    from experiments.flights.lockstep_flight import fly_lockstep
-    from experiments.flights.lockstep_log import LockstepLog
-
-    with LockstepLog(folder, config, with_offboard) as log:
-        outcome = fly_lockstep(config, (log,), with_offboard)
-        for when_ns, process, text in outcome.events:
-            log.event(process, when_ns, text)
-    return lockstep_summary(config, outcome), outcome.trace
-
-
 def lockstep_summary(config: FlightConfig, outcome: LockstepOutcome) -> dict[str, Any]:
-    """summary.json of a flight in virtual time."""
-    rejected = Counter(outcome.onboard["rejected"])
-    rejected.update((outcome.offboard or {}).get("rejected", {}))
-    onboard = outcome.onboard
-    summary = build_summary(
-        config, "lockstep", outcome.trace, outcome.crash_reason, onboard, outcome.radio, dict(rejected)
-    )
+    """Return the content of summary.json of a flight in virtual time."""
+    sides = outcome.onboard, outcome.offboard, outcome.radio
+    summary = build_summary(config, "lockstep", outcome.trace, outcome.crash_reason, *sides)
     summary["trace_sha256"] = outcome.trace_sha256
     return summary
 
 
 def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tuple[dict[str, Any], FlightTrace | None]:
-    """One flight in three processes over UDP."""
+    """Fly in real time, with three processes over UDP."""
     from experiments.flights.live_status import LiveStatus
     from experiments.flights.metrics import lost_target
     from experiments.flights.realtime_flight import run as fly_processes
@@ -92,20 +78,18 @@ def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tu
     crash = crash or (lost_target(trace) if trace is not None else "no log of the flight")
     if result.onboard is None:
         crash = crash or "onboard ended in flight"
-    rejected = Counter(onboard.get("rejected", {}))
-    rejected.update((result.offboard or {}).get("rejected", {}))
     radio = {
         direction: {name: counts[name] for name in ("sent", "delivered", "lost")}
         for direction, counts in sim.get("link", {}).items()
     }
-    summary = build_summary(config, "realtime", trace, crash, onboard, radio, dict(rejected))
+    summary = build_summary(config, "realtime", trace, crash, onboard, result.offboard, radio)
     summary["interrupted"] = result.interrupted
     summary["notes"] = result.notes
     return summary, trace
 
 
 def read_trace(folder: Path) -> FlightTrace | None:
-    """The trace of a recorded flight; None if a log is missing or empty."""
+    """Return the trace of a recorded flight; None if a log is missing or empty."""
     from experiments.flights.trace import trace_of
     from flight_log.reader import FlightError, open_flight
 
@@ -116,7 +100,7 @@ def read_trace(folder: Path) -> FlightTrace | None:
 
 
 def lost_datagrams(folder: Path) -> dict[str, Array]:
-    """Seconds from onboard's first tick at which datagrams were lost, by direction; empty without a log of them."""
+    """Return the times of lost datagrams, s from onboard's first tick, by direction; empty if they were not logged."""
     from flight_log.reader import FlightError, open_flight
     from sim_vehicle.link.radio import DIRECTIONS, OUTCOMES
 

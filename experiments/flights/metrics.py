@@ -1,19 +1,20 @@
-"""Numbers of one flight, each stated with its window. The position error is true position against target."""
+"""The metrics of one flight, with their windows. The position error is the true position minus the target."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from experiments.flights.trace import FlightTrace
 from onboard.flight.trajectory import Path, TrajectoryConfig
 from protocol.conventions import Array
 
 TARGET_DISTANCE_MAX_M = 2.5
-"""Farther from the target than this the flight counts as lost (docs/experiments.md)."""
+"""A flight at a larger distance from the target counts as lost (docs/experiments.md)."""
 
 
 def rms(vectors: Array) -> float:
-    """Root of the mean squared norm of [n, m] (or of [n]); NaN for none."""
+    """Return the root of the mean squared norm of [n, m] (or of [n]); NaN for none."""
     if vectors.shape[0] == 0:
         return float("nan")
     squared = vectors**2 if vectors.ndim == 1 else (vectors**2).sum(axis=1)
@@ -25,15 +26,15 @@ class FlightMetrics:
     """Tracking of one flight."""
 
     position_rmse_m: float
-    """Over the whole flight after take-off and before landing."""
+    """From the end of take-off to the beginning of landing."""
     attitude_rmse_rad: float
-    """Angle to the commanded attitude, same window."""
+    """Angle between true and commanded attitude, same window."""
     lap_rmse_m: tuple[float, ...]
-    """Whole laps at full speed, in order; empty where the path has no laps."""
+    """Of each complete lap at full speed; empty if the path has no laps."""
 
     @property
     def settled_rmse_m(self) -> float:
-        """Over the second half of the laps; the whole flight where there are no laps."""
+        """Over the second half of the laps; over the whole flight if there are no laps."""
         laps = self.lap_rmse_m
         if not laps:
             return self.position_rmse_m
@@ -42,7 +43,7 @@ class FlightMetrics:
 
 
 def flight_metrics(trace: FlightTrace, trajectory: TrajectoryConfig) -> FlightMetrics:
-    """Metrics of a trace that flew a trajectory."""
+    """Return the metrics of a trace on this trajectory."""
     on_path = trace.on_path
     error = trace.position_error
     return FlightMetrics(
@@ -62,8 +63,30 @@ def _lap_errors(trace: FlightTrace, error: Array, path: Path) -> list[float]:
     return [rms(error[usable & (lap == number)]) for number in range(last + int(whole))]
 
 
+def median(values: Array) -> float:
+    """Return the median; NaN for none."""
+    return float(np.median(values)) if values.size else float("nan")
+
+
+def known_ages(trace: FlightTrace, name: str) -> Array:
+    """Return a column of ages on the path, s, without the negative ones, which mean "never"."""
+    ages = trace.tick[name][trace.on_path]
+    known: Array = ages[ages >= 0.0]
+    return known
+
+
+def bound_medians(trace: FlightTrace, rows: NDArray[np.bool_]) -> dict[str, tuple[float, float]]:
+    """Return the medians of the live bound on norm(e) and of norm(e) over these rows, by channel."""
+    medians = {}
+    for channel, first, second in (("position", "ned", "ned"), ("attitude", "xyz", "pqr")):
+        parts = [trace.tick.vector(f"{channel}_error", first), trace.tick.vector(f"{channel}_error_rate", second)]
+        bound = trace.tick[f"{channel}_live_bound"][rows]
+        medians[channel] = median(bound[bound > 0.0]), median(np.linalg.norm(np.hstack(parts)[rows], axis=1))
+    return medians
+
+
 def lost_target(trace: FlightTrace) -> str:
-    """Why the flight is lost by distance from the target, or ""."""
+    """Return the reason if the vehicle was too far from the target; "" if it was not."""
     distance = np.linalg.norm(trace.position_error, axis=1)
     far = trace.on_path & (distance > TARGET_DISTANCE_MAX_M)
     if not far.any():

@@ -1,8 +1,8 @@
-"""A flight in real time: starts the three processes, supervises them, and leaves none behind.
+"""Flies in real time: starts the three processes, supervises them, and ends all of them.
 
-The processes are ours only as long as this one lives: the kernel kills them when it dies. Each is in a process group
-of its own, so that Ctrl-C reaches only this one, which then lets onboard land. An offboard process that dies is not
-replaced: the flight must go on without it, and it is told how to start another.
+The kernel kills the processes if this one dies. Each has its own process group, so that Ctrl-C reaches only this one,
+which then lets onboard land. An offboard process that dies is not replaced: the flight goes on without it, and the
+command that starts another is printed.
 """
 
 import json
@@ -24,38 +24,38 @@ from runtime.signals import StopRequest, die_with_parent
 from runtime.sockets import require_free
 
 MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
-"""In the order of starting; onboard's first motor command starts the flight."""
+"""In the order of their start; onboard's first motor command starts the flight."""
 READY_LIMIT_S: Final = 120.0
-"""The very first start compiles the simulated vehicle, and a slow machine imports torch slowly."""
+"""The first start compiles the simulated vehicle, and a slow machine imports torch slowly."""
 PATIENCE_S: Final = 6.0
-"""After so long a person is told what is being waited for."""
+"""Time after which the status says which process is not ready."""
 END_LIMIT_S: Final = 5.0
 FALL_LIMIT_S: Final = 3.0
 OVERTIME_S: Final = 30.0
-"""A flight that is this much over its time is ended."""
+"""A flight that exceeds its duration by this time is ended."""
 LINE_MAX_BYTES: Final = 65_536
 BAD_USAGE: Final = 2
-"""Exit status of a process that was given a configuration or an address that it cannot use."""
+"""Exit status of a process that cannot use its configuration or an address."""
 
 OnStatus = Callable[[dict[str, Any]], None]
 
 
 class FlightStartError(StartError):
-    """A process that the flight needs did not start. The message says which, and what it said."""
+    """A process that the flight needs did not start. The message names it and its last line."""
 
 
 @dataclass(slots=True)
 class RealtimeResult:
-    """What the three processes left."""
+    """The results of the three processes."""
 
     onboard: dict[str, Any] | None = None
-    """onboard_summary.json; None if the process did not live to write it."""
+    """onboard_summary.json; None if the process ended before it wrote it."""
     offboard: dict[str, Any] | None = None
     sim: dict[str, Any] | None = None
     exit_status: dict[str, int | None] = field(default_factory=dict)
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
-    """What went otherwise than planned, a line each."""
+    """Unexpected events, one line each."""
 
 
 class Child:
@@ -83,11 +83,11 @@ class Child:
 
     @property
     def running(self) -> bool:
-        """Whether the process lives."""
+        """Whether the process is running."""
         return self.process.poll() is None
 
     def lines(self) -> list[dict[str, Any]]:
-        """The whole lines that have come; anything that is not one of ours is passed over."""
+        """Return the complete lines that have arrived; other output is ignored."""
         try:
             self._rest += os.read(self.pipe.fileno(), LINE_MAX_BYTES)
         except BlockingIOError:
@@ -105,12 +105,12 @@ class Child:
         return entries
 
     def ask(self, number: signal.Signals) -> None:
-        """Send a signal, if the process lives."""
+        """Send a signal, if the process is running."""
         if self.running:
             self.process.send_signal(number)
 
     def end(self, limit_s: float) -> None:
-        """Ask to end, wait, and kill what does not."""
+        """Ask the process to end, wait, and kill it if it does not."""
         self.ask(signal.SIGTERM)
         try:
             self.process.wait(limit_s)
@@ -118,24 +118,24 @@ class Child:
             self.kill()
 
     def kill(self) -> None:
-        """End the process and whatever it started, at once."""
+        """Kill the process and all that it started."""
         if self.running:
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
 
-    def said(self) -> str:
-        """The last line it wrote to standard error."""
+    def last_error(self) -> str:
+        """Return the last line of its standard error."""
         lines = self._errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return lines[-1] if lines else ""
 
     def ending(self) -> str:
-        """How it ended, and its last words."""
+        """Return how it ended, and its last line of standard error."""
         status = self.process.returncode
         how = f"status {status}" if status is None or status >= 0 else f"killed by {signal.Signals(-status).name}"
-        return f"({how}): {said}" if (said := self.said()) else f"({how})"
+        return f"({how}): {error}" if (error := self.last_error()) else f"({how})"
 
     def tidy(self) -> None:
-        """Close the pipe; drop an empty error file."""
+        """Close the pipe; delete an empty error file."""
         self.pipe.close()
         if self._errors.stat().st_size == 0:
             self._errors.unlink()
@@ -156,7 +156,7 @@ class Supervisor:
         self.result = RealtimeResult()
 
     def fly(self) -> None:
-        """The whole flight. Raises FlightStartError if a process does not start; ends every process in any case."""
+        """Fly, and end every process. Raises FlightStartError if a process does not start."""
         try:
             self._start("sim")
             self._start("offboard")
@@ -172,7 +172,7 @@ class Supervisor:
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
 
     def _wait_until_ready(self) -> bool:
-        """Whether to fly; False when asked to end. Offboard is waited for, but the flight does not depend on it."""
+        """Wait for sim and offboard; return False if asked to end. The flight can start without offboard."""
         start = time.monotonic()
         told = False
         while late := [name for name, child in self.children.items() if not child.ready and self._may_come(child)]:
@@ -191,9 +191,9 @@ class Supervisor:
         return True
 
     def _may_come(self, child: Child) -> bool:
-        """Whether a process that is not ready yet may become so.
+        """Return whether a process that is not ready may become ready.
 
-        Raises FlightStartError if it has ended and either the flight needs it or it was given what it cannot use.
+        Raises FlightStartError if it has ended and the flight needs it, or if it could not use its configuration.
         """
         if child.running:
             return True
@@ -202,7 +202,7 @@ class Supervisor:
         return False
 
     def _watch(self) -> None:
-        """Until the simulated vehicle's time is over or onboard has ended."""
+        """Watch the processes until the simulated vehicle or onboard ends."""
         limit = time.monotonic() + self._duration_s + OVERTIME_S
         sim, onboard, offboard = (self.children[name] for name in ("sim", "onboard", "offboard"))
         offboard_seen = True
@@ -221,13 +221,13 @@ class Supervisor:
             self._await_the_fall(sim)
 
     def _await_the_fall(self, sim: Child) -> None:
-        """Nobody commands the motors any more: whether the vehicle is lost is for the simulation to say."""
+        """Wait for the simulation to decide whether the vehicle crashes: it gets no motor commands any more."""
         limit = time.monotonic() + FALL_LIMIT_S
         while sim.running and time.monotonic() < limit and self._stop.count == 0:
             self._relay()
 
     def _restart(self, offboard: Child) -> str:
-        """The command that starts another offboard process, with what this one had learnt."""
+        """Return the command that starts another offboard process with what this one had learnt."""
         checkpoint = self._out.resolve() / "checkpoint.npz"
         return shlex.join([*offboard.command, *(("--resume", str(checkpoint)) if checkpoint.exists() else ())])
 
@@ -240,7 +240,7 @@ class Supervisor:
             onboard.ask(signal.SIGINT)
 
     def _relay(self) -> None:
-        """Pass on what the processes report; waits at most 0.1 s for it."""
+        """Pass on what the processes report; wait at most 0.1 s for it."""
         for key, _ in self._selector.select(0.1):
             child: Child = key.data
             for entry in child.lines():
@@ -256,7 +256,7 @@ class Supervisor:
         self._on_status({"process": "fly", "kind": "event", "text": text})
 
     def _end_all(self) -> None:
-        """The vehicle first, so that onboard, hearing nothing more, does not wait to land."""
+        """End all processes, the vehicle first: without its sensors onboard does not wait for a landing."""
         for name in ("sim", "onboard", "offboard"):
             if name in self.children:
                 self.children[name].end(END_LIMIT_S)
@@ -269,7 +269,7 @@ class Supervisor:
 
 
 def require_free_ports(network: Addresses) -> None:
-    """Check that all addresses of the flight can be bound now. Raises AddressInUseError naming the first."""
+    """Check that all addresses of the flight are free. Raises AddressInUseError for the first that is not."""
     require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
 
 
@@ -280,17 +280,17 @@ def run(
 
     Parameters
     ----------
-    network: the addresses, for the check that they are free.
+    network: the addresses; they must be free.
     config_path: the resolved configuration that all three processes read.
     out: the flight's folder, which exists.
-    on_status: gets every status and event line of the processes as a dict.
+    on_status: called with every status and event line of the processes, as a dict.
 
     Raises
     ------
     AddressInUseError
-        If an address is taken; nothing has been started then.
+        If an address is in use; no process was started.
     FlightStartError
-        If a process did not start; all have been ended then.
+        If a process did not start; all were ended.
     """
     require_free_ports(network)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}

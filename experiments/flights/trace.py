@@ -1,4 +1,4 @@
-"""What a flight left behind, on one time base: onboard ticks and the vehicle's truth at the same instants."""
+"""The trace of a flight: onboard's tick records and the vehicle's truth at the same times."""
 
 from dataclasses import dataclass
 
@@ -16,26 +16,26 @@ Times = NDArray[np.int64]
 
 
 class Columns:
-    """Rows of one record type, readable by field name."""
+    """The rows of one record type, by field name."""
 
     def __init__(self, record_type: RecordType, rows: Array) -> None:
-        """rows: [n, fields]."""
+        """Store rows, [n, fields]."""
         self._index = {name: index for index, name in enumerate(record_type.names)}
         self.rows = rows
 
     def __getitem__(self, name: str) -> Array:
-        """One column, [n]. Raises KeyError for an unknown field."""
+        """Return one column, [n]. Raises KeyError for an unknown field."""
         column: Array = self.rows[:, self._index[name]]
         return column
 
     def vector(self, name: str, axes: str) -> Array:
-        """[n, len(axes)]: the columns name_axis."""
+        """Return the columns name_axis, [n, len(axes)]."""
         return np.stack([self[f"{name}_{axis}"] for axis in axes], axis=1)
 
 
 @dataclass(frozen=True)
 class FlightTrace:
-    """A flight's ticks and truth, row by row at the same times."""
+    """Tick records and truth of a flight, at the same times."""
 
     time_s: Array
     """[n], from the first tick."""
@@ -49,7 +49,7 @@ class FlightTrace:
 
     @property
     def on_path(self) -> NDArray[np.bool_]:
-        """[n], true while the target is followed: flying or holding, take-off and landing left out."""
+        """[n], true while the vehicle follows the target: flying or holding, without take-off and landing."""
         return np.isin(self.mode, [FlightMode.FLYING.value, FlightMode.HOLD.value])
 
     @property
@@ -68,14 +68,14 @@ class FlightTrace:
 
     @property
     def true_delta(self) -> Array:
-        """[n, 6]: what nu_ad ought to be, true acceleration minus u_hat, position then attitude channel."""
+        """[n, 6], true Delta, the ideal nu_ad: acceleration minus u_hat, position channel then attitude channel."""
         position = self.truth.vector("acceleration", "ned") - self.tick.vector("position_delivered", "ned")
         attitude = self.truth.vector("angular_acceleration", "xyz") - self.tick.vector("attitude_delivered", "xyz")
         return np.hstack([position, attitude])
 
 
 def align(tick_ns: Times, ticks: Array, truth_ns: Times, truths: Array) -> FlightTrace:
-    """A trace from two logs on one clock: of the truth, for each tick the newest row not after it.
+    """Return a trace from two logs on one clock: each tick with the newest row of truth that is not later.
 
     Raises
     ------
@@ -83,13 +83,13 @@ def align(tick_ns: Times, ticks: Array, truth_ns: Times, truths: Array) -> Fligh
         If either log is empty.
     """
     if tick_ns.size == 0 or truth_ns.size == 0:
-        raise ValueError("a log without ticks, or without truth")
+        raise ValueError("a log has no ticks or no truth")
     newest = np.clip(np.searchsorted(truth_ns, tick_ns, side="right") - 1, 0, None)
     return FlightTrace((tick_ns - tick_ns[0]) * 1e-9, Columns(TICK, ticks), Columns(TRUTH, truths[newest]))
 
 
 def trace_of(flight: Flight) -> FlightTrace | None:
-    """The trace of a recorded flight; None if a log of it is missing or empty."""
+    """Return the trace of a recorded flight; None if one of its logs is missing or empty."""
     tick, truth = flight.get(TICK.topic), flight.get(TRUTH.topic)
     if tick is None or truth is None or len(tick) == 0 or len(truth) == 0:
         return None

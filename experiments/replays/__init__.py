@@ -1,1 +1,1 @@
-"""A recorded flight once more: with the deliveries its link had, or through a fresh core bit for bit."""
+"""Replays of a recorded flight: with the deliveries of its link, or through a new core bit for bit."""

@@ -1,4 +1,4 @@
-"""How good a link was, from what became of its datagrams."""
+"""The quality of a link, from the deliveries of its datagrams."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,21 +15,21 @@ class LinkQuality:
     sent: int
     lost: int
     longest_gap_s: float
-    """Longest time in which nothing arrived, the times before the first and after the last arrival included."""
+    """Longest time without an arrival, including the times before the first and after the last one."""
     longest_burst: int
-    """Most datagrams lost one after the other."""
+    """Largest number of consecutive lost datagrams."""
     delay_median_s: float
-    """Of those that arrived; NaN for none."""
+    """Of the datagrams that arrived; NaN for none."""
     bytes_per_s: float
 
     @property
     def lost_share(self) -> float:
-        """Lost of sent; 0 where nothing was sent."""
+        """Lost / sent; 0 if nothing was sent."""
         return self.lost / self.sent if self.sent else 0.0
 
 
 def link_quality(deliveries: Sequence[Delivery], duration_s: float) -> LinkQuality:
-    """Quality of one direction.
+    """Return the quality of one direction.
 
     Parameters
     ----------
@@ -37,13 +37,9 @@ def link_quality(deliveries: Sequence[Delivery], duration_s: float) -> LinkQuali
     duration_s: of the flight.
     """
     lost = np.array([delivery.outcome != "delivered" for delivery in deliveries], dtype=bool)
-    delays = (
-        np.array([delivery.delay_ns for delivery in deliveries if delivery.outcome == "delivered"], dtype=np.float64)
-        * 1e-9
-    )
-    arrivals = sorted(
-        (delivery.sent_ns + delivery.delay_ns) * 1e-9 for delivery in deliveries if delivery.outcome == "delivered"
-    )
+    arrived = [delivery for delivery in deliveries if delivery.outcome == "delivered"]
+    delays = np.array([delivery.delay_ns for delivery in arrived], dtype=np.float64) * 1e-9
+    arrivals = sorted((delivery.sent_ns + delivery.delay_ns) * 1e-9 for delivery in arrived)
     marks = np.array([0.0, *(time for time in arrivals if time < duration_s), max(duration_s, 0.0)])
     return LinkQuality(
         sent=len(deliveries),

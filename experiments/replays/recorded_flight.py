@@ -1,4 +1,4 @@
-"""A recorded flight as replays need it: its configuration, its link's deliveries, its trace and its datagram log."""
+"""Reads a recorded flight for a replay: configuration, deliveries of the link, trace and datagram log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,31 +19,31 @@ CONFIG_NAME: Final = "config.yaml"
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """What was read of a flight's folder."""
+    """The content of a flight's folder."""
 
     path: Path
     config: FlightConfig
     deliveries: Deliveries
-    """By direction; empty where the log holds none."""
+    """By direction; empty if none were logged."""
     trace: FlightTrace | None
     """None if a log is missing or empty."""
     summary: dict[str, Any]
     """Content of summary.json; empty if there is none."""
     onboard_logs: Sequence[LogFile]
-    """One for each life of the onboard process, in their order."""
+    """One for each run of the onboard process, in their order."""
     with_offboard: bool
     lockstep: bool
     experience: bytes | None
-    """What a lockstep flight started from, if anything."""
+    """Experience that a lockstep flight started from; None for none."""
 
 
 def read_recorded(path: Path) -> RecordedFlight:
-    """Reads a flight's folder.
+    """Read a flight's folder.
 
     Raises
     ------
     ConfigError
-        If it is no flight of this project, or its configuration is not of this version. One line.
+        If it is not a flight of this project, or its configuration belongs to another version.
     """
     try:
         flight = open_flight(path)
@@ -66,7 +66,7 @@ def read_recorded(path: Path) -> RecordedFlight:
 
 
 def read_deliveries(flight: Flight) -> dict[Direction, list[Delivery]]:
-    """The deliveries that the radio logged, by direction."""
+    """Return the deliveries that the radio logged, by direction."""
     deliveries: dict[Direction, list[Delivery]] = {direction: [] for direction in DIRECTIONS}
     table = flight.get(DELIVERY.topic)
     if table is not None and table.names == DELIVERY.names:
@@ -80,6 +80,5 @@ def _config(flight: Flight, path: Path) -> FlightConfig:
     for attachments in flight.attachments.values():
         if CONFIG_NAME in attachments:
             source = f"{path}: {CONFIG_NAME}"
-            tree = parse_mapping(attachments[CONFIG_NAME].decode(), source)
-            return fill_flight(tree, source)
-    raise ConfigError(f"{path}: its logs hold no {CONFIG_NAME}, so nobody knows how it was flown")
+            return fill_flight(parse_mapping(attachments[CONFIG_NAME].decode(), source), source)
+    raise ConfigError(f"{path}: its logs have no {CONFIG_NAME}, so its configuration is unknown")

@@ -1,23 +1,24 @@
-"""A recorded flight flown again in lockstep, with exactly the deliveries its link had; and the two compared."""
+"""Replays a recorded flight in lockstep, with the recorded deliveries of its link, and compares the two flights."""
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from rich.table import Table
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, merge, read_tree
 from configs.parts import named_file, read_part
-from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome, fly_lockstep
-from experiments.flights.lockstep_log import LockstepLog
-from experiments.flights.metrics import flight_metrics, lost_target
+from experiments.flights.carried_experience import learns
+from experiments.flights.flight_summary import write_summary
+from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome
+from experiments.flights.lockstep_log import fly_and_log
+from experiments.flights.logged_flight import lockstep_summary
+from experiments.flights.metrics import flight_metrics, known_ages, lost_target, median
 from experiments.flights.scenario import FlightConfig, complete, fill_flight
 from experiments.flights.trace import FlightTrace
 from experiments.replays.link_quality import LinkQuality, link_quality
 from experiments.replays.recorded_flight import RecordedFlight
-from onboard.control.interface import LearningController
 from sim_vehicle.link.radio import DIRECTIONS, Direction
 
 NOTHING: Final = "-"
@@ -26,7 +27,7 @@ SEED_MAX: Final = 2**31 - 1
 
 @dataclass(frozen=True)
 class FlightFigures:
-    """What two flights are compared by."""
+    """Figures by which two flights are compared."""
 
     survived: bool
     crash_reason: str
@@ -34,16 +35,14 @@ class FlightFigures:
     position_rmse_m: float
     settled_rmse_m: float
     feature_age_median_s: float
-    """Of the trained features, while the path was flown; NaN if only the start features flew."""
+    """Of the trained features, on the path; NaN if only the start features were used."""
     feature_version: int
     link: dict[Direction, LinkQuality]
 
 
 def figures(config: FlightConfig, trace: FlightTrace, crash_reason: str, deliveries: Deliveries) -> FlightFigures:
-    """The figures of a flight."""
+    """Return the figures of a flight."""
     metrics = flight_metrics(trace, config.onboard.guidance.trajectory)
-    age = trace.tick["feature_age"][trace.on_path]
-    age = age[age >= 0.0]
     flown_s = float(trace.time_s[-1])
     return FlightFigures(
         survived=not crash_reason,
@@ -51,14 +50,14 @@ def figures(config: FlightConfig, trace: FlightTrace, crash_reason: str, deliver
         flown_s=flown_s,
         position_rmse_m=metrics.position_rmse_m,
         settled_rmse_m=metrics.settled_rmse_m,
-        feature_age_median_s=float(np.median(age)) if age.size else math.nan,
+        feature_age_median_s=median(known_ages(trace, "feature_age")),
         feature_version=int(trace.tick["feature_version"][-1]),
         link={direction: link_quality(deliveries.get(direction, ()), flown_s) for direction in DIRECTIONS},
     )
 
 
 def figures_of_recorded(flight: RecordedFlight) -> FlightFigures:
-    """The figures of the flight as it was recorded. Raises ConfigError if its logs do not suffice."""
+    """Return the figures of the recorded flight. Raises ConfigError if a log is missing."""
     if flight.trace is None:
         raise ConfigError(f"{flight.path}: the logs of onboard and vehicle are needed, and one is missing or empty")
     crash = flight.summary.get("crash_reason", "") or lost_target(flight.trace)
@@ -66,7 +65,7 @@ def figures_of_recorded(flight: RecordedFlight) -> FlightFigures:
 
 
 def with_choices(config: FlightConfig, controller: str | None, seed: int | None) -> FlightConfig:
-    """The flight's configuration with another controller or seed; everything else as it was.
+    """Return the flight's configuration with another controller or seed.
 
     Raises
     ------
@@ -88,13 +87,14 @@ def with_choices(config: FlightConfig, controller: str | None, seed: int | None)
     tree["features"] = merge({**tree["features"], "untrained": untrained}, law.pop("features", {}))
     tree["controller"], tree["onboard"]["controller"] = controller, law
     tree["onboard"]["guidance"] = merge(merge(tree["onboard"]["guidance"], _former_leads(config)), leads)
-    if not _learns(config):  # then nobody was taught, whatever the configuration of the teacher said
+    recorded = config.onboard.controller.build(config.onboard.airframe, config.features, config.seed)
+    if not learns(recorded):  # it trained nothing, so its configuration of the experience means nothing
         tree["offboard"]["experience"] = read_tree(CONFIG_DIRECTORY / "offboard.yaml")["experience"]
     return complete(tree, str(named_file("controllers", controller)))
 
 
 def _former_leads(config: FlightConfig) -> dict[str, Any]:
-    """The usual values of what the recorded controller had brought along for guidance."""
+    """Return the default values of the lead times that the recorded controller had set."""
     try:
         brought = read_part("controllers", config.controller).get("guidance", {})
     except ConfigError:
@@ -103,13 +103,8 @@ def _former_leads(config: FlightConfig) -> dict[str, Any]:
     return {key: usual[key] for key in brought if key in usual}
 
 
-def _learns(config: FlightConfig) -> bool:
-    controller = config.onboard.controller.build(config.onboard.airframe, config.features, config.seed)
-    return isinstance(controller, LearningController) and controller.accepts_features
-
-
 def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> LockstepOutcome:
-    """Flies `config` in lockstep with the recorded deliveries, logged into `folder`.
+    """Fly `config` in lockstep with the recorded deliveries; write configuration, logs and summary into `folder`.
 
     Raises
     ------
@@ -118,36 +113,35 @@ def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> Lockste
     """
     if not any(flight.deliveries.values()):
         raise ConfigError(f"{flight.path}: holds no radio/delivery records, so there are no deliveries to fly again")
-    with LockstepLog(folder, config, flight.with_offboard, flight.experience) as log:
-        outcome = fly_lockstep(config, (log,), flight.with_offboard, flight.experience, flight.deliveries)
-        for when_ns, process, text in outcome.events:
-            log.event(process, when_ns, text)
+    (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
+    outcome = fly_and_log(config, folder, flight.with_offboard, flight.experience, flight.deliveries)
+    write_summary(folder, lockstep_summary(config, outcome) | {"replay_of": str(flight.path.resolve())})
     return outcome
 
 
 def verdict(flight: RecordedFlight, config: FlightConfig, outcome: LockstepOutcome) -> list[str]:
-    """How faithful the replay was, a line each."""
+    """Return lines that tell how faithful the replay was."""
     lines = []
     for direction, recording in outcome.recordings.items():
         extra = len(outcome.deliveries[direction]) - recording.used - recording.repeated
-        said = f"{direction}: {recording.used} of {len(flight.deliveries[direction])} recorded deliveries met"
-        said += f", {recording.skipped} skipped" if recording.skipped else ""
-        said += f", {recording.repeated} datagrams shared one" if recording.repeated else ""
-        said += f", {extra} came after the record's end" if extra else ""
-        lines.append(said)
+        line = f"{direction}: {recording.used} of {len(flight.deliveries[direction])} recorded deliveries used"
+        line += f", {recording.skipped} skipped" if recording.skipped else ""
+        line += f", {recording.repeated} datagrams shared one" if recording.repeated else ""
+        line += f", {extra} sent after the end of the record" if extra else ""
+        lines.append(line)
     same = flight.lockstep and config == flight.config
     if same and "trace_sha256" in flight.summary:
         equal = flight.summary["trace_sha256"] == outcome.trace_sha256
         lines.append(
             "the same trace hash: the flights are equal bit for bit"
             if equal
-            else "another trace hash: the code that flew has changed since"
+            else "another trace hash: the code has changed since the recorded flight"
         )
     return lines
 
 
 def comparison(original: FlightFigures, replay: FlightFigures, title: str) -> Table:
-    """The two side by side."""
+    """Return a table of both flights, side by side."""
     table = Table(title=title, title_justify="left")
     for heading in ("", "original", "replay"):
         table.add_column(heading, justify="left" if not heading else "right")
@@ -157,7 +151,7 @@ def comparison(original: FlightFigures, replay: FlightFigures, title: str) -> Ta
 
 
 def rows(*flights: FlightFigures) -> list[tuple[str, ...]]:
-    """One row for each figure, one column for each flight."""
+    """Return one row for each figure, with one column for each flight."""
     lines: list[tuple[str, ...]] = [
         ("survived", *("yes" if flight.survived else f"no: {flight.crash_reason}" for flight in flights)),
         ("flown", *(f"{flight.flown_s:.2f} s" for flight in flights)),

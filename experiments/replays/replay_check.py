@@ -1,10 +1,9 @@
-"""The golden replay: what onboard took in goes into a fresh core, and what comes out must be the same bit for bit.
+"""The golden replay: a new core gets the inputs that onboard received, and must give the same outputs bit for bit.
 
-The datagram log in onboard's log holds every datagram with the tick that took it in, the tick's time and missed ticks,
-and every datagram given out. A core has no clock and no randomness of its own, so a fresh one with the same
-configuration, session number and key must answer alike: motor datagrams, datagrams to offboard and ground, and the
-record of the tick. The same machine, or one with the same numpy and processor family, is needed: other libraries round
-differently.
+The datagram log in onboard's log contains the time and the missed ticks of each tick, every datagram that it received,
+and every datagram that it sent. A core has no clock and no randomness of its own. So a new core with the same
+configuration, session number and key must give the same motor datagrams, datagrams to offboard and ground, and tick
+records. This needs the same machine, or one with the same numpy and processor family: others round differently.
 """
 
 import contextlib
@@ -17,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from configs.loader import ConfigError
-from experiments.flights.carried_experience import start_from
+from experiments.flights.carried_experience import learns, start_from
 from experiments.replays.recorded_flight import RecordedFlight
 from flight_log.log_file import LogFile
-from onboard.control.interface import LearningController
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.preflight.certificate import Clearance
 from onboard.record.datagram_log import TOPIC, Entry, LoggedTick, read_tick
@@ -36,7 +34,7 @@ OUTPUTS: Final = (
 
 @dataclass(frozen=True)
 class Difference:
-    """Where the two part."""
+    """The first difference between the logged and the replayed flight."""
 
     tick: int
     time_s: float
@@ -46,39 +44,39 @@ class Difference:
     replayed: str
 
     def __str__(self) -> str:
-        """One line."""
+        """Return one line."""
         return f"tick {self.tick} at {self.time_s:.3f} s: {self.field}: {self.logged} logged, {self.replayed} replayed"
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """The check of one life of the onboard process."""
+    """The check of one run of the onboard process."""
 
     name: str
     ticks: int
-    """Compared, up to the first difference."""
+    """Ticks compared, up to the first difference."""
     rows: int
-    """Tick records among them."""
+    """Tick records compared."""
     datagrams_in: int
     datagrams_out: int
     failed_steps: int
-    """Steps that raised, in the flight and here alike."""
+    """Steps that raised, both in the flight and in the replay."""
     difference: Difference | None
     incomplete: str
-    """Why not all of the log could be checked; "" when it was."""
+    """Reason why the log was not checked to its end; "" if it was."""
 
 
 def check_flight(flight: RecordedFlight, key_file: Path | None = None) -> list[CheckResult]:
-    """Checks every life of the onboard process of a flight.
+    """Check every run of the onboard process of a flight.
 
     Parameters
     ----------
-    key_file: the link's key; by default what the flight's configuration names.
+    key_file: the link's key; None: the one in the flight's configuration.
 
     Raises
     ------
     ConfigError
-        If there is nothing to check, or the key is needed and not there.
+        If there is nothing to check, or a key is needed and missing.
     """
     if not flight.onboard_logs:
         raise ConfigError(f"{flight.path}: holds no log of onboard")
@@ -86,7 +84,7 @@ def check_flight(flight: RecordedFlight, key_file: Path | None = None) -> list[C
 
 
 def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> CheckResult:
-    """Checks one log. Raises ConfigError as `check_flight` does."""
+    """Check one log. Raises ConfigError as `check_flight` does."""
     if TOPIC not in log.raw:
         raise ConfigError(f"{log.path}: holds no {TOPIC}, so there is nothing to compare with")
     return _Check(log, _fresh_core(flight, log, key_file)).run()
@@ -95,7 +93,7 @@ def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> Ch
 def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> OnboardCore:
     session = log.metadata.get("session", "")
     if not session.isdigit():
-        raise ConfigError(f"{log.path}: does not say which session it was")
+        raise ConfigError(f"{log.path}: does not name its session")
     keys = LinkKeys(None, None, None)
     if log.metadata.get("keyed") == "True":
         network = flight.config.network
@@ -103,10 +101,9 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> 
         keys = load_keys(named, network.vehicle_key_file, network.ground_key_file)
     clearance = Clearance(log.metadata.get("arming_bar", ""), log.metadata.get("notice", ""))
     core = OnboardCore(flight.config.onboard, int(session), keys.offboard, keys.vehicle, keys.ground, clearance)
-    if flight.experience is not None:
-        learner = isinstance(core.controller, LearningController) and core.controller.accepts_features
-        if not (learner and flight.with_offboard):  # a learner gets it from offboard, over the link
-            start_from(flight.experience, core, None)
+    over_link = learns(core.controller) and flight.with_offboard
+    if flight.experience is not None and not over_link:
+        start_from(flight.experience, core, None)
     return core
 
 
@@ -146,7 +143,7 @@ class _Check:
         if topic is None:
             return {}
         if topic.record_type.names != TICK.names:
-            raise ConfigError(f"{self._log.path}: its tick records are those of another version of this project")
+            raise ConfigError(f"{self._log.path}: its tick records belong to another version of this project")
         return dict(zip(topic.times_ns.tolist(), topic.values, strict=True))
 
     def _datagrams(self) -> Iterator[LoggedTick]:

@@ -1,4 +1,4 @@
-"""The floor under the control law's time: the numpy calls alone that it consists of."""
+"""The lower bound of the control law's time: only its numpy calls."""
 
 import time
 from collections.abc import Callable
@@ -15,10 +15,10 @@ FLOOR_CALLS: Final = 3000
 
 
 def law_floor_us(config: FlightConfig) -> float:
-    """p50 of the numpy calls alone that the control law of both channels consists of, in a tight loop.
+    """Return the p50 of the numpy calls in the control law of both channels, in a tight loop.
 
     Inputs are selected, scaled and limited; each layer is a product and a tanh; then W'Phi and the law's update. All
-    on two columns, the present state and the one looked ahead to.
+    act on two columns, for the present state and the look-ahead state.
     """
     calls = [_bare_law(features) for features in _features_like(config)]
     durations = []

@@ -1,4 +1,4 @@
-"""How long offboard takes: a round of training on what a flight gave, and a sample's way into a full buffer."""
+"""Measures offboard: a round of training on the samples of a flight, and adding a sample to a full buffer."""
 
 from dataclasses import replace
 from time import thread_time
@@ -19,12 +19,12 @@ FLIGHT_MAX_S: Final = 20.0
 
 
 def training_round_ms(config: FlightConfig, runs: int = 5) -> float:
-    """A round of 100 mini-batches of 64, both channels, on the first samples of a flight: best of `runs`, ms of a core.
+    """Return the time of 100 mini-batches of 64, both channels, on a flight's first samples: best of `runs`, core ms.
 
     Raises
     ------
     RuntimeError
-        If the flight brings no samples to train on.
+        If the flight gives no samples to train on.
     """
     job = _first_job(config)
     job = replace(job, config=job.config.model_copy(update={"batch_size": BATCH_SIZE, "batches": BATCHES}))
@@ -41,7 +41,7 @@ def _first_job(config: FlightConfig) -> Any:
 
 
 def admission_ms(samples: int = 100) -> float:
-    """Kernel test, best swap and replacement in a buffer of 1000 that is full: median over `samples`, ms of a core."""
+    """Return the time of kernel test, best swap and replacement in a full buffer of 1000: median, ms of a core."""
     from offboard.data.novelty import KernelNovelty, best_swap
 
     rng = np.random.default_rng(3)

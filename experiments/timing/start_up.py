@@ -1,4 +1,4 @@
-"""How long the real onboard process takes to its first tick, and how much memory it takes."""
+"""Measures how long the real onboard process takes to its first tick, and its memory."""
 
 import json
 import tempfile
@@ -16,13 +16,13 @@ START_LIMIT_S: Final = 20.0
 
 @dataclass(frozen=True, slots=True)
 class StartUp:
-    """The real onboard process, alone, with nobody to talk to."""
+    """The real onboard process, alone."""
 
     ready_s: float
     """From the start of the process to its first tick."""
     rss_mb: float
-    said: str
-    """What it was granted."""
+    granted: str
+    """Its report of the real-time privileges it got."""
 
 
 def start_onboard(config: FlightConfig) -> StartUp:
@@ -31,7 +31,7 @@ def start_onboard(config: FlightConfig) -> StartUp:
     Raises
     ------
     StartError
-        If it does not come up.
+        If it does not start.
     """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
@@ -39,16 +39,16 @@ def start_onboard(config: FlightConfig) -> StartUp:
         path.write_text(config.to_yaml(), encoding="utf-8")
         start = time.monotonic()
         child = Child("onboard", path, out)
-        said: list[str] = []
+        events: list[str] = []
         while not child.ready and child.running and time.monotonic() < start + START_LIMIT_S:
-            said += [str(entry["text"]) for entry in child.lines() if entry.get("kind") == "event"]
+            events += [str(entry["text"]) for entry in child.lines() if entry.get("kind") == "event"]
             time.sleep(0.002)
         ready_s = time.monotonic() - start
         if not child.ready:
             child.kill()
-            raise StartError(f"onboard did not start: {child.said()}")
+            raise StartError(f"onboard did not start: {child.last_error()}")
         time.sleep(1.0)
         child.end(5.0)
         child.tidy()
         summary = json.loads((out / "onboard_summary.json").read_text(encoding="utf-8"))
-    return StartUp(ready_s, float(summary["rss_mb"]), said[0] if said else "")
+    return StartUp(ready_s, float(summary["rss_mb"]), events[0] if events else "")

@@ -1,9 +1,10 @@
-"""The onboard step under stopwatches: a recorded flight replayed into a fresh core, block by block, hot or paced."""
+"""Times the onboard step: a recorded flight is replayed into a new core, block by block, back to back or paced."""
 
 import tempfile
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ from sim_vehicle.lockstep import OnboardOutput as LockstepOutput
 
 STEP: Final = "whole tick"
 BLOCKS: Final = (
-    ("MAVLink in", "_receive_vehicle"),
+    ("MAVLink in", "_vehicle_link.receive"),
     ("msgpack in", "_receive_offboard"),
     ("estimator", "_estimate"),
     ("supervisor", "_supervise"),
@@ -32,20 +33,20 @@ BLOCKS: Final = (
     ("samples out", "_sample"),
     ("status, ground", "_report"),
 )
-"""Name and method of onboard.core.OnboardCore."""
+"""Name of each block, and its method of onboard.core.OnboardCore."""
 LAW: Final = "adaptive law"
-"""Both channels' augmentations, features and adaptation; a part of the controller."""
+"""The augmentations of both channels, with features and adaptation; part of the controller."""
 LOG: Final = "flight log"
-"""What the process logs of a tick: its record, the loop's, every datagram. It comes on top of the whole tick."""
+"""The log of a tick: tick record, loop record and every datagram. Not included in the whole tick."""
 Quantiles = tuple[float, float, float]
 """p50, p99 and max, us."""
 TURN_S: Final = 2.5
-"""The loop and the bare loop beside it take turns of this length."""
+"""The loop and the bare loop run in turns of this length."""
 
 
 @dataclass(slots=True)
 class RecordedTicks:
-    """What came to onboard in each tick of a flight."""
+    """The datagrams that onboard received in each tick of a flight."""
 
     now_ns: list[int] = field(default_factory=list)
     vehicle: list[list[bytes]] = field(default_factory=list)
@@ -54,13 +55,13 @@ class RecordedTicks:
 
 @dataclass(slots=True)
 class Stopwatch:
-    """Time spent in wrapped methods, summed over each tick."""
+    """Sums the time spent in wrapped methods over each tick."""
 
     now: dict[str, int] = field(default_factory=dict)
     ticks: dict[str, list[int]] = field(default_factory=dict)
 
     def expect(self, name: str) -> None:
-        """From now on a tick has a sum of this name."""
+        """Add a sum of this name to each tick."""
         self.now[name] = 0
         self.ticks[name] = []
 
@@ -80,18 +81,18 @@ class Stopwatch:
         setattr(owner, method, timed)
 
     def end_tick(self) -> None:
-        """Closes a tick's sums."""
+        """Store the sums of a tick."""
         for name, spent in self.now.items():
             self.ticks[name].append(spent)
             self.now[name] = 0
 
     def quantiles_us(self, name: str) -> Quantiles:
-        """p50, p99 and max of a tick's sum, us."""
+        """Return p50, p99 and max of a tick's sum, us."""
         return quantiles_us(self.ticks[name])
 
 
 def quantiles_us(durations_ns: Iterable[int]) -> Quantiles:
-    """p50, p99 and max, us."""
+    """Return p50, p99 and max, us."""
     p50, p99, highest = np.quantile(np.fromiter(durations_ns, dtype=np.float64), (0.5, 0.99, 1.0)) * 1e-3
     return float(p50), float(p99), float(highest)
 
@@ -100,7 +101,7 @@ Observer = Callable[[LockstepOutput], None]
 
 
 def record_flight(config: FlightConfig, seconds: float, observe: Observer = lambda output: None) -> RecordedTicks:
-    """The datagrams that reach onboard in the first `seconds` of a lockstep flight, offboard included.
+    """Record the datagrams that onboard receives in the first `seconds` of a lockstep flight with an offboard side.
 
     `observe` is called with onboard's output of each tick.
     """
@@ -116,7 +117,7 @@ def record_flight(config: FlightConfig, seconds: float, observe: Observer = lamb
 
 
 class Replay:
-    """A fresh onboard core that flies a recording again, tick by tick, under stopwatches; `log` takes what it logs."""
+    """Replays a recording into a new onboard core, tick by tick, and times it; `log` receives the log of each tick."""
 
     def __init__(
         self, config: FlightConfig, recording: RecordedTicks, blocks: bool, log: FlightLogWriter | None = None
@@ -132,36 +133,37 @@ class Replay:
         self.watch = Stopwatch()
         if blocks:
             for name, method in BLOCKS:
-                self.watch.wrap(self._core, method, name)
+                owner, _, method = method.rpartition(".")
+                self.watch.wrap(attrgetter(owner)(self._core) if owner else self._core, method, name)
             self.watch.expect(LAW)  # a controller of another build may have none
             for augmentation in getattr(self._core.controller, "augmentations", ()):
                 self.watch.wrap(augmentation, "step", LAW)
         self.watch.wrap(self, "tick", STEP)
-        self.watch.wrap(self, "keep", LOG)
+        self.watch.wrap(self, "write_log", LOG)
 
     @property
     def left(self) -> int:
-        """Ticks not flown yet."""
+        """Number of ticks that are left."""
         return len(self._recording.now_ns) - self._next
 
     def step(self) -> None:
-        """One tick and what is kept of it, under the stopwatches."""
+        """Run and log one tick, with timing."""
         output = self.tick()
         if self._log is not None:
-            self.keep(output, self._log)
+            self.write_log(output, self._log)
         self._next += 1
         self.watch.end_tick()
 
     def tick(self) -> OnboardOutput:
-        """One tick as the process does it, sockets and log left out."""
+        """Run one tick as the process does, without sockets and log."""
         recording, index = self._recording, self._next
         output = self._core.tick(recording.now_ns[index], recording.vehicle[index], recording.offboard[index])
         if self.observe is not None:
             self.observe(output)
         return output
 
-    def keep(self, output: OnboardOutput, log: FlightLogWriter) -> None:
-        """The log of a tick as the process writes it."""
+    def write_log(self, output: OnboardOutput, log: FlightLogWriter) -> None:
+        """Log a tick as the process does."""
         now, index = self._recording.now_ns[self._next], self._next
         for entry, datagrams in (
             (Entry.FROM_VEHICLE, self._recording.vehicle[index]),
@@ -179,13 +181,13 @@ class Replay:
 
 
 def run_hot(replay: Replay) -> None:
-    """All ticks back to back."""
+    """Run all ticks back to back."""
     while replay.left:
         replay.step()
 
 
 def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], list[int]]:
-    """All ticks at the loop's pace, in turns with a loop that does nothing; lateness of both, ns."""
+    """Run all ticks at the loop's pace, in turns with an empty loop; return the lateness of both, ns."""
     ours: list[int] = []
     bare: list[int] = []
     turn = round(TURN_S * 1e9 / period_ns)
@@ -205,7 +207,7 @@ def run_paced(replay: Replay, period_ns: int, spin_ns: int) -> tuple[list[int], 
 def measure_step(
     config: FlightConfig, recording: RecordedTicks
 ) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
-    """us: {block: {paced, hot: (p50, p99, max)}} and the lateness of the loop and of the bare loop.
+    """Return {block: {"paced", "hot": (p50, p99, max)}} and the lateness of the loop and of the bare loop, us.
 
     The whole tick and its log are timed without the blocks' stopwatches, which cost a few us themselves.
     """
@@ -219,7 +221,7 @@ def measure_step(
 def _timed(
     config: FlightConfig, recording: RecordedTicks, blocks: bool
 ) -> tuple[dict[str, dict[str, Quantiles]], dict[str, Quantiles]]:
-    """The recording once back to back and once paced, logged as in flight."""
+    """Replay the recording once back to back and once paced, with the log of a flight."""
     period_ns, spin_ns = config.onboard.period_ns, config.onboard.realtime.spin_us * 1000
     with tempfile.TemporaryDirectory(prefix="dmrac_bench_") as folder:
         with FlightLogWriter(Path(folder) / "hot.mcap", "onboard") as log:

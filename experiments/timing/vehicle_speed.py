@@ -1,4 +1,4 @@
-"""How fast the simulated vehicle steps: the rigid body alone, the whole vehicle with world and sensors, and a batch."""
+"""Measures how fast the simulated vehicle steps: the rigid body alone, the complete vehicle, and a batch."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -28,9 +28,9 @@ BATCH: Final = 100
 
 
 def vehicle_speeds(runs: int = 200) -> dict[str, float]:
-    """Control steps (200 Hz, five sub-steps of 1 ms) a second of one vehicle: best of `runs` short runs each.
+    """Return the control steps (200 Hz, five sub-steps of 1 ms) per second of a vehicle: the best of `runs` short runs.
 
-    The best, because what else the machine does only ever makes a run slower.
+    The best run is the one that the rest of the machine disturbed least.
     """
     step_batch = _batch()
     return {
@@ -41,7 +41,7 @@ def vehicle_speeds(runs: int = 200) -> dict[str, float]:
 
 
 def _best_rate(step: Callable[[], object], steps: int, runs: int) -> float:
-    """Calls a second in the fastest run of `steps` calls, after one that compiles."""
+    """Return the calls per second in the fastest run of `steps` calls, after one call that compiles."""
     step()
     best_s = np.inf
     for _ in range(runs):

@@ -22,7 +22,7 @@ def test_one_line_is_told_and_not_kept(tmp_path: Path) -> None:
 def test_a_report_is_kept_and_named(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "one", "hover")
     fill(folder, "Traceback\n  line\nMemoryError\n")
-    assert clear_folder(folder) == f"; all it said is in {folder / 'offboard_errors.txt'}"
+    assert clear_folder(folder) == f"; its full output is in {folder / 'offboard_errors.txt'}"
     assert [path.name for path in folder.iterdir()] == ["offboard_errors.txt"]
 
 

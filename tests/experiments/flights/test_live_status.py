@@ -18,7 +18,7 @@ EVENT = {"process": "onboard", "kind": "event", "text": "features 3 in use [bold
 def test_shows_what_a_person_wants_to_know() -> None:
     status = FlightStatus()
     for entry in (ONBOARD, OFFBOARD, SIM):
-        status.take_in(entry)
+        status.receive(entry)
     assert dict(status.rows()) == {
         "time": "12.3 s",
         "mode": "FLYING",
@@ -33,7 +33,7 @@ def test_shows_what_a_person_wants_to_know() -> None:
 def test_values_of_a_silent_process_are_not_shown() -> None:
     now = [100.0]
     status = FlightStatus(lambda: now[0])
-    status.take_in(OFFBOARD)
+    status.receive(OFFBOARD)
     now[0] += SILENT_S
     assert dict(status.rows())["held-out loss"] == "-"
 

@@ -1,12 +1,10 @@
 """Real time over UDP and lockstep are the same flight within a stated tolerance: one step, two drivers."""
 
-import io
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
-from experiments.flights.logged_flight import fly_in_lockstep, fly_in_real_time
+from experiments.flights.logged_flight import fly_logged
 from experiments.flights.scenario import resolve
 
 pytestmark = [pytest.mark.realtime, pytest.mark.full]
@@ -26,11 +24,7 @@ def test_the_two_modes_agree(scenario: str, tmp_path: Path) -> None:
     for mode in ("realtime", "lockstep"):
         folder = tmp_path / mode
         folder.mkdir()
-        (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
-        if mode == "realtime":
-            summaries[mode], _ = fly_in_real_time(config, folder, Console(file=io.StringIO()))
-        else:
-            summaries[mode], _ = fly_in_lockstep(config, folder, with_offboard=True)
+        summaries[mode] = fly_logged(config, folder, lockstep=mode == "lockstep")
     for mode, summary in summaries.items():
         assert summary["survived"], f"{mode}: {summary['crash_reason']}"
         assert summary["features"]["swaps"] >= 3, mode

@@ -75,7 +75,7 @@ def test_the_same_controller_flies_the_same_flight(flight: RecordedFlight, tmp_p
     assert outcome.trace_sha256 == flight.summary["trace_sha256"]
     assert outcome.deliveries == flight.deliveries
     lines = verdict(flight, flight.config, outcome)
-    assert lines[0].endswith("recorded deliveries met"), "one by one, none skipped and none shared"
+    assert lines[0].endswith("recorded deliveries used"), "one by one, none skipped and none shared"
     assert "equal bit for bit" in lines[-1]
     assert read_recorded(tmp_path).deliveries == flight.deliveries
 
