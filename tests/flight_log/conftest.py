@@ -18,7 +18,7 @@ TRUTH = RecordType("sim_vehicle/truth", vector_fields("position", "ned", "m"))
 
 @pytest.fixture
 def flight_folder(tmp_path: Path) -> Path:
-    """A short flight of two processes with an event each and some raw bytes."""
+    """A short flight of two processes with one event each and some raw bytes."""
     folder = tmp_path / "flight"
     with FlightLogWriter(
         folder / "onboard.mcap", "onboard", {"clock": "a", "seed": "3"}, {"config.yaml": b"a: 1\n"}, threaded=False
@@ -35,7 +35,7 @@ def flight_folder(tmp_path: Path) -> Path:
     return folder
 
 
-CARD = {
+SUMMARY = {
     "scenario": "figure8_wind",
     "controller": "dmrac",
     "seed": 7,
@@ -50,8 +50,8 @@ CARD = {
 }
 
 
-def write_full_flight(folder: Path, *, error_m: float = 0.1, **card: Any) -> Path:
-    """20 s of a circle in the records that the processes really write; onboard takes off after 2 s."""
+def write_full_flight(folder: Path, *, error_m: float = 0.1, **summary: Any) -> Path:
+    """20 s of a circle, with the records that the processes write; onboard takes off after 2 s."""
     config = b"scenario: figure8_wind\nduration_s: 20\n"
     times = [(i, i * 20_000_000, 0.02 * i) for i in range(1000)]
     with FlightLogWriter(
@@ -78,7 +78,7 @@ def write_full_flight(folder: Path, *, error_m: float = 0.1, **card: Any) -> Pat
         for i in range(60):
             values = dict.fromkeys(offboard_records.TRAINING.names, 0.5 / (i + 1)) | {"round": float(i)}
             log.write(offboard_records.TRAINING, i * 300_000_000, np.array(list(values.values())))
-    (folder / "summary.json").write_text(json.dumps({**CARD, **card}), encoding="utf-8")
+    (folder / "summary.json").write_text(json.dumps({**SUMMARY, **summary}), encoding="utf-8")
     return folder
 
 
@@ -97,7 +97,7 @@ def tick_values(t: float, error_m: float) -> np.ndarray:
 
 @pytest.fixture
 def full_flight(tmp_path: Path) -> Path:
-    """A flight folder as `fly` leaves it, with a figure."""
+    """A flight folder as `fly` writes it, with a figure."""
     folder = write_full_flight(tmp_path / "20260101_120000_figure8_wind")
     (folder / "flight.png").write_bytes(b"\x89PNG\r\n\x1a\n of a flight")
     return folder
@@ -105,5 +105,5 @@ def full_flight(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def make_flight(tmp_path: Path) -> Callable[..., Path]:
-    """Writes further flight folders: name, error_m, and whatever is to differ on the card."""
+    """Writes further flight folders: name, error_m, and summary entries that differ."""
     return lambda name, **options: write_full_flight(tmp_path / name, **options)

@@ -1,4 +1,4 @@
-"""What is no flight: every command that takes one says so in one line that names it, with exit status 2."""
+"""Input that is not a flight: every command names it in one line, with exit status 2."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -62,11 +62,11 @@ COMMANDS = (
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize(("make", "said"), FOLDERS.items(), ids=lambda value: getattr(value, "__name__", ""))
-def test_what_is_no_flight_is_named_in_one_line(
+@pytest.mark.parametrize(("make", "message"), FOLDERS.items(), ids=lambda value: getattr(value, "__name__", ""))
+def test_input_that_is_not_a_flight_gives_one_line_and_status_2(
     command: str,
     make: Callable[[Path], None],
-    said: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -79,13 +79,15 @@ def test_what_is_no_flight_is_named_in_one_line(
     assert main([*command.replace("FLIGHT", str(folder)).split(), str(folder)]) == 2
     captured = capsys.readouterr()
     assert captured.err.startswith(f"dmrac {command.split()[0]}: {folder}")
-    assert said in captured.err
+    assert message in captured.err
     assert captured.err.count("\n") == 1
     assert captured.out == ""
-    assert sorted(tmp_path.rglob("*")) == before, "nothing is written"
+    assert sorted(tmp_path.rglob("*")) == before, "nothing was written"
 
 
-def test_a_cut_flight_opens_and_check_says_up_to_where(full_flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_log_opens_and_check_reports_where_it_ends(
+    full_flight: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = full_flight / "onboard.mcap"
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
     for command in ("log info", "log export --npz", "report"):

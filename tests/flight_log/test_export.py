@@ -53,7 +53,7 @@ def test_pyulog_reads_the_ulog(flight_folder: Path, tmp_path: Path) -> None:
     assert ulog.msg_info_dict["onboard_seed"] == "3"
 
 
-def test_what_came_before_the_first_tick_has_negative_times(flight_folder: Path, tmp_path: Path) -> None:
+def test_records_before_the_first_tick_have_negative_times(flight_folder: Path, tmp_path: Path) -> None:
     with FlightLogWriter(flight_folder / "offboard.mcap", "offboard", {"clock": "a"}, threaded=False) as log:
         log.event(10**9 - 700_000_000, "early")
     flight = open_flight(flight_folder)
@@ -91,14 +91,14 @@ def test_merged_logs_are_one_flight(flight_folder: Path) -> None:
         merge(flight, target)
 
 
-def test_a_merged_copy_beside_its_sources_is_not_counted_twice(flight_folder: Path) -> None:
+def test_a_merged_copy_next_to_its_sources_is_not_counted_twice(flight_folder: Path) -> None:
     merge(open_flight(flight_folder), flight_folder / "merged.mcap")
     flight = open_flight(flight_folder)
     assert len(flight["onboard/tick"]) == 1000
     assert flight.processes == ("onboard", "sim_vehicle")
 
 
-def test_describe_says_what_is_there(flight_folder: Path) -> None:
+def test_describe_lists_logs_topics_and_events(flight_folder: Path) -> None:
     flight = open_flight(flight_folder)
     text = "\n".join(describe(flight))
     for part in ("5.0 s, onboard, sim_vehicle", "onboard/tick", "200.0 Hz", "1.000 s  onboard: took off", "complete"):

@@ -1,4 +1,4 @@
-"""docs/logs.md keeps its word: its commands and its Python run on a flight."""
+"""The commands and the Python code in docs/logs.md run on a flight."""
 
 import re
 import shlex

@@ -51,7 +51,7 @@ def test_a_flight_has_columns_units_events_and_bytes(tmp_path: Path) -> None:
     assert flight.duration_s == pytest.approx(399 * 0.005, abs=1e-6)
 
 
-def test_what_is_not_there_is_named(tmp_path: Path) -> None:
+def test_unknown_topics_and_columns_raise_and_list_the_known_ones(tmp_path: Path) -> None:
     write_flight(tmp_path)
     flight = open_flight(tmp_path)
     with pytest.raises(KeyError, match="it has onboard/tick, sim_vehicle/truth"):
@@ -94,7 +94,7 @@ def headless(path: Path) -> None:
         (newer, "written in format 99, this version reads up to 1"),
     ],
 )
-def test_a_folder_that_is_no_flight_gets_one_clear_line(tmp_path: Path, make, message: str) -> None:
+def test_a_folder_that_is_not_a_flight_raises_with_one_line(tmp_path: Path, make, message: str) -> None:
     folder = tmp_path / "flight"
     folder.mkdir()
     make(folder / "onboard.mcap")
@@ -104,7 +104,7 @@ def test_a_folder_that_is_no_flight_gets_one_clear_line(tmp_path: Path, make, me
     assert "\n" not in str(caught.value)
 
 
-def test_a_log_cut_anywhere_opens_up_to_the_cut(tmp_path: Path) -> None:
+def test_a_log_truncated_anywhere_is_read_up_to_the_cut(tmp_path: Path) -> None:
     write_flight(tmp_path)
     file = tmp_path / "onboard.mcap"
     whole, seen = file.read_bytes(), []
@@ -124,7 +124,7 @@ def test_a_log_cut_anywhere_opens_up_to_the_cut(tmp_path: Path) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), value=st.integers(0, 255))
-def test_a_damaged_byte_is_a_fault_and_never_another_exception(
+def test_a_damaged_byte_is_reported_as_a_fault_and_raises_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, place: float, value: int
 ) -> None:
     folder = tmp_path_factory.mktemp("flight")
@@ -141,30 +141,30 @@ def test_a_damaged_byte_is_a_fault_and_never_another_exception(
     assert all(np.isfinite(table).all() for table in values.values())
 
 
-def test_a_gap_says_where(tmp_path: Path) -> None:
+def test_a_gap_is_reported_with_its_times(tmp_path: Path) -> None:
     write_flight(tmp_path, skip=range(100, 140))
     [gap] = open_flight(tmp_path).gaps
     assert gap.describe(10**9) == "onboard/tick: silent from 0.495 s to 0.700 s"
 
 
-def test_a_missed_tick_is_no_gap(tmp_path: Path) -> None:
+def test_a_missed_tick_is_not_a_gap(tmp_path: Path) -> None:
     write_flight(tmp_path, skip=range(100, 108))
     assert open_flight(tmp_path).gaps == ()
 
 
 DRIFT_NS = 20_000
-"""Offboard's clock gains this much on onboard's in a second."""
+"""Drift of offboard's clock against onboard's, per second."""
 
 
 def two_clocks(folder: Path, aheads: tuple[int, ...], *, measured: bool) -> None:
-    """A mark a second by each process, at the same true times.
+    """One mark per second from each process, at the same true times.
 
     aheads: ns by which offboard's clock is ahead; of two, offboard comes back on a second machine half-way.
     """
-    card = {"started_utc": "2026-01-01T00:00:00+00:00"}
-    logs = [FlightLogWriter(folder / "onboard.mcap", "onboard", card | {"clock": "a", "started_monotonic_ns": "0"})]
+    summary = {"started_utc": "2026-01-01T00:00:00+00:00"}
+    logs = [FlightLogWriter(folder / "onboard.mcap", "onboard", summary | {"clock": "a", "started_monotonic_ns": "0"})]
     for ahead in aheads:
-        about = card | {"clock": str(ahead), "started_monotonic_ns": str(ahead)}
+        about = summary | {"clock": str(ahead), "started_monotonic_ns": str(ahead)}
         logs.append(FlightLogWriter(folder / "offboard.mcap", "offboard", about))
     for second in range(100):
         run = second * len(aheads) // 100
@@ -187,7 +187,7 @@ def two_clocks(folder: Path, aheads: tuple[int, ...], *, measured: bool) -> None
         ((7 * 10**9,), False, 3_000_000, 1),
     ],
 )
-def test_clocks_of_two_machines_become_one(
+def test_times_of_two_machines_are_mapped_to_one_clock(
     tmp_path: Path, aheads: tuple[int, ...], measured: bool, tolerance_ns: int, faults: int
 ) -> None:
     two_clocks(tmp_path, aheads, measured=measured)
@@ -198,7 +198,7 @@ def test_clocks_of_two_machines_become_one(
     assert len(flight.faults) == faults
 
 
-def test_a_flight_card_that_is_not_json_is_named(tmp_path: Path) -> None:
+def test_a_summary_that_is_not_json_raises_with_its_name(tmp_path: Path) -> None:
     write_flight(tmp_path)
     (tmp_path / "summary.json").write_text("{", encoding="utf-8")
     with pytest.raises(FlightError, match=r"summary\.json: not a flight summary"):

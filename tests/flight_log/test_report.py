@@ -15,7 +15,7 @@ from flight_log.report import repeat_command, text_of, write_report
 
 
 class Structure(HTMLParser):
-    """Checks that tags close in order and gathers what would be fetched."""
+    """Checks that tags close in order, and collects everything that would be fetched."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ def structure(text: str) -> Structure:
     return parser
 
 
-def test_the_page_holds_everything_and_fetches_nothing(full_flight: Path) -> None:
+def test_the_page_contains_everything_and_fetches_nothing(full_flight: Path) -> None:
     path = write_report(full_flight)
     assert path == full_flight / "report.html"
     text = path.read_text(encoding="utf-8")
@@ -62,10 +62,10 @@ def test_the_page_holds_everything_and_fetches_nothing(full_flight: Path) -> Non
         assert part in text
 
 
-def test_a_flight_that_was_lost_or_cut_says_so(full_flight: Path) -> None:
-    card = json.loads((full_flight / "summary.json").read_text(encoding="utf-8"))
-    card |= {"survived": False, "crash_reason": "hit the floor"}
-    (full_flight / "summary.json").write_text(json.dumps(card), encoding="utf-8")
+def test_the_page_reports_a_crash_a_truncated_log_and_a_missing_summary(full_flight: Path) -> None:
+    summary = json.loads((full_flight / "summary.json").read_text(encoding="utf-8"))
+    summary |= {"survived": False, "crash_reason": "hit the floor"}
+    (full_flight / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     log = full_flight / "onboard.mcap"
     log.write_bytes(log.read_bytes()[:-100])
     text = write_report(full_flight).read_text(encoding="utf-8")
@@ -75,7 +75,7 @@ def test_a_flight_that_was_lost_or_cut_says_so(full_flight: Path) -> None:
     assert "no flight summary" in write_report(full_flight).read_text(encoding="utf-8")
 
 
-def test_what_is_no_flight_folder_is_named(full_flight: Path, tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_flight_folder_raises_with_its_name(full_flight: Path, tmp_path: Path) -> None:
     with pytest.raises(FlightError, match="no such flight"):
         write_report(tmp_path / "nothing")
     with pytest.raises(FlightError, match="not a flight folder"):
@@ -85,16 +85,18 @@ def test_what_is_no_flight_folder_is_named(full_flight: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("value", "text"), [(None, "-"), (True, "yes"), (False, "no"), (0.1234567, "0.12346"), (12, "12"), ("a", "a")]
 )
-def test_values_of_the_card_as_text(value: object, text: str) -> None:
+def test_values_of_the_summary_as_text(value: object, text: str) -> None:
     assert text_of(value) == text
 
 
-def test_the_flight_card_may_name_its_own_command(make_flight: Callable[..., Path]) -> None:
+def test_the_repeat_command_is_that_of_the_summary_if_it_has_one(make_flight: Callable[..., Path]) -> None:
     folder = make_flight("own", command="scripts/fly x --set a=1")
     assert repeat_command(open_flight(folder)) == "scripts/fly x --set a=1"
 
 
-def test_flights_are_laid_over_each_other(full_flight: Path, make_flight: Callable[..., Path], tmp_path: Path) -> None:
+def test_comparison_has_a_table_a_figure_and_the_commands(
+    full_flight: Path, make_flight: Callable[..., Path], tmp_path: Path
+) -> None:
     other = make_flight("other", error_m=0.3, controller="pid", position_rmse_m=0.3, features={})
     flights = [open_flight(full_flight), open_flight(other)]
     assert labels(flights) == ["figure8_wind, dmrac, seed 7", "figure8_wind, pid, seed 7"]
@@ -110,7 +112,7 @@ def test_flights_are_laid_over_each_other(full_flight: Path, make_flight: Callab
     assert len(re.findall("scripts/fly", text)) == 2
 
 
-def test_curves_are_what_they_claim(full_flight: Path) -> None:
+def test_the_curves_of_a_comparison_have_the_right_values(full_flight: Path) -> None:
     flight = open_flight(full_flight)
     tick = flight["onboard/tick"]
     time_s = path_seconds(tick)
@@ -120,7 +122,7 @@ def test_curves_are_what_they_claim(full_flight: Path) -> None:
     np.testing.assert_allclose(smoothed(error, time_s), 0.1, rtol=1e-9)
 
 
-def test_flights_that_cannot_be_compared_are_named(full_flight: Path, tmp_path: Path) -> None:
+def test_flights_that_cannot_be_compared_raise(full_flight: Path, tmp_path: Path) -> None:
     flight = open_flight(full_flight)
     with pytest.raises(FlightError, match="two flights or more"):
         write_comparison([flight], tmp_path / "x.html")

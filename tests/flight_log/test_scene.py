@@ -66,7 +66,7 @@ def test_a_flight_without_truth_shows_the_estimate(full_flight: Path) -> None:
     assert set(scene.motion.arrows) == {"nu_ad"}
 
 
-def test_the_floors_push_is_not_drawn(tmp_path: Path) -> None:
+def test_the_force_of_the_floor_is_not_drawn(tmp_path: Path) -> None:
     names = sim_records.TRUTH.names
     with FlightLogWriter(tmp_path / "sim_vehicle.mcap", "sim_vehicle", threaded=False) as log:
         for i in range(10):
@@ -102,7 +102,7 @@ def test_losses_are_counted_over_a_second(tmp_path: Path) -> None:
     assert np.isnan(delay[100:200]).all()
 
 
-def test_a_growing_log_is_read_piece_by_piece(tmp_path: Path) -> None:
+def test_a_growing_log_is_read_in_parts(tmp_path: Path) -> None:
     kind = RecordType("onboard/loop", (("tick", "us"),))
     path = tmp_path / "onboard.mcap"
     log = FlightLogWriter(path, "onboard", threaded=False)
@@ -118,7 +118,7 @@ def test_a_growing_log_is_read_piece_by_piece(tmp_path: Path) -> None:
     assert tail.read().record_count == 0
 
 
-def test_a_flight_is_followed_until_its_card_is_written(full_flight: Path, tmp_path: Path) -> None:
+def test_a_flight_is_followed_until_its_summary_is_written(full_flight: Path, tmp_path: Path) -> None:
     whole = build_scene(open_flight(full_flight))
     growing = tmp_path / "growing"
     growing.mkdir()
@@ -151,7 +151,7 @@ def test_the_live_time_line_starts_at_onboards_first_tick(full_flight: Path, tmp
     scene = waiting.read()
     assert scene is not None
     assert scene.start_ns == open_flight(full_flight).start_ns
-    assert "training loss, position [(m/s²)²]" in scene.groups  # what came meanwhile is not lost
+    assert "training loss, position [(m/s²)²]" in scene.groups  # records that arrived in between are not lost
     (growing / "onboard.mcap").unlink()
     now_s[0] = 11.0
     alone_scene = FlightTail(growing, 0.0).read()
@@ -159,7 +159,7 @@ def test_the_live_time_line_starts_at_onboards_first_tick(full_flight: Path, tmp
     assert alone_scene.groups == ("training loss, position [(m/s²)²]", "training loss, attitude [(rad/s²)²]")
 
 
-def test_following_nothing_ends_with_one_line(tmp_path: Path, make_flight: Callable[..., Path]) -> None:
+def test_following_a_folder_without_logs_raises_with_one_line(tmp_path: Path, make_flight: Callable[..., Path]) -> None:
     with pytest.raises(FlightError, match="no flight log appeared within 0 s"):
         list(follow(tmp_path, lambda: True, start_limit_s=0.0))
     assert list(follow(make_flight("unwanted"), lambda: False)) == []

@@ -1,4 +1,4 @@
-"""The viewer's page in a real browser: it draws the flight, and it talks to nobody but this machine."""
+"""The viewer's page in a real browser: it draws the flight, and connects only to this machine."""
 
 import threading
 from pathlib import Path
@@ -16,7 +16,7 @@ pytestmark = [
 ]
 
 
-def test_the_flight_is_drawn_and_nobody_else_is_told(full_flight: Path, tmp_path: Path) -> None:
+def test_the_flight_is_drawn_without_connections_to_other_hosts(full_flight: Path, tmp_path: Path) -> None:
     recording = pytest.importorskip("flight_log.rerun_scene", reason="the viz extra is not installed")
     recording.save_recording(build_scene(open_flight(full_flight)), tmp_path / "flight.rrd", "test")
     with browser.running_browser(tmp_path) as socket, WebViewer(tmp_path / "flight.rrd", port=0) as viewer:

@@ -29,7 +29,7 @@ def run_view(*words: object) -> int:
     return view.run(parser.parse_args([str(word) for word in words]))
 
 
-def test_a_recording_is_whole(full_flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_saved_recording_is_complete(full_flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "flight.rrd"
     assert run_view(full_flight, "--save", target) == 0
     assert capsys.readouterr().out == f"{target}\n"
@@ -46,7 +46,7 @@ def test_a_recording_is_whole(full_flight: Path, tmp_path: Path, capsys: pytest.
         assert entity in result.stdout
 
 
-def test_bad_input_has_one_line(tmp_path: Path, full_flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_gives_one_line(tmp_path: Path, full_flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_view(tmp_path / "nothing") == 2
     assert run_view(full_flight, "--save", tmp_path / "no" / "flight.rrd") == 2
     first, second = capsys.readouterr().err.splitlines()
@@ -54,7 +54,7 @@ def test_bad_input_has_one_line(tmp_path: Path, full_flight: Path, capsys: pytes
     assert second == f"dmrac view: {tmp_path / 'no' / 'flight.rrd'}: cannot be written: No such file or directory"
 
 
-def test_without_a_screen_it_says_what_to_do(
+def test_without_a_screen_the_message_names_the_remedy(
     full_flight: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -65,7 +65,7 @@ def test_without_a_screen_it_says_what_to_do(
     )
 
 
-def test_without_the_extra_it_says_what_to_do(
+def test_without_the_extra_the_message_names_the_remedy(
     full_flight: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(viewer.importlib.util, "find_spec", lambda name: None)
@@ -131,7 +131,7 @@ def test_no_viewer_outlives_its_parent() -> None:
 
 
 def _runs(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
+    """Whether a process exists and is not a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -145,7 +145,7 @@ def test_a_full_disk_stops_the_log_and_not_the_flight(tmp_path: Path, limit: int
         assert flight.logs[0].damage == ""
 
 
-def test_a_slow_disk_drops_counts_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_disk_drops_records_counts_and_reports_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stuck = threading.Event()
     real_write = os.write
 
@@ -176,18 +176,18 @@ def test_a_slow_disk_drops_counts_and_says_so(tmp_path: Path, monkeypatch: pytes
     assert gap.describe(0) == "onboard/tick: 100 records lost from 5.120 s to 5.625 s"
 
 
-def test_a_mistake_in_the_log_does_not_reach_the_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    log = FlightLogWriter(tmp_path / "onboard.mcap", "onboard", threaded=False, on_failure=said.append)
+def test_an_error_in_the_log_does_not_affect_the_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    messages: list[str] = []
+    log = FlightLogWriter(tmp_path / "onboard.mcap", "onboard", threaded=False, on_failure=messages.append)
     monkeypatch.setattr(writer, "vector_block", lambda *_: 1 / 0)
     log.write(TICK, 0, vector(0))
     log.write(TICK, PERIOD_NS, vector(0))
     log.close()
     assert log.failure == "ZeroDivisionError: division by zero"
-    assert len(said) == 1
+    assert len(messages) == 1
 
 
-def test_a_vector_of_wrong_length_is_our_own_mistake(tmp_path: Path) -> None:
+def test_a_vector_of_wrong_length_raises(tmp_path: Path) -> None:
     with FlightLogWriter(tmp_path / "onboard.mcap", "onboard") as log, pytest.raises(ValueError, match="broadcast"):
         log.write(TICK, 0, np.zeros(3))
 
@@ -201,7 +201,7 @@ def test_a_restarted_process_keeps_its_earlier_log(tmp_path: Path) -> None:
     np.testing.assert_array_equal(flight["onboard/tick"]["position_n"], [0.0, 1.0])
 
 
-def test_strange_times_and_texts_are_taken(tmp_path: Path) -> None:
+def test_unusual_times_and_texts_are_accepted(tmp_path: Path) -> None:
     with FlightLogWriter(tmp_path / "onboard.mcap", "onboard") as log:
         log.write(TICK, -5, np.full(4, np.nan))
         log.event(-1, "Γ ⋅ \ud800 #\n")
@@ -210,7 +210,7 @@ def test_strange_times_and_texts_are_taken(tmp_path: Path) -> None:
     assert flight.events[0].text == "Γ ⋅ ? #\n"
 
 
-def test_topics_declared_while_the_thread_writes_are_all_there(tmp_path: Path) -> None:
+def test_topics_declared_while_the_thread_writes_are_all_logged(tmp_path: Path) -> None:
     with FlightLogWriter(tmp_path / "onboard.mcap", "onboard") as log:
         for i in range(60):
             log.write(RecordType(f"onboard/topic_{i}", (("x", "m"),)), i, np.array([float(i)]))

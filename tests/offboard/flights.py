@@ -1,4 +1,4 @@
-"""Flights made up for the tests of the offboard side: a figure-8 through a fan jet, with a rotor that may fail."""
+"""Artificial flights for the tests of the offboard side: a figure-8 through a jet, with an optional rotor fault."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,14 +26,14 @@ class Flight:
     """Truth and samples of n periods."""
 
     signals: Array
-    """[n, SIGNAL_COUNT], as the estimator gives them."""
+    """[n, SIGNAL_COUNT], as estimated."""
     delivered: Array
     """[n, 2, 3]: u_hat, averaged over the period that ends at the sample."""
     delta: Array
     """[n, 2, 3]: the true uncertainty at the sample."""
 
     def batches(self, size: int = 5, first_index: int = 0, time_ns: int = 10**9, version: int = 0) -> list[SampleBatch]:
-        """All samples, whole batches only."""
+        """All samples, in complete batches."""
         out = []
         for start in range(0, self.signals.shape[0] - size + 1, size):
             rows = slice(start, start + size)
@@ -61,7 +61,7 @@ def figure8_through_jet(
     hover: bool = False,
     lap_s: float = 5.0,
 ) -> Flight:
-    """A figure-8 of 1 m by 0.5 m whose middle a jet along east crosses. From `fault_s` on rotor 1 gives 30 % less."""
+    """A figure-8 of 1 m by 0.5 m with an eastward jet across its middle. From `fault_s` on, rotor 1 gives 30 % less."""
     steps = 8
     n = round(duration_s / PERIOD_S) * steps
     t = np.arange(n + 1) * (PERIOD_S / steps)
@@ -71,7 +71,7 @@ def figure8_through_jet(
     fault = (t > fault_s).astype(float)
     thrust = _motor_thrusts(acceleration, fault, rng)
     linear = _jet_acceleration(position, velocity, jet_m_s) + gusts
-    linear[:, 2] += 0.9 - 1.2 * fault  # weaker motors than the map says
+    linear[:, 2] += 0.9 - 1.2 * fault  # the motors are weaker than their map
     angular = _jet_moments(position, jet_m_s) + 10.0 * gusts[:, [1, 0, 2]] * [1, -1, 0.2]
     angular[:, 0] -= fault * 25.0
     angular[:, 1] += fault * 20.0
@@ -99,7 +99,7 @@ def _gusts(rng: np.random.Generator, n: int, dt: float, sigma: float) -> Array:
 
 
 def _jet_wind(position: Array, jet_m_s: float) -> Array:
-    """Gaussian jet that blows east from (0.3, -1.5, -1): its speed where the vehicle is."""
+    """Wind speed at the vehicle, of a Gaussian jet that blows east from (0.3, -1.5, -1)."""
     along = np.maximum(position[:, 1] + 1.5, 0.05)
     across = np.hypot(position[:, 0] - 0.3, position[:, 2] + 1.0)
     half_width = 0.1 + 0.11 * along
@@ -143,7 +143,7 @@ def _sampled(
     noise: float,
     rng: np.random.Generator,
 ) -> Flight:
-    """v_dot = u_hat + Delta fixes u_hat; the body rates follow from a small motion of their own."""
+    """u_hat = v_dot - Delta; the body rates come from an independent small motion."""
     rates = 0.5 * np.stack([np.sin(3.1 * t), np.cos(2.7 * t), 0.3 * np.sin(1.3 * t)], axis=1)
     rates_dot = 0.5 * np.stack([3.1 * np.cos(3.1 * t), -2.7 * np.sin(2.7 * t), 0.39 * np.cos(1.3 * t)], axis=1)
     u_hat = np.stack([acceleration, rates_dot], axis=1) - delta

@@ -1,4 +1,4 @@
-"""Stories of the offboard core: real datagrams, real training, virtual time."""
+"""The offboard core with real datagrams and real training, in virtual time."""
 
 from dataclasses import dataclass, field, replace
 
@@ -41,7 +41,7 @@ def status(flying: int, receiver: FeatureReceiver) -> Status:
 
 @dataclass
 class Onboard:
-    """The other end of the wire: sends samples and status, takes in features and flies them at once."""
+    """The onboard side: sends samples and status, receives features and uses them at once."""
 
     session: int = 1
     flying: int = 0
@@ -80,7 +80,7 @@ class Log:
 def fly(
     core: OffboardCore, onboard: Onboard, batches: list[SampleBatch], start_ns: int = START_NS, loss: float = 0.0
 ) -> Log:
-    """Steps of 20 ms; a batch each 100 ms, status five times a second; a training job takes one step."""
+    """Steps of 20 ms, a batch every 100 ms, status five times a second; a training job takes one step."""
     rng = np.random.default_rng(5)
     log, now_ns, job, pending = Log(), start_ns, None, list(batches)
     step = 0
@@ -125,7 +125,7 @@ def test_learns_a_jet_and_sends_versions_that_explain_it() -> None:
     assert set(log.versions) == {features.version for features in onboard.received}
 
 
-def test_a_round_without_any_held_out_sample_is_flown_and_sends_nothing() -> None:
+def test_a_round_without_held_out_samples_sends_nothing() -> None:
     core = OffboardCore(offboard_config(trainer={"minimum_samples": 8}), 7, None)
     for batch in figure8_through_jet(10.0).batches():
         core.learner.receive(batch)
@@ -137,7 +137,7 @@ def test_a_round_without_any_held_out_sample_is_flown_and_sends_nothing() -> Non
     pytest.fail("no round")
 
 
-def test_same_flight_same_bytes() -> None:
+def test_the_same_flight_gives_the_same_losses() -> None:
     batches = figure8_through_jet(4.0).batches()
     checkpoints = [fly(OffboardCore(offboard_config(), 7, None), Onboard(), batches) for _ in range(2)]
     first, second = (log.of(TRAINING) for log in checkpoints)
@@ -167,7 +167,7 @@ def test_one_job_at_a_time() -> None:
     assert core.step(START_NS + 10**10).job is None
 
 
-def test_onboard_restart_gets_the_latest_version_again() -> None:
+def test_a_restarted_onboard_receives_the_latest_version_again() -> None:
     core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
     fly(core, onboard, figure8_through_jet(7.0).batches())
     assert onboard.received
@@ -178,7 +178,7 @@ def test_onboard_restart_gets_the_latest_version_again() -> None:
     assert fresh.received[0].version > onboard.flying
 
 
-def test_restarted_trainer_goes_on_with_the_same_buffer_version_and_loss() -> None:
+def test_a_restarted_core_continues_with_the_same_buffer_version_and_loss() -> None:
     flight = figure8_through_jet(14.0)
     batches = flight.batches()
     core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
@@ -214,7 +214,7 @@ def test_warm_start_in_frozen_mode_flies_what_was_loaded_and_trains_nothing() ->
     assert np.array_equal(original.last_layer, loaded.last_layer)
 
 
-def test_what_cannot_be_sent_is_told_once_and_the_rest_goes_on() -> None:
+def test_a_version_that_cannot_be_sent_is_reported_once_and_the_core_continues() -> None:
     core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
     log = fly(core, onboard, figure8_through_jet(7.0).batches())
     flying, latest = onboard.flying, core.learner.latest
@@ -224,13 +224,13 @@ def test_what_cannot_be_sent_is_told_once_and_the_rest_goes_on() -> None:
     core.learner.latest = replace(latest, position=huge)
     fresh = Onboard(session=2)
     again = fly(core, fresh, figure8_through_jet(2.0, seed=3).batches(first_index=10**6), start_ns=START_NS + 10**10)
-    told = [text for _, text in again.events if "cannot be sent: a parameter of 1e+07 is too large" in text]
-    assert len(told) <= 1 + len(again.versions), "not at every step"
-    assert told
+    reported = [text for _, text in again.events if "cannot be sent: a parameter of 1e+07 is too large" in text]
+    assert len(reported) <= 1 + len(again.versions), "not at every step"
+    assert reported
     assert flying in log.versions
 
 
-def test_poses_that_are_all_late_alike_mean_that_a_clock_has_jumped() -> None:
+def test_poses_that_are_all_late_by_the_same_time_mean_a_clock_jump() -> None:
     relay = PoseRelay(offboard_config().pose_relay)
     codec = mavlink.MAVLink(None, srcSystem=1)
 
@@ -241,11 +241,11 @@ def test_poses_that_are_all_late_alike_mean_that_a_clock_has_jumped() -> None:
 
     assert all(receive(10 * i, 5) for i in range(50))
     held_up = [receive(500 + 10 * i, 60 + 3 * (i % 20)) for i in range(100)]
-    assert not any(held_up), "late by this and by that: held up, and not relayed as if it were new"
+    assert not any(held_up), "late by varying times: delayed on the way, and not relayed as if new"
     assert relay.rejected["late"] == 100
     assert receive(1500, 5) is not None
     jumped = [receive(1510 + 10 * i, 305) for i in range(100)]
     assert not any(jumped[:49])
-    assert all(jumped[49:]), "half a second late by the same: the clock"
+    assert all(jumped[49:]), "all late by the same time: a clock has jumped"
     assert jumped[-1] is not None
     assert jumped[-1].time_ns == pytest.approx((1510 + 990 + 305 - 10) * MS, abs=MS)

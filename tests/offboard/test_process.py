@@ -1,4 +1,4 @@
-"""The offboard process: which vehicles it serves, that one does not cost the others, and what it refuses."""
+"""The offboard process: which vehicles it serves, that failures of one do not affect the others, what it refuses."""
 
 import argparse
 import socket
@@ -16,7 +16,7 @@ from tests.experiments.processes import on_ports
 
 
 class Service:
-    """Counts its steps; asks to end after so many, or fails in every one."""
+    """Counts its steps; requests the end after `steps`, or fails in every step."""
 
     def __init__(self, stop: Any, steps: int, failing: bool = False) -> None:
         self.sockets = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM),)
@@ -42,7 +42,7 @@ class Service:
         return self.ends_well
 
 
-def test_a_vehicle_given_up_does_not_cost_the_others() -> None:
+def test_the_others_are_served_after_a_vehicle_is_given_up() -> None:
     stop: Any = SimpleNamespace(count=0)
     services: Any = [Service(stop, 2, failing=True), Service(stop, 5)]
     assert serve(services, stop) == 1
@@ -57,13 +57,13 @@ def test_all_given_up_ends_the_process() -> None:
     assert [service.steps for service in services] == [2, 3]
 
 
-def test_nothing_went_wrong_is_status_0() -> None:
+def test_the_status_is_0_without_failures() -> None:
     stop: Any = SimpleNamespace(count=0)
     service: Any = Service(stop, 3)
     assert serve([service], stop) == 0
 
 
-def test_a_bad_end_is_status_1_and_the_others_end_too() -> None:
+def test_a_failed_end_gives_status_1_and_the_others_end_too() -> None:
     stop: Any = SimpleNamespace(count=0)
     services: Any = [Service(stop, 3), Service(stop, 3)]
     services[0].ends_well = False
@@ -89,14 +89,14 @@ def test_several_vehicles_need_their_own_number_and_addresses(
     first = configuration(tmp_path / "first.yaml", 1, 18000)
     twin = configuration(tmp_path / "twin.yaml", 1, 18020)
     neighbour = configuration(tmp_path / "neighbour.yaml", 2, 18000)
-    said = refused(capfd, "--config", first, "--also", twin, "--out", tmp_path)
-    assert "twin.yaml: offboard.vehicle_id: 1 is used by" in said
-    said = refused(capfd, "--config", first, "--also", neighbour, "--out", tmp_path)
-    assert "neighbour.yaml: network." in said
-    assert "is used by" in said
+    message = refused(capfd, "--config", first, "--also", twin, "--out", tmp_path)
+    assert "twin.yaml: offboard.vehicle_id: 1 is used by" in message
+    message = refused(capfd, "--config", first, "--also", neighbour, "--out", tmp_path)
+    assert "neighbour.yaml: network." in message
+    assert "is used by" in message
 
 
-def test_options_for_one_vehicle_are_refused_beside_also(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_options_for_one_vehicle_are_refused_with_also(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = configuration(tmp_path / "first.yaml", 1, 18000)
     second = configuration(tmp_path / "second.yaml", 2, 18020)
     assert "--also: needs --config" in refused(capfd, "--onboard", "127.0.0.1:14571", "--also", second)
@@ -109,11 +109,11 @@ def test_options_for_one_vehicle_are_refused_beside_also(tmp_path: Path, capfd: 
     assert "vehicle_2/checkpoint.npz: " in refused(capfd, *both, "--resume", tmp_path)
 
 
-def test_an_address_in_use_is_named_as_the_file_names_it(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_address_in_use_is_named_by_its_key_in_the_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = configuration(tmp_path / "first.yaml", 1, 18040)
     second = configuration(tmp_path / "second.yaml", 2, 18060)
     address = load_network(second, {}).offboard_link
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", int(address.rpartition(":")[2])))
-        said = refused(capfd, "--config", first, "--also", second, "--out", tmp_path)
-    assert said.startswith(f"network.offboard_link: {address} is in use")
+        message = refused(capfd, "--config", first, "--also", second, "--out", tmp_path)
+    assert message.startswith(f"network.offboard_link: {address} is in use")

@@ -1,4 +1,4 @@
-"""Messages and feature sets that the protocol's tests share."""
+"""Messages and feature sets for the tests of the protocol."""
 
 from collections.abc import Callable
 

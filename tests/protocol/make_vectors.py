@@ -1,4 +1,4 @@
-"""Writes tests/vectors/protocol_v1.json: datagrams and feature sets with the values they stand for.
+"""Writes tests/vectors/protocol_v1.json: datagrams and feature sets with their values.
 
 Run `python tests/protocol/make_vectors.py` after a change of the protocol's version, never to make a test pass.
 """
@@ -22,7 +22,7 @@ SESSIONS: Final[dict[Role, int]] = {"onboard": 0x018C_BAF6_1400_0001, "offboard"
 
 
 def counting(*shape: int) -> Any:
-    """Values that float16 and float32 hold exactly: 0, 1/8, 2/8, ..."""
+    """Values that are exact in float16 and float32: 0, 1/8, 2/8, ..."""
     return (np.arange(np.prod(shape)) / 8.0).reshape(shape)
 
 
@@ -60,7 +60,7 @@ def plain(value: Any) -> Any:
 
 
 def content() -> dict[str, Any]:
-    """Everything the file holds."""
+    """The content of the file."""
     datagrams = []
     for key in (KEY, None):
         for role, sent in messages().items():
@@ -85,7 +85,7 @@ def content() -> dict[str, Any]:
 
 
 def digest() -> str:
-    """Digest of the float16 feature set, as its chunks carry it."""
+    """Digest of the float16 feature set, as in its chunks."""
     chunk = messages()["offboard"][0]
     assert isinstance(chunk, FeatureChunk)
     return chunk.digest.hex()

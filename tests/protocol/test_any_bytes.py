@@ -28,14 +28,14 @@ bodies = st.binary(max_size=1300) | trees.map(msgpack.packb) | st.lists(trees, m
 
 
 def seal(role: Role, header: tuple[int, ...], body: bytes) -> bytes:
-    """A genuine datagram from the peer of `role`, whatever its content."""
+    """A genuine datagram from the peer of `role`, with any content."""
     signed = HEADER.pack(*header) + body
     person = b"async-dmrac down" if role == "onboard" else b"async-dmrac up"
     return signed + hashlib.blake2b(signed, digest_size=16, key=KEY, person=person).digest()
 
 
 def hear(endpoint: Endpoint, datagram: bytes, now_ns: int) -> None:
-    """Decodes and checks that the outcome is in the books."""
+    """Decode, and check that the outcome was counted."""
     before = endpoint.statistics.rejected_total + endpoint.statistics.duplicate
     message = endpoint.decode(datagram, now_ns)
     counted = endpoint.statistics.rejected_total + endpoint.statistics.duplicate - before
@@ -63,43 +63,43 @@ def fuzz(messages: Messages, cases: int, seed: int) -> None:
         endpoint, peer = Endpoint(role, 1, KEY), Endpoint(peer_role, 2, KEY)  # type: ignore[arg-type]
         templates = [peer.encode(message, 10) for message in sent]
         for case in range(cases // 2):
-            datagram = spoil(templates[case % len(templates)], rng)
+            datagram = corrupt(templates[case % len(templates)], rng)
             if case % 4 < 3 and len(datagram) >= 44:
                 header = list(HEADER.unpack_from(datagram))
-                if case % 4 < 2:  # past the header checks and into msgpack
+                if case % 4 < 2:  # passes the header checks and reaches msgpack
                     header[:5] = 1, templates[case % len(templates)][1], 1, 2, case
                 datagram = seal(role, tuple(header), datagram[HEADER.size : -16])  # type: ignore[arg-type]
             hear(endpoint, datagram, case * 1_000_000)
 
 
-def spoil(datagram: bytes, rng: np.random.Generator) -> bytes:
-    spoilt = bytearray(datagram)
+def corrupt(datagram: bytes, rng: np.random.Generator) -> bytes:
+    corrupted = bytearray(datagram)
     for place in rng.random(size=rng.integers(1, 4)):
-        at = int(place * len(spoilt))
+        at = int(place * len(corrupted))
         kind = rng.integers(0, 6)
-        if kind < 3 and spoilt:
-            spoilt[at] = rng.integers(0, 256)
+        if kind < 3 and corrupted:
+            corrupted[at] = rng.integers(0, 256)
         elif kind == 3:
-            del spoilt[at : at + int(rng.integers(1, 9))]
+            del corrupted[at : at + int(rng.integers(1, 9))]
         elif kind == 4:
-            spoilt[at:at] = rng.bytes(int(rng.integers(1, 9)))
+            corrupted[at:at] = rng.bytes(int(rng.integers(1, 9)))
         else:
-            del spoilt[at:]
-    return bytes(spoilt)
+            del corrupted[at:]
+    return bytes(corrupted)
 
 
-def test_ten_thousand_spoilt_datagrams(all_messages: Messages) -> None:
+def test_ten_thousand_corrupted_datagrams(all_messages: Messages) -> None:
     fuzz(all_messages, 10_000, seed=1)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("seed", range(10))
-def test_a_million_spoilt_datagrams(all_messages: Messages, seed: int) -> None:
+def test_a_million_corrupted_datagrams(all_messages: Messages, seed: int) -> None:
     fuzz(all_messages, 100_000, seed=100 + seed)
 
 
 def fault_of(data: bytes) -> str:
-    """Why these bytes are no feature set; empty when they are one."""
+    """The reason why these bytes are not a feature set; empty if they are one."""
     try:
         decode_feature_set(data)
     except ProtocolError as error:
@@ -107,12 +107,12 @@ def fault_of(data: bytes) -> str:
     return ""
 
 
-def test_a_spoilt_feature_set(make_features: Callable[..., FeatureSet]) -> None:
+def test_a_corrupted_feature_set(make_features: Callable[..., FeatureSet]) -> None:
     rng = np.random.default_rng(2)
     data = encode_feature_set(make_features(), "float16")
-    head = data[:150]  # where the structure is; behind it are parameters
+    head = data[:150]  # the structure; parameters follow
     for _ in range(2000):
-        assert fault_of(spoil(head, rng) + data[150:]) in REFUSALS
+        assert fault_of(corrupt(head, rng) + data[150:]) in REFUSALS
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])

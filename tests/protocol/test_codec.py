@@ -24,7 +24,7 @@ def assert_same(one: Any, other: Any) -> None:
             assert a == b, field.name
 
 
-def test_a_message_survives_its_bytes(any_message: Message) -> None:
+def test_a_message_is_the_same_after_encoding_and_decoding(any_message: Message) -> None:
     assert_same(decode_body(TYPE_NUMBERS[type(any_message)], encode_body(any_message)), any_message)
 
 
@@ -95,7 +95,9 @@ def test_a_batch_that_is_not_finite_cannot_be_made() -> None:
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [("float32", 1e-7), ("float16", 1e-3)])
-def test_a_feature_set_survives_its_bytes(make_features: Make, dtype: Any, tolerance: float) -> None:
+def test_a_feature_set_is_the_same_after_encoding_and_decoding(
+    make_features: Make, dtype: Any, tolerance: float
+) -> None:
     features = make_features(version=5)
     back = decode_feature_set(encode_feature_set(features, dtype))
     assert (back.version, back.parent, back.samples) == (5, 4, 1000)
@@ -106,7 +108,7 @@ def test_a_feature_set_survives_its_bytes(make_features: Make, dtype: Any, toler
         np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance * 1e-3)
         assert a.dtype == np.float64
     np.testing.assert_allclose(back.position.offset, features.position.offset, rtol=1e-7)
-    assert encode_feature_set(back, dtype) == encode_feature_set(features, dtype), "rounding once is rounding for good"
+    assert encode_feature_set(back, dtype) == encode_feature_set(features, dtype), "rounding twice changes nothing more"
 
 
 def test_a_feature_set_may_cover_one_channel(make_features: Make) -> None:
@@ -177,7 +179,7 @@ def test_no_feature_set_at_all(data: bytes) -> None:
 
 
 def test_every_form_that_msgpack_has_for_a_value_is_taken() -> None:
-    """Another language's library need not choose the shortest one."""
+    """A library of another language may not use the shortest form."""
     longest = b"\xdd\x00\x00\x00\x05" + b"".join(b"\xd3" + value.to_bytes(8, "big") for value in (1, 0, 8))
     longest += b"\xc6\x00\x00\x00\x10" + bytes(16) + b"\xc6\x00\x00\x00\x01x"
     assert decode_body(65, longest) == FeatureChunk(1, 0, 8, bytes(16), b"x")

@@ -38,7 +38,7 @@ def test_messages_get_through(key: bytes | None, all_messages: tuple[tuple[Messa
 
 
 def forge(onboard: Endpoint, offboard: Endpoint, change: Callable[[bytearray], None], key: bytes | None) -> None:
-    """Hands onboard a datagram of offboard's that was changed and, if `key` is given, signed again."""
+    """Give onboard a datagram of offboard that was changed and, if `key` is given, signed again."""
     datagram = bytearray(offboard.encode(POSE, S))
     change(datagram)
     if key is not None:
@@ -89,7 +89,7 @@ def not_unit(datagram: bytearray) -> None:
         (not_unit, KEY, "value"),
     ],
 )
-def test_what_is_wrong_is_counted_by_reason(
+def test_invalid_datagrams_are_counted_by_reason(
     change: Callable[[bytearray], None], key: bytes | None, reason: str
 ) -> None:
     onboard, offboard = ends()
@@ -98,11 +98,11 @@ def test_what_is_wrong_is_counted_by_reason(
     assert onboard.decode(offboard.encode(POSE, S), S) is not None
 
 
-def test_a_datagram_thrown_back_is_not_genuine() -> None:
+def test_a_datagram_sent_back_to_its_sender_is_not_genuine() -> None:
     onboard, other = Endpoint("onboard", 5, KEY), Endpoint("onboard", 6, KEY)
     datagram = onboard.encode(TimeSyncRequest(1), 1)
     assert other.decode(datagram, 1) is None
-    # even where the type is one that goes down, the direction is part of the MAC
+    # the direction is part of the MAC, also for a type that is sent down
     header = HEADER.pack(1, 66, 1, 1 << 41, 0, 0)
     signed = header + encode_body(POSE)
     mac = hashlib.blake2b(signed, digest_size=16, key=KEY, person=b"async-dmrac up").digest()
@@ -136,7 +136,7 @@ def test_loss_reordering_and_duplicates_are_counted() -> None:
     assert statistics.age_ns(100 * MS) == 10 * MS
 
 
-def test_a_late_start_is_no_loss_but_an_earlier_datagram_still_counts() -> None:
+def test_a_late_start_is_not_a_loss_but_an_earlier_datagram_still_counts() -> None:
     onboard, offboard = ends()
     datagrams = poses(offboard, 6)
     onboard.decode(datagrams[5], 0)
@@ -156,14 +156,14 @@ def test_the_window_ends() -> None:
     assert onboard.statistics.duplicate == 1
 
 
-def test_a_recording_of_everything_changes_nothing() -> None:
+def test_replaying_a_complete_recording_changes_nothing() -> None:
     onboard, offboard = ends()
     datagrams = poses(offboard, 1000)
     assert all(onboard.decode(datagram, i * 10 * MS) for i, datagram in enumerate(datagrams))
     assert not any(onboard.decode(datagram, 10 * S + i * MS) for i, datagram in enumerate(datagrams))
 
 
-def test_a_restarted_peer_is_accepted_and_its_old_self_is_not() -> None:
+def test_a_restarted_peer_is_accepted_and_its_old_session_is_not() -> None:
     onboard, old = ends()
     recording = poses(old, 20)
     for datagram in recording[:10]:
@@ -182,12 +182,12 @@ def test_a_peer_whose_wall_clock_was_set_back_returns_by_answering() -> None:
     onboard, offboard = ends()
     onboard.decode(offboard.encode(POSE, 0), 0)
     back = Endpoint("offboard", 77, KEY)
-    assert onboard.decode(back.encode(POSE, 0), 5 * S) is None, "an older session does not simply come in"
+    assert onboard.decode(back.encode(POSE, 0), 5 * S) is None, "an older session is not accepted without an answer"
     onboard.encode(TimeSyncRequest(5 * S), 5 * S)
     reply = TimeSyncReply(5 * S, 1, 1)
     assert onboard.decode(back.encode(reply, 1), 5 * S + MS) is not None
     assert onboard.decode(back.encode(POSE, 1), 5 * S + MS) is not None
-    assert onboard.decode(offboard.encode(POSE, 0), 6 * S) is None, "the one it replaced has retired"
+    assert onboard.decode(offboard.encode(POSE, 0), 6 * S) is None, "the session it replaced is retired"
 
 
 def test_an_older_session_does_not_displace_a_living_one() -> None:
@@ -201,7 +201,7 @@ def test_an_older_session_does_not_displace_a_living_one() -> None:
     assert onboard.peer_session == 1 << 41
 
 
-def test_retired_sessions_are_bounded_and_none_is_forgotten_into_life() -> None:
+def test_retired_sessions_are_bounded_and_none_is_accepted_again() -> None:
     onboard, _ = ends()
     for session in range(100, 100 + RETIRED_MAX + 10):
         assert onboard.decode(Endpoint("offboard", session, KEY).encode(POSE, 0), session * 10 * MS) is not None
@@ -242,7 +242,7 @@ def test_the_clock_offset_is_that_of_the_shortest_round_trip() -> None:
     assert onboard.statistics.delay_mean_ns == pytest.approx(70 * MS, rel=0.01)
 
 
-def test_a_jump_of_either_clock_is_found_at_once() -> None:
+def test_a_jump_of_either_clock_is_detected_at_once() -> None:
     onboard, offboard = ends()
     for second in range(5):
         exchange(onboard, offboard, second * S, 10 * S, 5 * MS, 5 * MS)
@@ -251,7 +251,7 @@ def test_a_jump_of_either_clock_is_found_at_once() -> None:
     assert onboard.clock_jumps == 1
 
 
-def test_our_own_clock_may_jump_either_way() -> None:
+def test_the_own_clock_may_jump_in_both_directions() -> None:
     onboard, offboard = ends()
     exchange(onboard, offboard, 100 * S, 10 * S, 5 * MS, 5 * MS)
     for now in (5 * S, 900 * S, 0):
@@ -261,7 +261,7 @@ def test_our_own_clock_may_jump_either_way() -> None:
     assert onboard.statistics.rejected_total == 0
 
 
-def test_a_reply_to_nothing_or_replayed_or_late_moves_no_clock() -> None:
+def test_an_unrequested_replayed_or_late_reply_changes_no_offset() -> None:
     onboard, offboard = ends()
     assert onboard.decode(offboard.encode(TimeSyncReply(5, 900, 900), 900), 6) is None
     onboard.encode(TimeSyncRequest(10), 10)
@@ -270,7 +270,7 @@ def test_a_reply_to_nothing_or_replayed_or_late_moves_no_clock() -> None:
     assert onboard.statistics.rejected["time_sync"] == 2
 
 
-def test_a_restarted_peer_must_answer_anew() -> None:
+def test_a_restarted_peer_must_answer_again() -> None:
     onboard, offboard = ends()
     exchange(onboard, offboard, S, 10 * S, MS, MS)
     assert onboard.clock_offset_ns == 10 * S
@@ -278,17 +278,17 @@ def test_a_restarted_peer_must_answer_anew() -> None:
     assert onboard.clock_offset_ns is None
 
 
-def test_even_a_genuine_flood_is_bounded() -> None:
+def test_a_flood_of_genuine_datagrams_is_limited() -> None:
     onboard, offboard = ends()
     datagrams = [offboard.encode(POSE, 0) for _ in range(5000)]
     taken = sum(onboard.decode(datagram, i * 200_000) is not None for i, datagram in enumerate(datagrams))
     assert RATE_BURST + 1900 < taken <= RATE_BURST + 2001
     assert onboard.statistics.rejected["rate"] == 5000 - taken
-    assert onboard.statistics.lost == 0, "refusing is not losing"
+    assert onboard.statistics.lost == 0, "a refused datagram is not lost"
 
 
 def test_a_forged_datagram_costs_no_more_than_its_mac(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is dear, msgpack and the message itself, is never reached, and nothing is kept."""
+    """The expensive steps, msgpack and the message itself, are not reached, and nothing is stored."""
     onboard, offboard = ends()
     forged = bytearray(offboard.encode(POSE, 0))
     forged[-1] ^= 1
@@ -301,12 +301,12 @@ def test_a_forged_datagram_costs_no_more_than_its_mac(monkeypatch: pytest.Monkey
     assert len(decoded) == 1
 
 
-def test_an_older_session_that_knocks_is_challenged_and_let_in_when_it_answers() -> None:
+def test_an_older_session_is_challenged_and_accepted_when_it_answers() -> None:
     onboard, offboard = ends()
     offboard.decode(onboard.encode(TimeSyncRequest(0), 0), 0)
     recording = onboard.encode(TimeSyncRequest(1), 1)
     back = Endpoint("onboard", 77, KEY)
-    assert offboard.challenge(5 * S) is None, "nobody has knocked"
+    assert offboard.challenge(5 * S) is None, "no older session was refused"
     assert offboard.decode(back.encode(TimeSyncRequest(5), 5), S // 2) is None
     assert offboard.challenge(S // 2) is None, "the current session is not silent yet"
     assert offboard.decode(back.encode(TimeSyncRequest(6), 6), 5 * S) is None
@@ -314,9 +314,11 @@ def test_an_older_session_that_knocks_is_challenged_and_let_in_when_it_answers()
     assert challenge == TimeSyncRequest(5 * S)
     offboard.encode(challenge, 5 * S)
     assert offboard.decode(back.encode(TimeSyncRequest(7), 7), 5 * S + MS) is None
-    assert offboard.challenge(5 * S + MS) is None, "a recording cannot make us talk"
-    assert offboard.decode(back.encode(TimeSyncReply(4 * S, 1, 1), 8), 5 * S + 2 * MS) is None, "not what was asked"
+    assert offboard.challenge(5 * S + MS) is None, "a recording cannot cause a challenge"
+    assert offboard.decode(back.encode(TimeSyncReply(4 * S, 1, 1), 8), 5 * S + 2 * MS) is None, (
+        "not the requested answer"
+    )
     assert offboard.decode(back.encode(TimeSyncReply(5 * S, 1, 1), 9), 5 * S + 3 * MS) is not None
     assert offboard.peer_session == 77
-    assert offboard.decode(recording, 9 * S) is None, "the one it replaced has retired"
+    assert offboard.decode(recording, 9 * S) is None, "the session it replaced is retired"
     assert offboard.challenge(9 * S) is None, "and gets no challenge"

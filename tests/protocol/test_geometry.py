@@ -1,4 +1,4 @@
-"""Quaternion laws, against scipy where it has the same notion."""
+"""Laws of quaternions, compared with scipy where possible."""
 
 import math
 
@@ -61,7 +61,7 @@ def test_the_rotation_vector_is_the_shorter_way_round(q):
     vector = quaternion_to_rotation_vector(q)
     assert math.hypot(*vector) <= math.pi + 1e-12
     np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), scipys(q).as_matrix(), atol=1e-9)
-    assume(abs(q[0]) > 1e-6)  # at half a turn both ways are as short
+    assume(abs(q[0]) > 1e-6)  # at half a turn both directions are equally short
     np.testing.assert_allclose(quaternion_to_rotation_vector(tuple(-x for x in q)), vector, atol=1e-9)
 
 
@@ -92,7 +92,7 @@ def test_attitude_for_thrust_points_down_axis_and_nose(tilt, direction, yaw):
     down = (math.sin(tilt) * math.cos(direction), math.sin(tilt) * math.sin(direction), math.cos(tilt))
     R = scipys(attitude_for_thrust(down, yaw)).as_matrix()
     np.testing.assert_allclose(R[:, 2], down, atol=1e-9)
-    # The right wing is square to the yaw direction, and the nose points along it.
+    # The right wing is perpendicular to the yaw direction, and the nose points along it.
     heading = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     assert abs(R[:, 1] @ heading) < 1e-9
     assert R[:, 0] @ heading > 0.0

@@ -6,7 +6,7 @@ import pytest
 from protocol.keys import KeyFileError, load_key, read_key, write_key
 
 
-def test_a_new_key_is_its_owners_alone(tmp_path: Path) -> None:
+def test_a_new_key_is_readable_only_by_its_owner(tmp_path: Path) -> None:
     path, other = tmp_path / "link.key", tmp_path / "other.key"
     before = os.umask(0)
     try:
@@ -31,7 +31,7 @@ def test_a_key_is_never_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", [0o644, 0o604, 0o640, 0o620, 0o601])
-def test_a_key_others_can_touch_is_refused(tmp_path: Path, mode: int) -> None:
+def test_a_key_accessible_to_others_is_refused(tmp_path: Path, mode: int) -> None:
     path = tmp_path / "link.key"
     write_key(path)
     path.chmod(mode)
@@ -40,7 +40,7 @@ def test_a_key_others_can_touch_is_refused(tmp_path: Path, mode: int) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "abcd", "secret" * 20, "0" * 63, "0" * 65, "g" * 64, "0" * 10_000])
-def test_what_is_no_key_is_not_shown(tmp_path: Path, text: str) -> None:
+def test_an_invalid_key_is_refused_and_not_printed(tmp_path: Path, text: str) -> None:
     path = tmp_path / "link.key"
     path.touch(mode=0o600)
     path.write_text(text)
@@ -49,7 +49,7 @@ def test_what_is_no_key_is_not_shown(tmp_path: Path, text: str) -> None:
     assert not text or text not in str(caught.value)
 
 
-def test_no_file_at_all(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_or_written_raise(tmp_path: Path) -> None:
     with pytest.raises(KeyFileError, match=r"none\.key: cannot be read"):
         read_key(tmp_path / "none.key")
     with pytest.raises(KeyFileError, match="directory"):

@@ -1,4 +1,4 @@
-"""Stories of a feature set on its way, in virtual time. The wire is a list; loss is an index."""
+"""Transfers of feature sets in virtual time. The link is a list; a loss is an index."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,7 +26,7 @@ def status_of(receiver: FeatureReceiver, flying: int = 0) -> Status:
 
 
 class Wire:
-    """A sender and a receiver stepped together; `down` and `up` say whether datagram i gets through."""
+    """A sender and a receiver, stepped together; `down` and `up` return whether datagram i arrives."""
 
     def __init__(self, config: TransferConfig | None = None, status_period_ns: int = 100 * MS) -> None:
         self.sender = FeatureSender(config or TransferConfig())
@@ -58,7 +58,7 @@ class Wire:
             self.step()
 
 
-def test_without_loss_each_chunk_goes_once(make_features: Make) -> None:
+def test_without_loss_each_chunk_is_sent_once(make_features: Make) -> None:
     wire = Wire(TransferConfig(resend_after_s=0.2))
     wire.sender.offer(make_features(), 0)
     assert wire.sender.outstanding_version == 1
@@ -70,7 +70,7 @@ def test_without_loss_each_chunk_goes_once(make_features: Make) -> None:
     assert encode_feature_set(features, "float16") == encode_feature_set(make_features(), "float16")
 
 
-def test_a_lost_chunk_alone_goes_again(make_features: Make) -> None:
+def test_only_a_lost_chunk_is_sent_again(make_features: Make) -> None:
     wire = Wire(TransferConfig(resend_after_s=0.2))
     wire.down = lambda index: index != 3
     wire.sender.offer(make_features(), 0)
@@ -90,7 +90,7 @@ def test_lost_acknowledgements_cost_repeats_but_no_second_delivery(make_features
     assert wire.sender.outstanding_version == 0
 
 
-def test_a_newer_version_overtakes(make_features: Make) -> None:
+def test_a_newer_version_replaces_the_one_being_transferred(make_features: Make) -> None:
     wire = Wire()
     wire.sender.offer(make_features(1), 0)
     wire.run(0.06)
@@ -99,11 +99,11 @@ def test_a_newer_version_overtakes(make_features: Make) -> None:
     wire.run(1.0)
     assert [features.version for _, features in wire.got] == [2]
     late = split(encode_feature_set(make_features(1), "float16"), 1, 1100)
-    assert all(wire.receiver.receive(chunk) is None for chunk in late), "an older one is never taken up again"
+    assert all(wire.receiver.receive(chunk) is None for chunk in late), "an older version is not resumed"
     assert wire.receiver.transfer_version == 2
 
 
-def test_any_order_and_any_number_of_times(make_features: Make) -> None:
+def test_chunks_may_arrive_in_any_order_and_repeatedly(make_features: Make) -> None:
     chunks = split(encode_feature_set(make_features(), "float32"), 1, 1100)
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -112,7 +112,7 @@ def test_any_order_and_any_number_of_times(make_features: Make) -> None:
         assert sum(receiver.receive(chunks[index]) is not None for index in order) == 1
 
 
-def test_silence_is_answered_by_backing_off(make_features: Make) -> None:
+def test_the_sender_backs_off_without_status(make_features: Make) -> None:
     wire = Wire()
     wire.down = wire.up = lambda _: False
     wire.sender.offer(make_features(), 0)
@@ -120,13 +120,13 @@ def test_silence_is_answered_by_backing_off(make_features: Make) -> None:
     per_second = np.histogram([t / S for t, _ in wire.chunks], bins=20, range=(0, 20))[0]
     assert per_second[0] <= 40
     assert per_second[5:].max() <= 9, "one pass of eight in resend_max_s of 1 s"
-    assert per_second[5:].min() >= 7, "but it never gives up"
+    assert per_second[5:].min() >= 7, "but it never stops"
     wire.down = wire.up = lambda _: True
     wire.run(1.2)
     assert len(wire.got) == 1
 
 
-def test_the_pace_holds_however_rarely_it_is_polled(make_features: Make) -> None:
+def test_the_rate_limit_holds_at_any_polling_interval(make_features: Make) -> None:
     sender = FeatureSender(TransferConfig(dtype="float32", chunks_per_second=40.0, chunks_per_poll=4))
     sender.offer(make_features(), 0)
     assert len(sender.poll(0)) == 4
@@ -140,7 +140,7 @@ def test_the_pace_holds_however_rarely_it_is_polled(make_features: Make) -> None
     assert np.diff(times).min() >= 24 * MS
 
 
-def test_a_refusal_ends_the_sending(make_features: Make) -> None:
+def test_a_refusal_ends_the_transfer(make_features: Make) -> None:
     wire = Wire()
     wire.sender.offer(make_features(3), 0)
     wire.step()
@@ -150,7 +150,7 @@ def test_a_refusal_ends_the_sending(make_features: Make) -> None:
     assert wire.sender.next_version == 4
 
 
-def test_a_restarted_sender_numbers_on(make_features: Make) -> None:
+def test_a_restarted_sender_continues_the_version_numbers(make_features: Make) -> None:
     wire = Wire()
     wire.sender.offer(make_features(7), 0)
     wire.run(1.0)
@@ -165,7 +165,7 @@ def test_a_restarted_sender_numbers_on(make_features: Make) -> None:
     assert [features.version for _, features in wire.got] == [7, 8]
 
 
-def test_a_receiver_that_restarts_in_mid_transfer_gets_it_all_again(make_features: Make) -> None:
+def test_a_receiver_that_restarts_during_a_transfer_receives_everything_again(make_features: Make) -> None:
     wire = Wire()
     wire.sender.offer(make_features(), 0)
     wire.down = lambda index: index != 2
@@ -178,7 +178,7 @@ def test_a_receiver_that_restarts_in_mid_transfer_gets_it_all_again(make_feature
     assert wire.sender.outstanding_version == 0
 
 
-def test_reset_forgets_the_versions(make_features: Make) -> None:
+def test_reset_discards_the_versions(make_features: Make) -> None:
     wire = Wire()
     wire.sender.offer(make_features(7), 0)
     wire.run(1.0)
@@ -197,11 +197,11 @@ def refusal_of(chunks: tuple[FeatureChunk, ...]) -> str:
     return REFUSALS[reason]
 
 
-def test_what_is_whole_but_wrong_is_refused_by_name(make_features: Make) -> None:
+def test_a_complete_but_invalid_set_is_refused_with_its_reason(make_features: Make) -> None:
     data = encode_feature_set(make_features(), "float16")
     chunks = split(data, 1, 1100)
-    spoilt = replace(chunks[2], data=b"\x00" + chunks[2].data[1:])
-    assert refusal_of((*chunks[:2], spoilt, *chunks[3:])) == "digest"
+    corrupted = replace(chunks[2], data=b"\x00" + chunks[2].data[1:])
+    assert refusal_of((*chunks[:2], corrupted, *chunks[3:])) == "digest"
     assert refusal_of(split(data[:-1], 1, 1100)) == "undecodable"
     assert refusal_of(split(data, 2, 1100)) == "undecodable"
     assert refusal_of(split(data.replace(b"pitch", b"bitch"), 1, 1100)) == "inputs"
@@ -209,7 +209,7 @@ def test_what_is_whole_but_wrong_is_refused_by_name(make_features: Make) -> None
     assert refusal_of(split(data[: -len(nan)] + nan, 1, 1100)) == "not_finite"
 
 
-def test_chunks_at_odds_with_their_version_are_ignored(make_features: Make) -> None:
+def test_chunks_that_disagree_with_their_version_are_ignored(make_features: Make) -> None:
     chunks = split(encode_feature_set(make_features(), "float16"), 1, 1100)
     receiver = FeatureReceiver()
     receiver.receive(chunks[0])
@@ -228,7 +228,7 @@ def test_memory_is_bounded() -> None:
     assert len(receiver._pieces) == CHUNK_COUNT_MAX - 1
 
 
-def test_too_much_to_split() -> None:
+def test_a_set_with_too_many_chunks_raises() -> None:
     with pytest.raises(ValueError, match="allowed are 64"):
         split(bytes(64 * 1100 + 1), 1, 1100)
 
@@ -240,7 +240,7 @@ def chance(rng: np.random.Generator, loss: float) -> Callable[[int], bool]:
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
 @pytest.mark.parametrize("loss", [0.0, 0.3, 0.5])
 def test_delivery_in_time(make_features: Make, dtype: str, loss: float) -> None:
-    """At 50 % loss each way a pair of 6-32-32-20 networks is there within 2 s, at the default pace."""
+    """At 50 % loss each way, a pair of 6-32-32-20 networks arrives within 2 s at the default rate."""
     times = []
     for seed in range(30):
         rng = np.random.default_rng([5, seed])
@@ -254,7 +254,7 @@ def test_delivery_in_time(make_features: Make, dtype: str, loss: float) -> None:
 
 
 @pytest.mark.parametrize("loss", [0.9, 0.97])
-def test_even_a_terrible_link_delivers_in_the_end(make_features: Make, loss: float) -> None:
+def test_a_very_lossy_link_delivers_eventually(make_features: Make, loss: float) -> None:
     rng = np.random.default_rng(3)
     wire = Wire()
     wire.down = wire.up = chance(rng, loss)
@@ -263,7 +263,7 @@ def test_even_a_terrible_link_delivers_in_the_end(make_features: Make, loss: flo
     assert wire.got
 
 
-def test_what_float16_cannot_hold_travels_in_float32(make_features: Make) -> None:
+def test_a_parameter_too_large_for_float16_is_sent_in_float32(make_features: Make) -> None:
     features = make_features()
     channel = features.position or features.attitude
     assert channel is not None

@@ -1,4 +1,4 @@
-"""The shipped test vectors against the codec, and against a second reader written from docs/protocol.md alone.
+"""The test vectors, compared with the codec and with a second reader written only from docs/protocol.md.
 
 The reader below shares no code with the package; it stands for an implementation in another language.
 """

@@ -1,4 +1,4 @@
-"""Which flight a process is to fly: from a file, or from a vehicle's and a peer's addresses alone."""
+"""The flight of a process: from a file, or from the addresses of vehicle and peer alone."""
 
 import argparse
 from pathlib import Path
@@ -56,10 +56,10 @@ def test_controller_scenario_and_values_can_be_chosen() -> None:
         "127.0.0.2:1234",
         "127.0.0.1:9",
     )
-    assert network.onboard_vehicle == "127.0.0.1:14561", "nothing is to be heard from the network"
+    assert network.onboard_vehicle == "127.0.0.1:14561", "nothing is received from the network"
 
 
-def test_beyond_this_machine_a_key_is_needed_and_everybody_is_heard() -> None:
+def test_with_another_machine_a_key_is_required_and_all_interfaces_are_bound() -> None:
     with pytest.raises(ConfigError, match=r"--onboard 10\.0\.0\.2:14571: network: .*key_file.*dmrac keygen"):
         offboard("--onboard", "10.0.0.2:14571")
     network = offboard("--onboard", "10.0.0.2:14571", "--key-file", "link.key").network
@@ -69,7 +69,7 @@ def test_beyond_this_machine_a_key_is_needed_and_everybody_is_heard() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("", r"^--vehicle URL and --offboard HOST:PORT missing; .* --config FILE"),
         ("--vehicle udp://10.0.0.9:1", r"^--offboard HOST:PORT missing"),
@@ -90,16 +90,16 @@ def test_beyond_this_machine_a_key_is_needed_and_everybody_is_heard() -> None:
         ("--config none.yaml", r"^none\.yaml: cannot be read"),
     ],
 )
-def test_what_does_not_make_a_flight_is_named_in_one_line(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_invalid_options_give_one_line(
+    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=said) as error:
+    with pytest.raises(ConfigError, match=message) as error:
         onboard(*words.split())
     assert "\n" not in str(error.value)
 
 
-def test_a_file_holds_everything_and_options_overrule_its_addresses(tmp_path: Path) -> None:
+def test_a_file_contains_everything_and_options_overrule_its_addresses(tmp_path: Path) -> None:
     path = tmp_path / "flight.yaml"
     path.write_text(resolve("hover", Choices("pid")).to_yaml(), encoding="utf-8")
     flight = onboard("--config", str(path), "--vehicle", "udp://127.0.0.1:15560")

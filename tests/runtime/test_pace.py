@@ -1,4 +1,4 @@
-"""The pace keeper on a clock of the test's own."""
+"""The pace keeper with an artificial clock."""
 
 import itertools
 
@@ -11,7 +11,7 @@ PERIOD = 5_000_000
 
 
 class World:
-    """A clock that only sleeping and looking move."""
+    """A clock that advances only when it is read and in sleep."""
 
     def __init__(self, oversleep_ns: int = 0, look_ns: int = 50) -> None:
         self.now = 1_000_000_000
@@ -61,7 +61,7 @@ def test_spin_wakes_at_the_deadline_although_sleep_is_late() -> None:
         assert pace.lateness_ns <= 2 * world.look_ns
 
 
-def test_waking_early_is_waited_out() -> None:
+def test_after_waking_early_the_keeper_waits_for_the_deadline() -> None:
     world = World(oversleep_ns=-100_000)
     pace = keeper(world)
     for _ in range(5):
@@ -89,5 +89,5 @@ def test_quantiles_are_exact_to_a_microsecond() -> None:
     assert statistics.summary() == {"p50": 51.0, "p99": 100.0, "max": 90000.0}
 
 
-def test_quantiles_of_nothing_are_zero() -> None:
+def test_quantiles_without_durations_are_zero() -> None:
     assert DurationStatistics().summary() == {"p50": 0.0, "p99": 0.0, "max": 0.0}

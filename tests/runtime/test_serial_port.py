@@ -1,4 +1,4 @@
-"""A serial line, played by a pair of pseudo-terminals: frames across it, and what may go wrong with a line."""
+"""The serial port, on a pair of pseudo-terminals: frames in both directions, and errors of the line."""
 
 import os
 import pty
@@ -15,7 +15,7 @@ from runtime.serial_port import WAITING_MAX, SerialPort
 
 @pytest.fixture
 def line():
-    """(the far end's descriptor, our port)."""
+    """(descriptor of the other end, port under test)."""
     far, near = pty.openpty()
     port = SerialPort("vehicle", os.ttyname(near), 921600, FrameStream().feed)
     os.close(near)
@@ -39,7 +39,7 @@ def wait_for(receive, count):
 
 def test_frames_cross_the_line_both_ways_byte_for_byte(line):
     far, port = line
-    sent = [heartbeat(number) for number in range(256)]  # every byte value, control characters too
+    sent = [heartbeat(number) for number in range(256)]  # every byte value, including control characters
     for frame in sent[:20]:
         for byte in frame:
             os.write(far, bytes([byte]))
@@ -57,13 +57,13 @@ def test_frames_cross_the_line_both_ways_byte_for_byte(line):
     assert (port.received, port.sent, port.unsent) == (20, 40, 0)
 
 
-def test_nothing_to_read_is_no_wait_and_no_failure(line):
+def test_reading_without_data_neither_waits_nor_fails(line):
     _, port = line
     assert port.receive(8) == []
     assert not port.hung_up
 
 
-def test_at_most_so_many_frames_at_once_and_the_rest_later(line):
+def test_receive_returns_at_most_the_limit_and_the_rest_later(line):
     far, port = line
     os.write(far, b"".join(heartbeat(number) for number in range(10)))
     time.sleep(0.01)
@@ -82,7 +82,7 @@ def test_frames_that_are_not_fetched_are_bounded():
     os.close(near)
 
 
-def test_a_full_line_loses_whole_frames_only(line):
+def test_a_full_line_loses_only_complete_frames(line):
     far, port = line
     frame = heartbeat(5)
     for _ in range(20_000):
@@ -96,12 +96,12 @@ def test_a_full_line_loses_whole_frames_only(line):
         try:
             got += len(stream.feed(os.read(far, 4096)))
         except BlockingIOError:
-            port.send(frame)  # brings out the rest of the frame that was half out
+            port.send(frame)  # sends the rest of the incomplete frame
     assert got > 0
     assert not stream.skipped
 
 
-def test_a_pulled_plug_is_noted_and_raises_nothing():
+def test_an_unplugged_device_is_noted_and_raises_nothing():
     far, near = pty.openpty()
     port = SerialPort("vehicle", os.ttyname(near), 115200, FrameStream().feed)
     os.close(near)
@@ -114,13 +114,13 @@ def test_a_pulled_plug_is_noted_and_raises_nothing():
 
 
 @pytest.mark.parametrize(
-    ("device", "baud", "said"),
+    ("device", "baud", "message"),
     [
         ("/dev/does-not-exist", 115200, "cannot be opened: No such file"),
         ("/dev/null", 115200, "not a serial port"),
         ("/dev/null", 123, "123 baud is not supported; allowed are"),
     ],
 )
-def test_a_line_that_cannot_be_used_is_named(device, baud, said):
-    with pytest.raises(StartError, match=said):
+def test_a_port_that_cannot_be_used_is_named(device, baud, message):
+    with pytest.raises(StartError, match=message):
         SerialPort("vehicle", device, baud, FrameStream().feed)

@@ -1,4 +1,4 @@
-"""Datagram sockets: bounded, filtered, never waiting, and clear about an address that is taken."""
+"""Datagram sockets: limited, filtered, non-blocking, and with a clear message for an address in use."""
 
 import pytest
 
@@ -24,7 +24,7 @@ def test_carries_datagrams_in_order_and_stops_at_the_limit(pair) -> None:
     assert (second.sent, first.received) == (5, 5)
 
 
-def test_hears_its_peer_only(pair) -> None:
+def test_receives_only_from_its_peer(pair) -> None:
     _, second = pair
     stranger = DatagramSocket("stranger", "127.0.0.1:0", second.local_address)
     stranger.send(b"rubbish")
@@ -32,7 +32,7 @@ def test_hears_its_peer_only(pair) -> None:
     stranger.close()
 
 
-def test_an_absent_peer_is_no_fault_and_is_found_when_it_comes() -> None:
+def test_an_absent_peer_is_not_an_error_and_is_found_later() -> None:
     gone = DatagramSocket("gone", "127.0.0.1:0", None)
     address = gone.local_address
     gone.close()
@@ -47,7 +47,7 @@ def test_an_absent_peer_is_no_fault_and_is_found_when_it_comes() -> None:
     back.close()
 
 
-def test_a_taken_address_is_named_with_what_to_do(pair) -> None:
+def test_an_address_in_use_is_named_with_the_remedy(pair) -> None:
     first, _ = pair
     with pytest.raises(AddressInUseError, match=rf"network\.vehicle: {first.local_address} is in use.*--set network"):
         require_free({"vehicle": first.local_address})
@@ -58,12 +58,12 @@ def test_an_address_of_another_machine_is_named() -> None:
         require_free({"vehicle": "192.0.2.1:14560"})
 
 
-def test_a_host_that_nobody_knows_is_named_with_what_to_give() -> None:
+def test_an_unknown_host_is_named_with_the_remedy() -> None:
     with pytest.raises(AddressInUseError, match=r"--bind-link: .* \(towards no-such-host\.invalid:1\).*IPv4 address"):
         DatagramSocket("--bind-link", "127.0.0.1:0", "no-such-host.invalid:1")
 
 
-def test_a_taken_address_that_was_given_as_an_option_names_the_option(pair) -> None:
+def test_an_address_in_use_that_an_option_set_is_named_by_the_option(pair) -> None:
     first, _ = pair
     with pytest.raises(AddressInUseError, match=r"--bind: .* is in use .* with --bind HOST:PORT$"):
         DatagramSocket("--bind", first.local_address, None)

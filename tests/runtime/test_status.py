@@ -1,4 +1,4 @@
-"""Status lines never wait, whoever reads them."""
+"""Writing status lines never waits."""
 
 import json
 import os
@@ -10,7 +10,7 @@ from runtime.files import write_json
 from runtime.status import StatusLines
 
 
-def test_a_reader_that_does_not_read_costs_lines_not_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_does_not_read_loses_lines_and_costs_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
     reader, writer = os.pipe()
     with os.fdopen(writer, "w") as pipe, monkeypatch.context() as patch:
         patch.setattr("sys.stdout", pipe)
@@ -31,7 +31,7 @@ def test_due_at_most_three_times_a_second(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert len(times) == 3
 
 
-def test_summaries_hold_numpy_numbers_and_replace_whole(tmp_path: Path) -> None:
+def test_summaries_accept_numpy_values_and_replace_the_file_atomically(tmp_path: Path) -> None:
     numpy = pytest.importorskip("numpy")
     path = tmp_path / "summary.json"
     write_json(path, {"a": 1})

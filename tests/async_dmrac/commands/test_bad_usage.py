@@ -1,4 +1,4 @@
-"""Bad usage: one line that names what was typed and what is allowed, status 2, nothing started and nothing left."""
+"""Bad usage gives one line with the input and what is allowed, and status 2; nothing is started or left behind."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from flight_log import viewer
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("fly nowhere", "unknown scenario 'nowhere': allowed are blackout, "),
         ("fly --controller magic", "unknown controller 'magic': allowed are bias, "),
@@ -33,12 +33,12 @@ from flight_log import viewer
     ],
 )
 def test_bad_usage_is_one_line(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
     captured = capsys.readouterr()
-    assert said in captured.err
+    assert message in captured.err
     assert captured.err.startswith(f"dmrac {words.split()[0]}: ")
     assert captured.err.count("\n") == 1
     assert captured.out == ""

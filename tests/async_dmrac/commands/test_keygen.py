@@ -8,7 +8,7 @@ from async_dmrac.command_line import main
 from protocol.keys import read_key
 
 
-def test_keygen_makes_a_key_once_and_shows_it_never(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_keygen_makes_a_key_once_and_never_prints_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "link.key"
     assert main(["keygen", str(path)]) == 0
     key = read_key(path)
@@ -19,7 +19,7 @@ def test_keygen_makes_a_key_once_and_shows_it_never(tmp_path: Path, capsys: pyte
     assert key.hex() not in shown
 
 
-def test_a_passphrase_becomes_the_key_that_ground_stations_make_of_it(
+def test_a_passphrase_gives_the_same_key_as_in_ground_stations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "ground.key"

@@ -1,4 +1,4 @@
-"""The buffer: bounded, spread out, and up to date where the vehicle flies."""
+"""The buffer: bounded, diverse, and updated where the vehicle flies."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def fill(kept: NoveltyBuffer, n: int = 400, seed: int = 0) -> None:
 
 @pytest.mark.parametrize("admission", ["kernel", "history"])
 @pytest.mark.parametrize("deletion", ["svd", "fifo"])
-def test_capacity_holds_and_rows_are_whole(admission: str, deletion: str) -> None:
+def test_capacity_is_never_exceeded_and_rows_are_consistent(admission: str, deletion: str) -> None:
     kept = buffer(admission=admission, deletion=deletion)
     fill(kept)
     rows = kept.rows()
@@ -71,7 +71,7 @@ def test_a_hovering_vehicle_does_not_fill_the_buffer_but_refreshes_it() -> None:
     assert youngest > 2000 - 3 * CONFIG.buffer.refresh_age_s / 0.02
 
 
-def test_fifo_gives_up_the_oldest() -> None:
+def test_fifo_replaces_the_oldest() -> None:
     kept = buffer(deletion="fifo", refresh_age_s=1e6)
     for index in range(40):
         kept.consider(sample(index, 3.0 * index), TRAINING)
@@ -115,7 +115,7 @@ def test_splits_are_by_block_and_in_proportion() -> None:
     assert splits.count(VALIDATION) == 400
     assert splits.count(TEST) == 100
     places = {block % 10 for block, split in enumerate(splits) if split == VALIDATION}
-    assert places == set(range(10))  # no lap of ten blocks holds out the same stretch for ever
+    assert places == set(range(10))  # no lap of ten blocks always holds out the same stretch
     assert splits == [split_of_block(block, 1, 5, 4) for block in range(2000)]
     assert splits != [split_of_block(block, 2, 5, 4) for block in range(2000)]
 

@@ -34,7 +34,7 @@ def test_an_experience_survives_the_file_bit_for_bit(saved: bytes) -> None:
     assert again.experience() == saved
 
 
-def test_the_next_round_after_a_restart_is_the_one_that_would_have_been(saved: bytes) -> None:
+def test_the_next_round_after_a_restart_is_the_same_as_without_it(saved: bytes) -> None:
     results = []
     for _ in range(2):
         learner = VehicleLearner(offboard_config())
@@ -48,7 +48,7 @@ def test_the_next_round_after_a_restart_is_the_one_that_would_have_been(saved: b
     assert results[0].state.steps > results[0].state.rounds > 1
 
 
-def test_another_clock_after_a_restart_does_not_turn_back_time(saved: bytes) -> None:
+def test_another_clock_after_a_restart_does_not_set_times_back(saved: bytes) -> None:
     learner = VehicleLearner(offboard_config())
     learner.resume(load_experience(saved))
     before = load_experience(saved).newest.time_ns.max()
@@ -58,7 +58,7 @@ def test_another_clock_after_a_restart_does_not_turn_back_time(saved: bytes) -> 
 
 
 @pytest.mark.parametrize("cut", [0, 10, 1000, -20])
-def test_damaged_files_are_named_and_nothing_else_happens(saved: bytes, cut: int) -> None:
+def test_damaged_files_raise_experience_error(saved: bytes, cut: int) -> None:
     with pytest.raises(ExperienceError):
         load_experience(saved[:cut])
     with pytest.raises(ExperienceError):

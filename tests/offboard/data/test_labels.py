@@ -1,4 +1,4 @@
-"""Labels: right within noise, right in time, never across a gap."""
+"""Labels: correct within noise, without delay, and never across a gap."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def test_labels_recover_the_known_delta_within_noise() -> None:
 
 
 def test_labels_are_exact_and_not_late_without_noise() -> None:
-    """A Delta that is quadratic in time comes back exactly: half a period of shift would show."""
+    """A Delta that is quadratic in time is reproduced exactly; a shift of half a period would show."""
     n = 60
     fine = 20
     t = np.arange(n * fine + 1) * (PERIOD_S / fine)
@@ -49,8 +49,8 @@ def test_labels_are_exact_and_not_late_without_noise() -> None:
     assert worst < 2e-3  # float32 velocities, differenced over 20 ms
 
 
-def test_delivered_acceleration_is_taken_off_exactly() -> None:
-    """A wild u_hat changes nothing, since it is averaged over just the period that the difference spans."""
+def test_delivered_acceleration_is_subtracted_exactly() -> None:
+    """A rapidly varying u_hat changes nothing: it is averaged over the same period as the difference of v."""
     flight = figure8_through_jet(6.0, noise=0.0, gust_m_s2=0.0)
     rng = np.random.default_rng(3)
     kicks = rng.normal(0.0, 20.0, flight.delivered.shape)
@@ -66,7 +66,7 @@ def test_delivered_acceleration_is_taken_off_exactly() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_window_spans_a_gap(seed: int) -> None:
-    """Between the pieces the velocities jump by 50 m/s: a single label across it would be enormous."""
+    """The velocities jump by 50 m/s between the parts: a label across the gap would be very large."""
     rng = np.random.default_rng(seed)
     flight = figure8_through_jet(12.0, seed=seed)
     signals = flight.signals.copy()
@@ -87,7 +87,7 @@ def test_no_window_spans_a_gap(seed: int) -> None:
     assert worst[1] < 6.0
 
 
-def test_reordered_and_doubled_batches_change_nothing() -> None:
+def test_reordered_and_duplicate_batches_change_nothing() -> None:
     batches = figure8_through_jet(4.0).batches()
     shuffled = [batches[i] for pair in zip(range(1, 40, 2), range(0, 40, 2), strict=True) for i in (*pair, pair[0])]
     straight, mixed = label_all(batches), label_all(shuffled)
@@ -103,7 +103,7 @@ def test_samples_on_the_ground_are_left_out_and_count_as_a_gap() -> None:
     assert min(sample.index for sample in samples) > 100
 
 
-def test_a_new_flight_starts_clean_and_far_indices_do_not_stall() -> None:
+def test_a_new_flight_discards_old_samples_and_distant_indices_take_no_time() -> None:
     maker = LabelMaker(LABELS)
     flight = figure8_through_jet(3.0)
     for batch in flight.batches(first_index=7_000_000_000):
@@ -115,8 +115,8 @@ def test_a_new_flight_starts_clean_and_far_indices_do_not_stall() -> None:
     assert len(jumped) > 120
 
 
-def test_mrgen_labels_are_what_flew() -> None:
-    flight = figure8_through_jet(3.0)  # its `adaptive` field holds the true Delta
+def test_mrgen_labels_are_nu_ad_as_flown() -> None:
+    flight = figure8_through_jet(3.0)  # its `adaptive` field contains the true Delta
     samples = label_all(flight.batches(), kind="mrgen")
     assert np.abs(errors(flight, samples)).max() < 1e-4
 

@@ -1,4 +1,4 @@
-"""The incremental novelty tests and the swap against brute force."""
+"""The incremental novelty tests and the swap, compared with brute force."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from offboard.data.novelty import JITTER, HistoryNovelty, KernelNovelty, best_sw
 
 
 def brute_gamma(points: np.ndarray, x: np.ndarray) -> float:
-    """k(x,x) - k' (K + JITTER I)^-1 k, solved anew."""
+    """k(x,x) - k' (K + JITTER I)^-1 k, computed from scratch."""
     if not len(points):
         return 1.0
     K = np.exp(-0.5 * ((points[:, None] - points[None]) ** 2).sum(axis=2)) + JITTER * np.eye(len(points))
@@ -24,7 +24,7 @@ def test_gamma_equals_brute_force_through_additions_and_replacements() -> None:
         assert gamma == pytest.approx(brute_gamma(kept, x), abs=1e-6)
         if len(kept):
             assert nearest == int(((kept - x) ** 2).sum(axis=1).argmin())
-        other = x if step % 3 else rng.normal(0.0, 1.2, 4)  # what was asked about last, or not
+        other = x if step % 3 else rng.normal(0.0, 1.2, 4)  # the point of the last query, or another one
         if len(kept) and (len(kept) == 160 or rng.random() < 0.3):
             slot = int(rng.integers(len(kept)))
             novelty.replace(slot, other)
@@ -64,19 +64,19 @@ def test_best_swap_equals_brute_force_over_all_swaps(seed: int) -> None:
     assert after[chosen] == pytest.approx(max(after), rel=1e-6)
 
 
-def test_best_swap_copes_with_a_stack_that_lacks_rank() -> None:
+def test_best_swap_works_for_a_rank_deficient_stack() -> None:
     Phi = np.ones((5, 3))
     assert 0 <= best_swap(Phi, Phi.T @ Phi, np.ones(3)) < 5
 
 
-def test_history_test_admits_what_moves_or_adds_a_direction() -> None:
+def test_history_novelty_accepts_a_large_step_or_a_new_direction() -> None:
     novelty = HistoryNovelty(0.1)
     first = np.array([1.0, 0.0, 0.0])
     assert novelty.is_new(first)
     novelty.add(first)
     assert not novelty.is_new(first)
     assert not novelty.is_new(np.array([1.1, 0.0, 0.0]))
-    assert novelty.is_new(np.array([1.1, 0.01, 0.0]))  # a small step, but in a direction of its own
+    assert novelty.is_new(np.array([1.1, 0.01, 0.0]))  # a small step, but in a new direction
     novelty.add(np.array([1.1, 0.01, 0.0]))
     assert not novelty.is_new(np.array([1.1, 0.02, 0.0]))
     assert novelty.is_new(np.array([0.5, 0.5, 0.0]))  # a large step

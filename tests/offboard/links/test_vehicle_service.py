@@ -1,4 +1,4 @@
-"""What the process does for one vehicle: whatever fails is told and costs neither training nor another vehicle."""
+"""The service of one vehicle: failures are reported and affect neither training nor another vehicle."""
 
 import threading
 import time
@@ -26,25 +26,25 @@ def service(tmp_path: Path):
     made.close()
 
 
-def test_the_last_checkpoint_waits_for_the_background_and_stays(
+def test_the_last_checkpoint_waits_for_the_background_thread_and_is_final(
     service: VehicleService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     under_way, go_on = threading.Event(), threading.Event()
     write = vehicle_service.write_atomically
 
     def slow(path: Path, content: bytes) -> None:
-        if content == b"worker's":
+        if content == b"background's":
             under_way.set()
             assert go_on.wait(10.0)
         write(path, content)
 
     monkeypatch.setattr(vehicle_service, "write_atomically", slow)
-    worker = threading.Thread(target=service._write_checkpoint, args=(b"worker's",))
-    worker.start()
+    background = threading.Thread(target=service._write_checkpoint, args=(b"background's",))
+    background.start()
     assert under_way.wait(10.0)
     threading.Timer(0.1, go_on.set).start()
     service.end()
-    worker.join()
+    background.join()
     service._write_checkpoint(b"too late")
     assert (tmp_path / "checkpoint.npz").read_bytes() == b"last"
 
@@ -61,7 +61,7 @@ def test_a_full_disk_at_the_end_is_one_line(
 
 
 class Core:
-    """Orders a round of training whenever none is outstanding, and writes a checkpoint with each."""
+    """Requests a round of training whenever none is outstanding, and a checkpoint with each."""
 
     def __init__(self, name: str) -> None:
         self.name, self.outstanding = name, 0
@@ -87,8 +87,8 @@ class Core:
         raise RuntimeError("broken")
 
 
-class Told:
-    """Stands in for status lines and log."""
+class Reports:
+    """Replaces status lines and log."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -103,18 +103,18 @@ class Told:
         return False
 
 
-def served(core: Any, told: Any, out: Path, worker: Any) -> VehicleService:
+def served(core: Any, reports: Any, out: Path, background: Any) -> VehicleService:
     network: Any = SimpleNamespace(
         offboard_link="127.0.0.1:0", radio_offboard="127.0.0.1:9", motion_capture="127.0.0.1:0"
     )
-    return VehicleService(core, network, told, out, told, worker)
+    return VehicleService(core, network, reports, out, reports, background)
 
 
-def test_failed_writes_are_told_and_leave_training_alone(tmp_path: Path) -> None:
-    """One of two vehicles has no folder to write to: each still gets its own results, one job at a time."""
-    worker, cores, told = BackgroundThread(), [Core("first"), Core("second")], [Told(), Told()]
+def test_failed_writes_are_reported_and_do_not_affect_training(tmp_path: Path) -> None:
+    """One of two vehicles has no folder to write to. Each still receives its own results, one job at a time."""
+    background, cores, reports = BackgroundThread(), [Core("first"), Core("second")], [Reports(), Reports()]
     (tmp_path / "first").mkdir()
-    services = [served(core, one, tmp_path / core.name, worker) for core, one in zip(cores, told, strict=True)]
+    services = [served(core, one, tmp_path / core.name, background) for core, one in zip(cores, reports, strict=True)]
     end = time.monotonic() + 20.0
     while time.monotonic() < end and not all(len(core.trained) == 5 for core in cores):
         for service in services:
@@ -129,16 +129,16 @@ def test_failed_writes_are_told_and_leave_training_alone(tmp_path: Path) -> None
     assert [service.escapes for service in services] == [0, 0]
     assert services[0].failed_writes == 0
     assert services[1].failed_writes > 0
-    assert any(line.startswith("a file could not be written (1 times): FileNotFoundError") for line in told[1].lines)
+    assert any(line.startswith("a file could not be written (1 times): FileNotFoundError") for line in reports[1].lines)
 
 
-def test_a_core_that_fails_is_given_up_with_a_line_and_ends(tmp_path: Path) -> None:
-    told, broken = Told(), Core("broken")
-    service = served(SimpleNamespace(final_checkpoint=broken.final_checkpoint), told, tmp_path, None)
+def test_a_core_that_keeps_failing_is_given_up_with_a_message(tmp_path: Path) -> None:
+    reports, broken = Reports(), Core("broken")
+    service = served(SimpleNamespace(final_checkpoint=broken.final_checkpoint), reports, tmp_path, None)
     for _ in range(ESCAPES_MAX):
         assert not service.given_up
         service.step()
     assert service.given_up
-    assert told.lines[-1].startswith("given up: ")
+    assert reports.lines[-1].startswith("given up: ")
     assert service.end() is False
-    assert told.lines[-1] == "there is no last checkpoint: RuntimeError: broken"
+    assert reports.lines[-1] == "there is no last checkpoint: RuntimeError: broken"

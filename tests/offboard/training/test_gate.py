@@ -1,4 +1,4 @@
-"""The gate: sends what is better, and nothing else."""
+"""The gate: accepts only versions that are better and safe."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def candidate() -> FeatureSet:
 
 
 def evidence(new: tuple[float, float], flying: tuple[float, float], n: int = 80, seed: int = 0) -> Evidence:
-    """Errors around the given means; labels of power 1 in both channels."""
+    """Errors with the given means; labels of power 1 in both channels."""
     rng = np.random.default_rng(seed)
     spread = rng.uniform(0.8, 1.2, (n, 1))
     return Evidence(
@@ -41,7 +41,7 @@ def judge(found: Evidence, features: FeatureSet | None = None) -> Verdict:
     return gate().judge(features or candidate(), found, 10 * S)
 
 
-def test_sends_what_is_clearly_better() -> None:
+def test_a_clearly_better_version_is_sent() -> None:
     assert judge(evidence((0.1, 0.2), (0.5, 0.6))) is Verdict.SEND
 
 
@@ -68,10 +68,12 @@ def test_a_small_or_doubtful_gain_is_not_sent() -> None:
 def test_too_few_samples_and_too_soon() -> None:
     good = evidence((0.1, 0.1), (0.5, 0.5))
     assert judge(evidence((0.1, 0.1), (0.5, 0.5), n=CONFIG.gate.minimum_validation - 1)) is Verdict.TOO_FEW_SAMPLES
-    keeper = gate()
-    keeper.note_sent(10 * S)
-    assert keeper.judge(candidate(), good, 10 * S + S // 10) is Verdict.TOO_SOON
-    assert keeper.judge(candidate(), good, 10 * S + round((CONFIG.gate.interval_s + 0.1) * S)) is Verdict.SEND
+    gate_with_history = gate()
+    gate_with_history.note_sent(10 * S)
+    assert gate_with_history.judge(candidate(), good, 10 * S + S // 10) is Verdict.TOO_SOON
+    assert (
+        gate_with_history.judge(candidate(), good, 10 * S + round((CONFIG.gate.interval_s + 0.1) * S)) is Verdict.SEND
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,11 +85,11 @@ def test_too_few_samples_and_too_soon() -> None:
         ({"candidate_errors": np.full((80, 2), np.nan)}, Verdict.NOT_FINITE),
     ],
 )
-def test_what_must_not_fly_is_stopped_however_good(change: dict[str, object], verdict: Verdict) -> None:
+def test_an_unsafe_version_is_refused_even_if_it_is_better(change: dict[str, object], verdict: Verdict) -> None:
     assert judge(replace(evidence((0.1, 0.1), (0.5, 0.5)), **change)) is verdict
 
 
-def test_a_channel_that_is_not_learnt_has_no_say() -> None:
+def test_a_channel_that_is_not_learnt_is_ignored() -> None:
     found = replace(evidence((0.1, 5.0), (0.5, 0.1)), label_power=np.array([1.0, np.nan]))
     assert judge(found) is Verdict.SEND
 

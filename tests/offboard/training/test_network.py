@@ -1,4 +1,4 @@
-"""The networks: numpy against torch, the spectral bound, the form that crosses the border."""
+"""The networks: numpy compared with torch, the spectral bound, and the form that is sent."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_power_iteration_keeps_the_norm_close_to_the_bound_while_weights_move() 
 
 
 @pytest.mark.parametrize("dropout", [False, True])
-def test_gradient_by_hand_equals_autograd(dropout: bool) -> None:
+def test_the_written_out_gradient_equals_autograd(dropout: bool) -> None:
     rng = np.random.default_rng(8)
     state = initial_state(CONFIG, rng)
     C, m, k = len(CONFIG.channels), state.weights[0].shape[1], CONFIG.count
@@ -101,7 +101,7 @@ def test_gradient_by_hand_equals_autograd(dropout: bool) -> None:
     errors = LossGradient(Views.of(flat, state), gradient, 64).at(z, y, kept)
     leaf = flat.clone().requires_grad_(True)
     views = Views.of(leaf, state)
-    h = z.mT  # a row for each sample, as in the textbook
+    h = z.mT  # one row per sample
     for W, b in zip(views.weights, views.biases, strict=True):
         h = torch.tanh(torch.baddbmm(b, h, W))
     h = h if kept is None else h * kept.mT
@@ -131,7 +131,7 @@ def test_a_version_with_other_inputs_or_widths_is_refused() -> None:
 
 def test_scales_from_data_are_never_tiny() -> None:
     x = signals(50)
-    x[:, SIGNAL_INDEX["position_n"]] = 4.0  # hovering: no spread at all
+    x[:, SIGNAL_INDEX["position_n"]] = 4.0  # hovering: no spread
     offset, scale = scales_from_data(CONFIG, x)
     assert offset[0, 0] == pytest.approx(4.0)
     assert scale[0, 0] == pytest.approx(0.5 * CONFIG.scales["position_n"].scale)
@@ -146,8 +146,8 @@ def test_unknown_or_missing_signals_are_named() -> None:
         TrainedFeatures.model_validate({**CONFIG.model_dump(), "position_inputs": ("altitude",)})
 
 
-def test_flight_maker_is_consistent() -> None:
-    """The made-up flight obeys v_dot = u_hat + Delta, which all other tests rest on."""
+def test_the_artificial_flight_is_consistent() -> None:
+    """The artificial flight obeys v_dot = u_hat + Delta, which all other tests assume."""
     flight = figure8_through_jet(4.0, noise=0.0, gust_m_s2=0.0)
     columns = [SIGNAL_INDEX[f"velocity_{axis}"] for axis in "ned"]
     gained = np.diff(flight.signals[:, columns], axis=0) / 0.02

@@ -1,4 +1,4 @@
-"""A round of training: deterministic, bounded, learns, and continues."""
+"""A round of training: it is deterministic and bounded, learns, and can be continued."""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ def test_the_same_job_gives_the_same_result_bit_for_bit() -> None:
     assert not np.array_equal(first.epoch_losses, other.epoch_losses)
 
 
-def test_a_job_does_not_touch_what_it_was_given() -> None:
+def test_a_job_does_not_change_its_inputs() -> None:
     job = job_after(offboard_config())
     before = [array.copy() for array in (*job.state.network.weights, job.newest.labels, job.buffer.signals)]
     job.run()
@@ -65,13 +65,13 @@ def test_ten_rounds_explain_most_of_the_uncertainty(optimiser: dict[str, object]
 
 
 def test_without_the_projection_the_spectral_bound_is_exceeded() -> None:
-    """The safeguard is needed: with the bound lifted the same training goes past it."""
+    """The safeguard is needed: without the projection, the same training exceeds the bound."""
     bound = offboard_config().features.trained.spectral_norm_max
     loose = job_after(offboard_config(features={"trained": {"spectral_norm_max": 1e3, "first_layer_gain": 4.0}}))
     assert max(rounds(loose, 2).evidence.spectral_norms) > bound
 
 
-def test_a_round_that_runs_away_is_taken_back() -> None:
+def test_a_diverged_round_is_undone() -> None:
     job = job_after(offboard_config(trainer={"optimiser": "sgd", "learning_rate": 1e6, "momentum": 0.99}))
     result = job.run()
     assert not np.isfinite(result.epoch_losses[-1, 0]).all()
@@ -97,22 +97,22 @@ def test_dropout_and_one_channel_and_mrgen_train_too() -> None:
 
 
 def test_validation_samples_are_not_trained_on() -> None:
-    """Labels of the held-out samples are garbage: the result is the same without them, but for the choice of ridge."""
+    """With useless labels of the held-out samples the result is the same, apart from the choice of ridge."""
     job = job_after(offboard_config(trainer={"ridges": [0.03]}))
-    spoilt = [spoil(table) for table in (job.buffer, job.newest)]
-    first, second = job.run(), replace(job, buffer=spoilt[0], newest=spoilt[1]).run()
+    corrupted = [corrupt(table) for table in (job.buffer, job.newest)]
+    first, second = job.run(), replace(job, buffer=corrupted[0], newest=corrupted[1]).run()
     for a, b in zip(first.state.network.weights, second.state.network.weights, strict=True):
         assert np.array_equal(a, b)
     assert second.epoch_losses[-1, 1, 0] > 100.0 * first.epoch_losses[-1, 1, 0]
 
 
-def spoil(table: SampleTable) -> SampleTable:
+def corrupt(table: SampleTable) -> SampleTable:
     assert {TRAINING, VALIDATION} <= set(table.split.tolist())
     labels = np.where((table.split == TRAINING)[:, None, None], table.labels, 100.0).astype(np.float32)
     return replace(table, labels=labels)
 
 
-def test_adam_takes_the_steps_of_torchs() -> None:
+def test_adam_takes_the_same_steps_as_torch() -> None:
     config = offboard_config(trainer={"weight_decay": 1e-3}).trainer
     rng = np.random.default_rng(0)
     mine = torch.from_numpy(rng.normal(size=50).astype(np.float32))
