@@ -86,9 +86,9 @@ def test_a_diverged_round_is_undone() -> None:
 
 
 def test_dropout_and_one_channel_and_mrgen_train_too() -> None:
-    config = offboard_config(
-        features={"trained": {"dropout": 0.2, "channels": ["attitude"], "scaling": "data"}}, labels={"kind": "mrgen"}
-    )
+    labels = offboard_config().labels.model_dump() | {"kind": "mrgen"}
+    trained = {"dropout": 0.2, "channels": ["attitude"], "scaling": "data"}
+    config = offboard_config(features={"trained": trained}, labels=labels)
     result = rounds(job_after(config), 3)
     assert result.candidate.position is None
     assert result.candidate.attitude is not None
