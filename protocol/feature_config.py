@@ -61,7 +61,7 @@ class FeatureInputs(ConfigRecord):
 
 
 class TrainedFeatures(FeatureInputs):
-    """The networks that offboard trains (docs/control.md, section 3)."""
+    """The networks that offboard trains (docs/control.md, "Features")."""
 
     channels: tuple[ChannelName, ...] = Field(
         default=("position", "attitude"), min_length=1, description="channels that get learnt features"

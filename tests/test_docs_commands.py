@@ -80,6 +80,11 @@ def test_every_named_path_and_test_exists(page: Path) -> None:
     assert not missing
 
 
+def test_the_sources_name_pages_that_exist() -> None:
+    for page in re.findall(r"docs/\w+\.md", "\n".join(SOURCES.values())):
+        assert (ROOT / page).exists(), page
+
+
 def headings(page: Path) -> set[str]:
     """The anchors of a page, as GitHub builds them."""
     text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)

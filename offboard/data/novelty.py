@@ -1,4 +1,4 @@
-"""Whether a sample is new, and which stored sample it replaces: the tests and the swap of control.md, section 6.
+"""Whether a sample is new, and which stored sample it replaces: see docs/learning.md.
 
 All updates are incremental: no p x p factorisation when a sample is stored or replaced.
 """

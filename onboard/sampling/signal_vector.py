@@ -19,7 +19,7 @@ _BATTERY = SIGNAL_INDEX["battery_voltage"]
 _VIBRATION = SIGNAL_INDEX["vibration"]
 THRUST_FILTER_S: Final = 0.15
 """Filter of the motor thrusts as signals. They tell the network which motor is weak. The filter keeps fast changes
-out, so that nu_ad does not feed back into the features (docs/control.md)."""
+out, so that nu_ad does not feed back into the features (docs/learning.md)."""
 
 
 class SignalVector:
