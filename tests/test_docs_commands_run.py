@@ -20,7 +20,6 @@ import pytest
 import yaml
 
 from async_dmrac.command_line import build_parser, main
-from async_dmrac.commands import tune as tune_module
 from configs.addresses import Addresses
 from configs.loader import CONFIG_DIRECTORY
 from experiments.campaigns import campaign as campaign_module
@@ -155,7 +154,7 @@ def place(tmp_path: Path, flight: Path, monkeypatch: pytest.MonkeyPatch) -> Path
     shutil.copytree(CONFIG_DIRECTORY / "campaigns", configs / "campaigns")
     for path in (configs / "campaigns").glob("*.yaml"):
         path.write_text(yaml.safe_dump(small(yaml.safe_load(path.read_text(encoding="utf-8")))), encoding="utf-8")
-    for module in (campaign_module, campaign_data, tune_module):
+    for module in (campaign_module, campaign_data):
         monkeypatch.setattr(module, "CONFIG_DIRECTORY", configs)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(ROOT), str(tmp_path))))

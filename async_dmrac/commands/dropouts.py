@@ -1,53 +1,51 @@
-"""`dmrac dropouts`: flies every recorded or made-up dropout of the link in lockstep and prints a table."""
+"""`dmrac dropouts`: flies dropout traces of the link, recorded or made up, in lockstep and prints a table."""
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
 from async_dmrac.commands.worker_options import add_jobs_option, cores
-from experiments.flights.scenario import DEFAULT_SCENARIO
-
-if TYPE_CHECKING:
-    from experiments.link.dropout_flights import DropoutFlight
+from experiments.flights.scenario import DEFAULT_SCENARIO, Choices
 
 EXAMPLES = """examples:
   dmrac dropouts                                   every trace of configs/dropouts, figure8_wind, dmrac
-  dmrac dropouts blackout_10s recorded_bad         these only
-  dmrac dropouts mine.csv --controller mrac        one of your own: dmrac replay FLIGHT --save-trace mine.csv
+  dmrac dropouts blackout_10s recorded_bad         only these
+  dmrac dropouts mine.csv --controller mrac        your own, from: dmrac replay FLIGHT --save-trace mine.csv
 """
 DURATION_S = 30.0
 FILE_WIDTH = 120
-"""Columns of the table where there is no terminal."""
+"""Width of the table without a terminal, characters."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac dropouts`."""
     parser.add_argument("traces", nargs="*", metavar="TRACE", help="names in configs/dropouts, or files (default: all)")
-    parser.add_argument("--scenario", default=DEFAULT_SCENARIO, help=f"what is flown (default: {DEFAULT_SCENARIO})")
+    parser.add_argument("--scenario", default=DEFAULT_SCENARIO, help=f"scenario to fly (default: {DEFAULT_SCENARIO})")
     parser.add_argument("--controller", help="name in configs/controllers, or a file (default: the scenario's)")
-    parser.add_argument("--seed", type=int, help="of everything random (default: the scenario's)")
-    parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="s a flight (default: 30)")
+    parser.add_argument("--seed", type=int, help="seed of all random values (default: the scenario's)")
+    parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="of a flight, s (default: 30)")
     add_jobs_option(parser)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the rows as JSON too")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="also write the rows as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status: 0 every vehicle survived, 1 one was lost, 2 nothing was flown."""
-    from experiments.link.dropout_flights import HEADINGS, fly_all
+    """Fly and print the table; return 0 (every vehicle survived) or 1 (one crashed)."""
+    from experiments.link.dropout_flights import HEADINGS, DropoutRow, flights_with, fly_all
 
-    flights = jobs(arguments)
+    choices = Choices(arguments.controller, arguments.seed, arguments.duration)
+    flights = flights_with(arguments.traces, arguments.scenario, choices)
     console = Console()
     if not console.is_terminal:
         console = Console(width=FILE_WIDTH)
+    done: list[DropoutRow] = []
     with console.status(f"{len(flights)} flights") as status:
-        done: list[str] = []
 
-        def report(row: object) -> None:
-            done.append(str(row))
+        def report(row: DropoutRow) -> None:
+            done.append(row)
             status.update(f"{len(done)} of {len(flights)} flights")
 
         rows = fly_all(flights, arguments.jobs or cores(), report)
@@ -60,21 +58,5 @@ def run(arguments: argparse.Namespace) -> int:
         table.add_row(*row.cells(), style=None if row.survived else "bold red")
     console.print(table)
     if arguments.out is not None:
-        arguments.out.write_text(json.dumps([row.record() for row in rows], indent=1) + "\n", encoding="utf-8")
+        arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
     return 0 if all(row.survived for row in rows) else 1
-
-
-def jobs(arguments: argparse.Namespace) -> "list[DropoutFlight]":
-    """The flights that were asked for, the perfect link first. Raises ConfigError before anything is flown."""
-    from experiments.flights.scenario import Choices, resolve
-    from experiments.link.dropout_flights import PERFECT, DropoutFlight
-    from experiments.link.dropout_trace import load_trace, trace_names
-
-    resolve(arguments.scenario, Choices(arguments.controller, arguments.seed, arguments.duration))
-    traces = arguments.traces or trace_names()
-    for trace in traces:
-        load_trace(trace)
-    return [
-        DropoutFlight(trace, arguments.scenario, arguments.controller, arguments.seed, arguments.duration)
-        for trace in (PERFECT, *traces)
-    ]

@@ -1,9 +1,9 @@
-"""`dmrac figures`: tables, figures and one page about a campaign that was flown."""
+"""`dmrac figures`: tables, figures and one page about a flown campaign."""
 
 import argparse
 from pathlib import Path
 
-from rich.console import Console
+from async_dmrac.commands.worker_options import plain_console
 
 EXAMPLES = """examples:
   dmrac figures campaigns/rotor_chip
@@ -13,15 +13,15 @@ EXAMPLES = """examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac figures`."""
-    parser.add_argument("folder", type=Path, metavar="CAMPAIGN_OUT", help="what `dmrac campaign` wrote")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: CAMPAIGN_OUT/figures)")
+    parser.add_argument("folder", type=Path, metavar="CAMPAIGN_OUT", help="folder of `dmrac campaign`")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write (default: CAMPAIGN_OUT/figures)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status: 0 written, 2 not a campaign's folder."""
+    """Write the page; return 0."""
     from experiments.results.campaign_page import write_report
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = plain_console()
     out = arguments.out or arguments.folder / "figures"
     write_report(arguments.folder, out, console.print)
     console.print(f"written: {out / 'report.html'}")

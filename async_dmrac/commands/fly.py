@@ -1,4 +1,4 @@
-"""`dmrac fly`: a whole flight, in real time over UDP or in lockstep, with its record and summary."""
+"""`dmrac fly`: one flight in real time over UDP or in lockstep, with its record and summary."""
 
 import argparse
 import shlex
@@ -10,7 +10,7 @@ from rich.console import Console
 from configs.loader import ConfigError
 from experiments.flights.flight_folder import clear_folder, make_folder
 from experiments.flights.flight_summary import print_summary
-from experiments.flights.live_view import live_view
+from experiments.flights.live_view import live_view, require_viewer
 from experiments.flights.logged_flight import fly_logged
 from experiments.flights.realtime_flight import FlightStartError, require_free_ports
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
@@ -29,63 +29,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac fly`."""
     parser.add_argument("scenario", nargs="?", default=DEFAULT_SCENARIO, help="name in configs/scenarios, or a file")
     parser.add_argument("--controller", help="name in configs/controllers, or a file")
-    parser.add_argument("--seed", type=int, help="of everything random (default: the scenario's)")
-    parser.add_argument("--duration", type=float, metavar="S", help="s, the whole flight (default: the scenario's)")
+    parser.add_argument("--seed", type=int, help="seed of all random values (default: the scenario's)")
+    parser.add_argument("--duration", type=float, metavar="S", help="of the whole flight, s (default: the scenario's)")
     parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
     parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="overrule a value by path"
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="change a value by path"
     )
     parser.add_argument("--view", action="store_true", help="show the flight live in the 3-D viewer (real time only)")
     parser.add_argument("--web", action="store_true", help="with --view: serve it to a browser on this machine")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Flies; returns 0 (vehicle alive), 1 (vehicle lost) or 2 (nothing was started)."""
+    """Fly; return 0 (the vehicle survived) or 1 (it crashed). Raises ConfigError before anything is started."""
     choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments)
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
     if arguments.view and arguments.lockstep:
-        raise ConfigError("--view: only in real time; a lockstep flight is shown afterwards with dmrac view")
+        raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
     if arguments.web and not arguments.view:
         raise ConfigError("--web: only with --view")
     if arguments.view:
-        _require_viewer(arguments.web)
-    if not arguments.lockstep:
-        require_free_ports(config.network)
+        require_viewer(arguments.web)
     network = config.network
-    load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)  # bad ones are said before the start
+    if not arguments.lockstep:
+        require_free_ports(network)
+    load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)  # reports bad ones before the start
     folder = make_folder(arguments.out, config.scenario)
-    kept = tuple(folder.iterdir())
+    earlier = tuple(folder.iterdir())
     console = Console()
     try:
-        with live_view(folder, arguments.web) if arguments.view else nullcontext() as watch:
+        with live_view(folder, arguments.web) if arguments.view else nullcontext() as wait_for_viewer:
             command = repeat_command(arguments, config)
             summary = fly_logged(config, folder, arguments.lockstep, not arguments.no_offboard, command, console)
             print_summary(summary, folder, console)
-            if watch is not None:
-                watch()
+            if wait_for_viewer is not None:
+                wait_for_viewer()
     except (FlightStartError, ConfigError) as error:
-        raise type(error)(f"{error}{clear_folder(folder, kept)}") from None
+        raise type(error)(f"{error}{clear_folder(folder, earlier)}") from None
     return 0 if summary["survived"] else 1
 
 
-def _require_viewer(web: bool) -> None:
-    """Raises ConfigError if there is nothing to show the flight with."""
-    from flight_log.viewer import ViewerError, require_screen, viewer_binary
-
-    try:
-        viewer_binary()
-        if not web:
-            require_screen()
-    except ViewerError as error:
-        raise ConfigError(f"--view: {error}") from None
-
-
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
-    """The command line that flies this flight again."""
+    """Return the command that repeats this flight."""
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
     words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]

@@ -1,4 +1,4 @@
-"""`dmrac replay`: a flight once more, in lockstep with its link's deliveries, or through a fresh core bit for bit."""
+"""`dmrac replay`: repeats a flight in lockstep with the deliveries of its link, or bit for bit in a new core."""
 
 import argparse
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from async_dmrac.commands.worker_options import plain_console
 from configs.loader import ConfigError
 
 if TYPE_CHECKING:
@@ -13,9 +14,9 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   dmrac replay flights/2026-01-01_120000_blackout                   the same flight again, in lockstep
-  dmrac replay flights/... --controller pid                         what another controller makes of that link
-  dmrac replay flights/... --check                                  does this onboard code still give the same bits?
-  dmrac replay flights/... --save-trace configs/dropouts/mine.csv   keep the deliveries of its link for dmrac dropouts
+  dmrac replay flights/... --controller pid                         another controller with the same link
+  dmrac replay flights/... --check                                  does this onboard code give the same bits?
+  dmrac replay flights/... --save-trace configs/dropouts/mine.csv   store the deliveries of its link for dmrac dropouts
 """
 
 
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="fly with this seed instead of the recorded one")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the new record (default: flights/...)")
     parser.add_argument(
-        "--check", action="store_true", help="feed onboard's logged inputs to a fresh core, compare bits"
+        "--check", action="store_true", help="give onboard's logged inputs to a new core and compare all bits"
     )
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
     parser.add_argument(
@@ -35,61 +36,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status: 0 flown again and alive (or equal), 1 vehicle lost (or different), 2 nothing was done."""
+    """Replay; return 0 (the vehicle survived, or all bits are equal) or 1 (it crashed, or bits differ)."""
     from experiments.replays.recorded_flight import read_recorded
 
     if arguments.check and (arguments.controller or arguments.seed is not None):
-        raise ConfigError("--check: compares with what was flown; it takes no --controller and no --seed")
+        raise ConfigError("--check: compares with the recorded flight; it takes no --controller and no --seed")
     flight = read_recorded(arguments.flight)
-    console = Console()
     if arguments.save_trace is not None:
-        return save_trace(flight, arguments.save_trace, console)
-    return check(flight, arguments.key_file, console) if arguments.check else replay(flight, arguments, console)
+        return save_trace(flight, arguments.save_trace)
+    return check(flight, arguments.key_file) if arguments.check else replay(flight, arguments)
 
 
-def replay(flight: "RecordedFlight", arguments: argparse.Namespace, console: Console) -> int:
-    """Flies it again and shows both."""
+def replay(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
+    """Fly with the recorded deliveries and print both flights side by side."""
     from experiments.flights.flight_folder import make_folder
-    from experiments.flights.flight_summary import write_summary
-    from experiments.flights.logged_flight import lockstep_summary
     from experiments.replays.replay import comparison, figures, figures_of_recorded, refly, verdict, with_choices
 
     original = figures_of_recorded(flight)
     config = with_choices(flight.config, arguments.controller, arguments.seed)
     folder = make_folder(arguments.out, f"{config.scenario}_replay")
-    (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     outcome = refly(flight, config, folder)
     again = figures(config, outcome.trace, outcome.crash_reason, outcome.deliveries)
-    write_summary(folder, lockstep_summary(config, outcome) | {"replay_of": str(flight.path.resolve())})
     title = f"{config.scenario}, {config.controller}, seed {config.seed}, with the deliveries of {flight.path}"
-    console.print(comparison(original, again, title))
+    Console().print(comparison(original, again, title))
     for line in (*verdict(flight, config, outcome), f"record: {folder}"):
-        console.print(line, highlight=False, soft_wrap=True)
+        plain_console().print(line)
     return 0 if again.survived else 1
 
 
-def check(flight: "RecordedFlight", key_file: Path | None, console: Console) -> int:
-    """Compares bit for bit; says how much was compared, or names the first difference."""
+def check(flight: "RecordedFlight", key_file: Path | None) -> int:
+    """Compare bit for bit; print the result of each onboard log."""
     from experiments.replays.replay_check import check_flight
 
-    equal = True
-    for result in check_flight(flight, key_file):
-        said = f"{result.name}: {result.ticks} ticks, {result.datagrams_in} datagrams in, {result.datagrams_out} out"
-        said += f", {result.failed_steps} failed steps" if result.failed_steps else ""
-        if result.difference is not None:
-            equal = False
-            said += f"; FIRST DIFFERENCE: {result.difference}"
-        else:
-            said += f": equal bit for bit, {result.rows} tick records included"
-        if result.incomplete:
-            equal = False
-            said += f"; NOT CHECKED further: {result.incomplete}"
-        console.print(said, highlight=False, soft_wrap=True)
-    return 0 if equal else 1
+    results = check_flight(flight, key_file)
+    for result in results:
+        plain_console().print(str(result))
+    return 0 if all(result.equal for result in results) else 1
 
 
-def save_trace(flight: "RecordedFlight", path: Path, console: Console) -> int:
-    """Writes the deliveries of the flight's link as a file for `dmrac dropouts`."""
+def save_trace(flight: "RecordedFlight", path: Path) -> int:
+    """Write the deliveries of the flight's link as a file for `dmrac dropouts`."""
     from experiments.link.dropout_trace import write_csv
 
     if path.suffix != ".csv":
@@ -99,5 +85,5 @@ def save_trace(flight: "RecordedFlight", path: Path, console: Console) -> int:
     how = "in lockstep" if flight.lockstep else "in real time"
     about = f"Recorded {how}: {flight.config.scenario}, {flight.config.controller}, seed {flight.config.seed}."
     write_csv(path, flight.deliveries, about)
-    console.print(f"{sum(map(len, flight.deliveries.values()))} deliveries in {path}", highlight=False, soft_wrap=True)
+    plain_console().print(f"{sum(map(len, flight.deliveries.values()))} deliveries in {path}")
     return 0

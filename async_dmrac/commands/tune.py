@@ -1,4 +1,4 @@
-"""`dmrac tune`: searches a controller's gains on training seeds and writes its file."""
+"""`dmrac tune`: searches a controller's gains on training seeds and writes them into its file."""
 
 import argparse
 import time
@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from async_dmrac.commands.worker_options import add_jobs_option, cores, positive
-from configs.loader import CONFIG_DIRECTORY, ConfigError
+from async_dmrac.commands.worker_options import add_jobs_option, cores, plain_console, positive
 from configs.parts import named_file
 
 if TYPE_CHECKING:
@@ -26,58 +25,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", help="tuning campaign: name in configs/campaigns, or a file")
     parser.add_argument("--controller", required=True, help="name in configs/controllers, or a file")
     parser.add_argument(
-        "--trials", type=positive, required=True, metavar="N", help="budget; trials of earlier runs count"
+        "--trials", type=positive, required=True, metavar="N", help="number of trials; those of earlier runs count"
     )
     add_jobs_option(parser)
-    parser.add_argument("--seed", type=int, default=0, help="of the sampler (default 0)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="the search's folder (default: campaigns/NAME)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sampler (default 0)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: campaigns/NAME)")
     parser.add_argument("--dry-run", action="store_true", help="do not write the controller file")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Exit status: 0 searched and written, 130 interrupted (the search goes on when called again)."""
+    """Search; return 0 (searched and written) or 130 (interrupted; the same command continues the search)."""
     import optuna
 
-    from experiments.campaigns.controller_file import tuned_text, write_controller
+    from experiments.campaigns.controller_file import write_tuned
     from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
     from experiments.campaigns.worker_pools import LocalPool
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    path = campaign_path(arguments.campaign)
-    search = Search(load_tuning(path), path.stem, arguments.controller, arguments.trials, arguments.seed)
+    config, path = load_tuning(arguments.campaign)
+    search = Search(config, path.stem, arguments.controller, arguments.trials, arguments.seed)
     target = named_file("controllers", arguments.controller)
     study = open_study(search, arguments.out or Path("campaigns") / path.stem)
-    console = Console()
-    pool = LocalPool(arguments.jobs or cores())
+    console, pool = plain_console(), LocalPool(arguments.jobs or cores())
     try:
         run_search(search, study, pool.open(), _Report(console, search.trials))
     except KeyboardInterrupt:
-        console.print("interrupted; the search is kept and goes on when called again")
+        console.print("interrupted; the search is stored, the same command continues it")
         return 130
     finally:
         pool.close()
-    record = search_record(search, study)
-    for line in record:
-        console.print(line, highlight=False, soft_wrap=True)
-    values = tuned_values(search, study)
-    for name, value in values.items():
-        console.print(f"  {name}: {value:.4g}", highlight=False)
+    record, values = search_record(search, study), tuned_values(search, study)
+    for line in (*record, *(f"  {name}: {value:.4g}" for name, value in values.items())):
+        console.print(line)
     if not arguments.dry_run:
-        write_controller(target, tuned_text(target.read_text(encoding="utf-8"), values, record, str(target)))
-        console.print(f"written: {target}", soft_wrap=True, highlight=False)
+        write_tuned(target, values, record)
+        console.print(f"written: {target}")
     return 0
 
 
-def campaign_path(name: str) -> Path:
-    """The file of a tuning campaign. Raises ConfigError."""
-    path = Path(name) if name.endswith((".yaml", ".yml")) else CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
-    if not path.is_file():
-        raise ConfigError(f"unknown tuning campaign {name!r}: there is no {path}")
-    return path
-
-
 class _Report:
-    """One line a trial, with the time that is left at the present pace."""
+    """Prints one line per trial, with the remaining time at the present pace."""
 
     def __init__(self, console: Console, trials: int) -> None:
         self._console = console
@@ -93,12 +80,11 @@ class _Report:
         trials = study.get_trials(deepcopy=False, states=ended)
         left_s = (time.monotonic() - self._started_s) / self._flown * (self._trials - len(trials))
         last = trials[-1]
-        value = "given up" if last.value is None else f"{last.value:.4f}"
+        value = "stopped early" if last.value is None else f"{last.value:.4f}"
         try:
             best = f"{study.best_value:.4f}"
         except ValueError:
             best = "-"
         self._console.print(
-            f"trial {len(trials)} of {self._trials}: {value}, best {best}, {left_s / 60.0:.0f} min left",
-            highlight=False,
+            f"trial {len(trials)} of {self._trials}: {value}, best {best}, {left_s / 60.0:.0f} min left"
         )

@@ -1,4 +1,4 @@
-"""What every command that flies side by side offers: how many workers, and a bar that shows how far it is."""
+"""Shared by the commands: options of the workers, the console, and a progress bar."""
 
 import argparse
 import os
@@ -13,18 +13,18 @@ from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
-    """How many flights at a time on this machine; None: as many as `cores`."""
-    parser.add_argument("--jobs", type=positive, metavar="N", help="flights side by side (default: one a core)")
+    """Add the number of flights side by side on this machine; None: as many as `cores`."""
+    parser.add_argument("--jobs", type=positive, metavar="N", help="flights side by side (default: one per core)")
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """Where flights are flown, for `open_workers`."""
+    """Add the options that `open_workers` reads."""
     add_jobs_option(parser)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
 
 
 def positive(text: str) -> int:
-    """A number for argparse, 1 or more."""
+    """Convert an option's text to a number of 1 or more."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError("at least 1")
@@ -32,18 +32,23 @@ def positive(text: str) -> int:
 
 
 def open_workers(arguments: argparse.Namespace) -> Workers:
-    """What was asked for with `add_worker_options`: a Dask cluster, so many processes here, or one a core."""
+    """Return the workers of `add_worker_options`: a Dask cluster, or processes of this machine."""
     return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def plain_console() -> Console:
+    """Return a console that prints text as it is: no wrapping, colours or markup."""
+    return Console(highlight=False, soft_wrap=True, markup=False)
 
 
 @contextmanager
 def progress_bar(name: str, console: Console) -> Iterator[Callable[[CampaignProgress], None]]:
-    """A bar with count, rate, time passed and time left; gives the function that moves it."""
+    """Show a bar with count, rate, elapsed and remaining time; yield the function that updates it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -170,8 +170,14 @@ class CampaignConfig(ConfigRecord):
 
 def load_campaign(name: str) -> tuple[CampaignConfig, Path]:
     """Load a campaign by its name in configs/campaigns, or by its file; return it and its path. Raises ConfigError."""
+    path = campaign_file(name)
+    return load(CampaignConfig, path), path
+
+
+def campaign_file(name: str) -> Path:
+    """Return the file of a campaign. Raises ConfigError if there is none."""
     path = Path(name) if name.endswith((".yaml", ".yml")) else CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
     if not path.is_file():
         known = ", ".join(sorted(file.stem for file in (CONFIG_DIRECTORY / "campaigns").glob("*.yaml")))
         raise ConfigError(f"unknown campaign {name!r}: allowed are {known}, or the path of a .yaml file")
-    return load(CampaignConfig, path), path
+    return path

@@ -15,26 +15,16 @@ HEADER_MARK = "# Tuned: "
 def tuned_text(text: str, values: Mapping[str, float], record: Sequence[str], source: str) -> str:
     """Return the file's text with `values`, by path, and the record of the search in comment lines at its head.
 
-    A missing path of two keys (`guidance.look_ahead_s`) is added to its top-level section.
+    A missing key is added to its section, and a missing section (`guidance.look_ahead_s`) to the end of the file.
 
     Raises
     ------
     ConfigError
-        If a path does not lead to a single value, or is missing below a section in flow style.
+        If a path does not lead to a single value, or leads through a missing key below a section.
     """
     body = "".join(line for line in text.splitlines(keepends=True) if not line.startswith(HEADER_MARK))
-    missing: dict[str, dict[str, float]] = {}
     for path, value in values.items():
-        changed = _replace(body, path, _number(value), source)
-        if changed is not None:
-            body = changed
-            continue
-        section, _, key = path.partition(".")
-        if not key or "." in key:
-            raise ConfigError(f"{source}: {path}: there is no such value to tune")
-        missing.setdefault(section, {})[key] = value
-    for section, entries in missing.items():
-        body = _add(body, section, entries)
+        body = _with_value(body, path, _number(value), source)
     head = "".join(f"{HEADER_MARK}{line}\n" for line in record)
     comments = 0
     lines = body.splitlines(keepends=True)
@@ -48,17 +38,26 @@ def _number(value: float) -> str:
     return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
-def _replace(text: str, path: str, value: str, source: str) -> str | None:
-    """Return the text with the scalar at `path` replaced; None if the path is missing."""
-    node = yaml.compose(text, Loader=yaml.SafeLoader)
-    for key in path.split("."):
-        below = _child(node, key)
-        if below is None:
-            return None
-        node = below
-    if not isinstance(node, yaml.ScalarNode):
-        raise ConfigError(f"{source}: {path}: not a single value")
-    return text[: node.start_mark.index] + value + text[node.end_mark.index :]
+def _with_value(text: str, path: str, value: str, source: str) -> str:
+    root = node = yaml.compose(text, Loader=yaml.SafeLoader)
+    keys = path.split(".")
+    while keys and (below := _child(node, keys[0])) is not None:
+        node, keys = below, keys[1:]
+    if not keys:
+        if not isinstance(node, yaml.ScalarNode):
+            raise ConfigError(f"{source}: {path}: not a single value")
+        return text[: node.start_mark.index] + value + text[node.end_mark.index :]
+    if node is root and len(keys) == 2:
+        return text.rstrip("\n") + f"\n{keys[0]}:\n  {keys[1]}: {value}\n"
+    if node is root or len(keys) > 1 or not isinstance(node, yaml.MappingNode):
+        raise ConfigError(f"{source}: {path}: there is no such value to tune")
+    if node.flow_style:
+        at = node.value[-1][1].end_mark.index if node.value else node.start_mark.index + 1
+        added = f"{', ' if node.value else ''}{keys[0]}: {value}"
+    else:
+        at = node.start_mark.index - node.start_mark.column
+        added = f"{' ' * node.start_mark.column}{keys[0]}: {value}\n"
+    return text[:at] + added + text[at:]
 
 
 def _child(node: yaml.Node | None, key: str) -> yaml.Node | None:
@@ -69,17 +68,6 @@ def _child(node: yaml.Node | None, key: str) -> yaml.Node | None:
     return None
 
 
-def _add(text: str, section: str, entries: Mapping[str, float]) -> str:
-    node = _child(yaml.compose(text, Loader=yaml.SafeLoader), section)
-    lines = "".join(f"  {key}: {_number(value)}\n" for key, value in entries.items())
-    if node is None:
-        return text.rstrip("\n") + f"\n{section}:\n{lines}"
-    if not isinstance(node, yaml.MappingNode) or node.flow_style:
-        raise ConfigError(f"{section}: write this section as a block to let values be added")
-    at = node.start_mark.index - node.start_mark.column
-    return text[:at] + lines + text[at:]
-
-
-def write_controller(path: Path, text: str) -> None:
-    """Write the file, complete or not at all."""
-    write_atomically(path, text.encode())
+def write_tuned(path: Path, values: Mapping[str, float], record: Sequence[str]) -> None:
+    """Write tuned values and the record of the search into a controller file. Raises ConfigError as `tuned_text`."""
+    write_atomically(path, tuned_text(path.read_text(encoding="utf-8"), values, record, str(path)).encode())

@@ -98,10 +98,10 @@ def _journal_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def drop_rows(folder: Path, keys: set[str]) -> None:
-    """Delete rows, so that their flights are flown again (`--retry-errors`)."""
+def drop_failed(folder: Path) -> None:
+    """Delete the rows of failed flights, so that these are repeated."""
     table = read_table(folder)
-    keep = pa.array([key not in keys for key in table.column("key").to_pylist()], type=pa.bool_())
+    keep = pa.array([not error for error in table.column("error").to_pylist()], type=pa.bool_())
     write_table(folder / PARQUET, table.filter(keep))
     (folder / JOURNAL).unlink(missing_ok=True)
 

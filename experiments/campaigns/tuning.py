@@ -24,11 +24,11 @@ from typing import Annotated, Any, Final, Literal, Self
 import optuna
 from pydantic import Field, model_validator
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load, merge, read_tree
-from configs.parts import read_part
-from experiments.campaigns.campaign import CampaignConfig, Case, Seeds
+from configs.loader import ConfigError, ConfigRecord, load
+from experiments.campaigns.campaign import CampaignConfig, Case, Seeds, campaign_file
 from experiments.campaigns.flight_jobs import FlightJob, flights_of_seed
 from experiments.campaigns.worker import FlightResult, fly_job
+from experiments.flights.scenario import Choices, resolve
 
 CONTROLLER_ROOT: Final = "onboard.controller."
 GUIDANCE_ROOT: Final = "onboard.guidance."
@@ -112,9 +112,10 @@ class Search:
     seed: int = 0
 
 
-def load_tuning(path: Path) -> TuneConfig:
-    """A tuning campaign. Raises ConfigError."""
-    return load(TuneConfig, path)
+def load_tuning(name: str) -> tuple[TuneConfig, Path]:
+    """Load a tuning campaign by name or file; return it and its path. Raises ConfigError."""
+    path = campaign_file(name)
+    return load(TuneConfig, path), path
 
 
 def cost(row: dict[str, Any], window: str, reference_m: float, crash_cost: float) -> float:
@@ -157,9 +158,10 @@ def _flight_path(path: str) -> str:
 
 
 def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
-    """Return the file's values (guidance.yaml's for missing leads), limited to the ranges: the start of a search."""
-    tree = read_part("controllers", controller)
-    tree["guidance"] = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), tree.get("guidance", {}))
+    """Return the values of the controller's file and the defaults, limited to the ranges: the start of a search."""
+    flight = resolve(choices=Choices(controller))
+    settings = flight.onboard.controller.filled_settings(flight.features)
+    tree = {"settings": settings.model_dump(mode="json"), "guidance": flight.onboard.guidance.model_dump(mode="json")}
     values = {}
     for parameter in space:
         node: Any = tree

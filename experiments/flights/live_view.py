@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from configs.loader import ConfigError
-from flight_log.viewer import OPENED
+from flight_log.viewer import OPENED, ViewerError, require_screen, viewer_binary
 from runtime.signals import die_with_parent
 
 READY_LIMIT_S: Final = 60.0
@@ -54,6 +54,16 @@ def live_view(folder: Path, web: bool, port: int | None = None) -> Iterator[Call
         process.wait()
         if process.stdout is not None:
             process.stdout.close()
+
+
+def require_viewer(web: bool) -> None:
+    """Raise ConfigError if the viewer, or a screen for its window, is missing."""
+    try:
+        viewer_binary()
+        if not web:
+            require_screen()
+    except ViewerError as error:
+        raise ConfigError(f"--view: {error}") from None
 
 
 def _quietly(prepare: Callable[[], None]) -> Callable[[], None]:

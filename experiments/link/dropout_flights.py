@@ -1,19 +1,19 @@
-"""The whole set of dropout traces flown in lockstep, one flight each, as rows of a table."""
+"""Flies dropout traces in lockstep, one flight each, and returns the rows of a table."""
 
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 from experiments.campaigns.worker_pools import LocalPool
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from experiments.link.dropout_trace import load_trace
+from experiments.link.dropout_trace import load_trace, trace_names
 from experiments.replays.replay import figures
 
 PERFECT: Final = "perfect"
-"""Name of the row without any dropout, for comparison."""
+"""Name of the row without dropouts."""
 HEADINGS: Final = (
     "trace",
     "lost up",
@@ -28,35 +28,33 @@ HEADINGS: Final = (
 
 @dataclass(frozen=True)
 class DropoutFlight:
-    """What to fly."""
+    """One flight with a dropout trace."""
 
     trace: str
-    """A name of configs/dropouts, a file, or PERFECT."""
+    """Name in configs/dropouts, file, or PERFECT."""
     scenario: str
-    controller: str | None
-    seed: int | None
-    duration_s: float
+    choices: Choices
 
 
 @dataclass(frozen=True)
 class DropoutRow:
-    """What came of it."""
+    """The result of one flight."""
 
     trace: str
     description: str
     lost_up: float
-    """Share."""
+    """Lost / sent."""
     lost_down: float
     gap_up_s: float
     gap_down_s: float
     position_rmse_m: float
     feature_age_s: float
-    """Median while the path was flown; NaN if no trained features flew."""
+    """Median on the path; NaN if no trained features were used."""
     survived: bool
     crash_reason: str
 
     def cells(self) -> tuple[str, ...]:
-        """As text, in the order of HEADINGS."""
+        """Return the row as text, in the order of HEADINGS."""
         return (
             self.trace,
             f"{self.lost_up:.1%}",
@@ -68,14 +66,25 @@ class DropoutRow:
             "yes" if self.survived else f"no: {self.crash_reason}",
         )
 
-    def record(self) -> dict[str, Any]:
-        """As a plain mapping."""
-        return asdict(self)
+
+def flights_with(traces: Sequence[str], scenario: str, choices: Choices) -> list[DropoutFlight]:
+    """Return a flight for the perfect link and for each trace (all shipped ones if none are named).
+
+    Raises
+    ------
+    ConfigError
+        If a trace, the scenario or one of the choices cannot be used.
+    """
+    resolve(scenario, choices)
+    names = traces or trace_names()
+    for name in names:
+        load_trace(name)
+    return [DropoutFlight(name, scenario, choices) for name in (PERFECT, *names)]
 
 
 def fly_one(job: DropoutFlight) -> DropoutRow:
-    """One flight with one trace. Raises ConfigError."""
-    config = resolve(job.scenario, Choices(job.controller, job.seed, job.duration_s))
+    """Fly with one trace. Raises ConfigError."""
+    config = resolve(job.scenario, job.choices)
     if job.trace == PERFECT:
         name, description, radio, deliveries = PERFECT, "Nothing is lost, nothing is late.", None, None
     else:
@@ -102,11 +111,11 @@ def fly_one(job: DropoutFlight) -> DropoutRow:
 def fly_all(
     jobs: Sequence[DropoutFlight], workers: int, report: Callable[[DropoutRow], None] = lambda row: None
 ) -> list[DropoutRow]:
-    """All flights, side by side in processes of their own, in the order of `jobs`.
+    """Fly side by side, in processes of their own; return the rows in the order of `jobs`.
 
     Parameters
     ----------
-    report: called with each row as it comes.
+    report: called with each row when its flight is done.
 
     Raises
     ------

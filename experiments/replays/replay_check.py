@@ -65,6 +65,21 @@ class CheckResult:
     incomplete: str
     """Reason why the log was not checked to its end; "" if it was."""
 
+    @property
+    def equal(self) -> bool:
+        """Whether the complete log was checked and all bits are equal."""
+        return self.difference is None and not self.incomplete
+
+    def __str__(self) -> str:
+        """Return one line: what was compared, and the first difference if there is one."""
+        line = f"{self.name}: {self.ticks} ticks, {self.datagrams_in} datagrams in, {self.datagrams_out} out"
+        line += f", {self.failed_steps} failed steps" if self.failed_steps else ""
+        if self.difference is None:
+            line += f": equal bit for bit, {self.rows} tick records included"
+        else:
+            line += f"; FIRST DIFFERENCE: {self.difference}"
+        return f"{line}; NOT CHECKED further: {self.incomplete}" if self.incomplete else line
+
 
 def check_flight(flight: RecordedFlight, key_file: Path | None = None) -> list[CheckResult]:
     """Check every run of the onboard process of a flight.

@@ -10,7 +10,7 @@ a controller file, `configs/controllers/<name>.yaml` or any path, and it flies l
 from importlib import import_module
 from typing import Any, Protocol, runtime_checkable
 
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from configs.loader import ConfigError, ConfigRecord, fill
 from onboard.control.airframe import AirframeConfig
@@ -62,11 +62,16 @@ class ControllerConfig(ConfigRecord):
         ConfigError
             If the class cannot be found or its settings do not fit; names `source` and the path.
         """
-        controller_class = self.controller_class(source)
-        given = {"features": features} if "features" in controller_class.Settings.model_fields else {}
-        settings = fill(controller_class.Settings, self.settings | given, source, "controller.settings.")
-        controller: Controller = controller_class(settings, airframe, seed)
+        settings = self.filled_settings(features, source)
+        controller: Controller = self.controller_class(source)(settings, airframe, seed)
         return controller
+
+    def filled_settings(self, features: FeaturesConfig, source: str = "controller") -> BaseModel:
+        """Return the settings as the class's record, with its defaults. Raises ConfigError as `build` does."""
+        record = self.controller_class(source).Settings
+        given = {"features": features} if "features" in record.model_fields else {}
+        settings: BaseModel = fill(record, self.settings | given, source, "controller.settings.")
+        return settings
 
     def controller_class(self, source: str = "controller") -> Any:
         """The class named by `class_path`. Raises ConfigError."""

@@ -62,7 +62,7 @@ def test_a_crash_is_never_worth_a_good_lap() -> None:
 
 
 def test_every_shipped_controller_has_a_space_that_fits_its_file() -> None:
-    config = load_tuning(TUNE)
+    config = load_tuning("tune")[0]
     for controller in config.own:
         space = config.space(controller)
         names = [one.name for one in space]
@@ -74,7 +74,7 @@ def test_every_shipped_controller_has_a_space_that_fits_its_file() -> None:
 
 
 def test_common_parameters_come_first_and_are_the_same_for_all() -> None:
-    config = load_tuning(TUNE)
+    config = load_tuning("tune")[0]
     for controller in config.own:
         assert config.space(controller)[: len(config.common)] == config.common
     with pytest.raises(ConfigError, match="declared are bias, dmrac"):
@@ -88,7 +88,7 @@ def test_tuning_refuses_evaluation_seeds() -> None:
 
 
 def search(trials: int) -> Search:
-    return Search(load_tuning(TUNE), "tune", "pid", trials, seed=3)
+    return Search(load_tuning("tune")[0], "tune", "pid", trials, seed=3)
 
 
 def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
@@ -102,14 +102,14 @@ def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
     assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
     record = search_record(search(24), parts)
     assert "--trials 24" in record[0]
-    assert f"seeds 0 to {load_tuning(TUNE).seeds.count - 1}; " in record[1]
+    assert f"seeds 0 to {load_tuning('tune')[0].seeds.count - 1}; " in record[1]
 
 
 def test_the_first_trials_start_from_the_campaigns_loop_gains(tmp_path: Path) -> None:
     study = run_search(search(3), open_study(search(3), tmp_path), Inline(bowl), lambda study: None)
     first, *others = (trial.params for trial in study.trials)
     changed = [{name: other[name] for name in first if other[name] != first[name]} for other in others]
-    assert changed == list(load_tuning(TUNE).starts)
+    assert changed == list(load_tuning("tune")[0].starts)
 
 
 def test_a_killed_searchs_trial_is_flown_again(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
     states = [trial.state for trial in study.trials]
     assert states.count(optuna.trial.TrialState.FAIL) == 1
     assert states.count(optuna.trial.TrialState.COMPLETE) == 2
-    assert study.trials[1].params | load_tuning(TUNE).starts[0] == study.trials[1].params  # not flown before
+    assert study.trials[1].params | load_tuning("tune")[0].starts[0] == study.trials[1].params  # not flown before
 
 
 def test_a_wrong_path_ends_the_search_with_its_command(tmp_path: Path) -> None:
@@ -167,3 +167,10 @@ def test_file_keeps_comments_anchors_and_layout() -> None:
     assert parse_yaml(again, "file")["guidance"] == {"lead": 0.2, "other": 1e-5}
     with pytest.raises(ConfigError, match=r"settings\.z\.q"):
         tuned_text(text, {"settings.z.q": 1.0}, [], "file")
+
+
+def test_values_that_a_file_leaves_to_their_defaults_are_searched_and_written() -> None:
+    text = "settings:\n  a: {x: 1.0}\n  b:\n    law:\n      y: 2.0\n  c: {}\n"
+    values = {"settings.a.new": 0.5, "settings.b.law.new": 0.25, "settings.c.new": 3.0}
+    changed = parse_yaml(tuned_text(text, values, [], "file"), "file")["settings"]
+    assert changed == {"a": {"x": 1.0, "new": 0.5}, "b": {"law": {"new": 0.25, "y": 2.0}}, "c": {"new": 3.0}}

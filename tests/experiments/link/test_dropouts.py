@@ -116,8 +116,8 @@ def test_the_quality_of_a_link() -> None:
 
 def test_flights_meet_their_traces() -> None:
     """Even a link that is dead from the first moment does not cost the vehicle."""
-    dead = fly_one(DropoutFlight("dead", "hover", "pid", 1, 9.5))
-    bad = fly_one(DropoutFlight("recorded_bad", "hover", "pid", 1, 7.0))
+    dead = fly_one(DropoutFlight("dead", "hover", Choices("pid", 1, 9.5)))
+    bad = fly_one(DropoutFlight("recorded_bad", "hover", Choices("pid", 1, 7.0)))
     assert (dead.lost_up, dead.lost_down) == (1.0, 1.0)
     assert dead.gap_down_s == pytest.approx(9.5, abs=0.01)
     assert 0.1 < bad.lost_down < 0.4
@@ -130,14 +130,14 @@ def test_flights_meet_their_traces() -> None:
 
 def test_a_link_that_is_late_by_a_quarter_of_a_second_does_not_cost_the_vehicle() -> None:
     """The clocks' offset is wrong by 65 ms here: poses at the wrong time look turned while the vehicle turns."""
-    late = fly_one(DropoutFlight("late", "figure8_wind", "pid", 3, 13.0))
+    late = fly_one(DropoutFlight("late", "figure8_wind", Choices("pid", 3, 13.0)))
     assert late.survived
     assert late.position_rmse_m < 0.1
 
 
 @pytest.mark.parametrize("name", trace_names())
 def test_no_shipped_trace_costs_the_vehicle(name: str) -> None:
-    assert fly_one(DropoutFlight(name, "figure8_wind", "pid", 2, 16.0)).survived
+    assert fly_one(DropoutFlight(name, "figure8_wind", Choices("pid", 2, 16.0))).survived
 
 
 @pytest.mark.full
@@ -162,6 +162,6 @@ def test_batches_that_go_twice_are_worth_their_bytes() -> None:
 
 def test_a_narrow_link_is_not_made_narrower() -> None:
     """A full queue drops a fifth of what comes down; answered by twice the bytes, the way up would drop, too."""
-    narrow = fly_one(DropoutFlight("narrow", "figure8_wind", "dmrac", 2, 12.0))
+    narrow = fly_one(DropoutFlight("narrow", "figure8_wind", Choices("dmrac", 2, 12.0)))
     assert narrow.lost_down > 0.2
     assert narrow.lost_up == 0.0

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from async_dmrac.commands import bench
 from experiments.flights.scenario import Choices, resolve
 from experiments.timing.learning_speed import admission_ms, training_round_ms
 from experiments.timing.step_timing import (
@@ -94,12 +93,3 @@ def test_learning_is_timed_on_a_flights_own_samples() -> None:
     assert admission_ms(samples=2) > 0.0
     with pytest.raises(RuntimeError, match="hover with pid: nothing to train on"):
         training_round_ms(resolve("hover", Choices("pid", None, None, ("offboard.trainer.minimum_samples=100000",))))
-
-
-def test_bad_options_end_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    parser = bench.argparse.ArgumentParser()
-    bench.add_arguments(parser)
-    assert bench.run(parser.parse_args(["--seconds", "0"])) == 2
-    assert capsys.readouterr().err == "--seconds 0: allowed are 2 to 600\n"
-    assert bench.run(parser.parse_args(["no_such_scenario"])) == 2
-    assert "no_such_scenario" in capsys.readouterr().err
