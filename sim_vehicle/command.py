@@ -19,12 +19,12 @@ from runtime.sockets import AddressInUseError
 from runtime.status import StatusLines
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.radio import RADIO_STREAM, Radio, RadioConfig
-from sim_vehicle.process import PERIOD_NS, SimProcess
-from sim_vehicle.vehicle import SimVehicle
+from sim_vehicle.process import SimProcess
+from sim_vehicle.vehicle import PERIOD_NS, SimVehicle
 
 WARM_UP_STEPS: Final = 20
 PRIORITY: Final = 10
-"""SCHED_FIFO, below onboard's: the simulated world must keep time too, but not at the loop's cost."""
+"""SCHED_FIFO, below that of onboard: the simulator must not delay onboard's loop."""
 
 EXAMPLES: Final = """examples:
   dmrac sim --config flight.yaml --out flight
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the process; returns the exit status (0 flown, 1 onboard never came, 2 bad configuration or address)."""
+    """Run the process. Returns the exit status: 0 flown, 1 no command from onboard, 2 bad configuration or address."""
     stop = StopRequest()
     status = StatusLines("sim", arguments.json)
     try:
@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         network = load_network(arguments.config, _addresses(arguments))
         key = load_key(network.vehicle_key_file)
         if serial_line(network.vehicle) is not None:
-            raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle speaks UDP only")
+            raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle supports UDP only")
         make_folder(arguments.out)
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
@@ -98,7 +98,7 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
 
 
 def _compile(config: SimVehicleConfig, seed: int) -> None:
-    """Step a vehicle that is thrown away, so that no step of the flight waits for the compiler."""
+    """Step another vehicle first, so that no step of the flight waits for the compiler."""
     vehicle = SimVehicle(config, seed)
     for step in range(WARM_UP_STEPS):
         vehicle.step(step * PERIOD_NS)

@@ -1,4 +1,4 @@
-"""The simulated vehicle's configuration, and how configs/vehicles/*.yaml is read."""
+"""Configuration of the simulated vehicle, read from configs/vehicles/*.yaml."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ from sim_vehicle.world.catalogue import AnyDisturbance
 
 
 class SimVehicleConfig(ConfigRecord):
-    """One simulated vehicle in its world."""
+    """One simulated vehicle and its disturbances."""
 
     body: BodyConfig
     motors: MotorConfig
@@ -37,9 +37,11 @@ class SimVehicleConfig(ConfigRecord):
     initial: InitialConfig = InitialConfig()
     disturbances: tuple[AnyDisturbance, ...] = Field(default=(), max_length=64)
     impairment: RadioConfig | None = Field(
-        default=None, description="of the vehicle's own link, up: sensors, down: motors; left out: a perfect wire"
+        default=None, description="of the vehicle's own link, up: sensors, down: motors; left out: none"
     )
-    box_m: float = Field(default=10.0, gt=0.0, description="m, further than this from the origin the flight is lost")
+    box_m: float = Field(
+        default=10.0, gt=0.0, description="m; the vehicle is lost beyond this distance from the origin"
+    )
 
 
 def load_vehicle(name: str | Path = "mambo", over: Mapping[str, Any] | None = None) -> SimVehicleConfig:

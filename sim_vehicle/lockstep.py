@@ -4,7 +4,7 @@ Theory of operation. One tick is one onboard period. A motor command computed at
 real command takes time to compute and to send. Sensor datagrams reach onboard in the tick in which they are sampled.
 Datagrams between onboard and offboard pass through the radio, with the delivery and delay of the scenario. The result
 of a training round becomes known after the modelled training time. Lockstep therefore models the same delays as real
-time. This file receives built cores and knows only their methods.
+time. This file receives built cores; it knows onboard and offboard only by their methods.
 
 The trace hash is the SHA-256 of every datagram that any core sent, in order: two flights with the same hash did the
 same.
@@ -18,25 +18,11 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 from flight_log.schema import RecordType
 from protocol.conventions import Array
 from sim_vehicle.link.radio import Radio
-from sim_vehicle.records import VehicleOutput
+from sim_vehicle.vehicle import SimVehicle
 
 ResultT = TypeVar("ResultT")
 """Result of a training round; only offboard reads it."""
 ResultT_co = TypeVar("ResultT_co", covariant=True)
-
-
-class Vehicle(Protocol):
-    """sim_vehicle.vehicle.SimVehicle, as lockstep uses it."""
-
-    def receive(self, datagram: bytes, now_ns: int) -> None:
-        """Receive a motor command."""
-
-    def step(self, now_ns: int) -> VehicleOutput:
-        """Advance to `now_ns`."""
-
-    @property
-    def crash_reason(self) -> str:
-        """Empty until the vehicle crashes."""
 
 
 class OnboardOutput(Protocol):
@@ -124,7 +110,7 @@ class Lockstep(Generic[ResultT]):
 
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: SimVehicle,
         radio: Radio,
         onboard: Onboard,
         offboard: Offboard[ResultT] | None,

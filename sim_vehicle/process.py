@@ -1,9 +1,9 @@
-"""The simulated vehicle's process: dynamics in real time, its motion capture, and the radio between the others.
+"""The process of the simulated vehicle: dynamics in real time, motion capture, and the radio between the others.
 
-Theory of operation. Flight time starts with the first motor command that arrives (onboard sends them at 200 Hz,
-armed or not), so that processes that start slowly do not shift the scenario; the vehicle then steps on an absolute
-grid, a fixed phase behind onboard's ticks. Motor commands act when they arrive. After a stall the vehicle is
-integrated to now in one step: its physics misses nothing, only its sensors do. Radio datagrams leave when due.
+Theory of operation. Flight time starts with the first motor command (onboard sends them at 200 Hz, armed or not), so
+that a slow start of a process does not shift the scenario. The vehicle then steps on an absolute grid, with a fixed
+phase after onboard's ticks. Motor commands act when they arrive. After a stall, one step integrates the vehicle to the
+present: no physics is lost, only sensor datagrams arrive late. Radio datagrams leave when they are due.
 """
 
 import select
@@ -22,18 +22,17 @@ from runtime.sockets import AddressInUseError, DatagramSocket
 from runtime.status import StatusLines
 from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, Direction, Radio, delivery_vector
 from sim_vehicle.records import TRUTH
-from sim_vehicle.vehicle import SimVehicle
+from sim_vehicle.vehicle import PERIOD_NS, SimVehicle
 
-PERIOD_NS: Final = 5_000_000
 START_PHASE_NS: Final = 1_000_000
-"""From a motor command to the sensors: they are then 3 to 4 ms old at the next onboard tick, well clear of it."""
+"""From a motor command to the sensors, which are then 3 to 4 ms old at the next onboard tick."""
 MOTOR_DATAGRAMS_PER_WAKE: Final = 16
 RADIO_DATAGRAMS_PER_WAKE: Final = 64
 LANDING_OVERTIME_NS: Final = 8_000_000_000
-"""A vehicle that is still in the air when its time is over gets so long to land."""
+"""Time to land for a vehicle that is still in the air at the end of the flight."""
 _AIRBORNE: Final = TRUTH.names.index("airborne")
 AFTER_CRASH_NS: Final = 500_000_000
-"""The others go on recording for so long after a crash."""
+"""The process continues so long after a crash, so that the others record it."""
 START_LIMIT_S: Final = 120.0
 
 LOOP: Final = RecordType("sim_vehicle/loop", (("step_late", "us"), ("stalled_steps", "")))
@@ -83,10 +82,10 @@ class SimProcess:
                 one.close()
             raise
         self._motors, self._onboard_side, self._offboard_side, self._poses = sockets
-        self._heard = (self._motors, self._onboard_side, self._offboard_side)
+        self._inputs = (self._motors, self._onboard_side, self._offboard_side)
 
     def fly(self) -> int:
-        """Run until the flight's time is over, the vehicle has crashed, or the process is asked to end."""
+        """Run until the flight is over, the vehicle has crashed or a stop is requested; returns the exit status."""
         if not self._wait_for_onboard():
             return 0 if self._stop.count else 1
         while not self._ended():
@@ -100,14 +99,14 @@ class SimProcess:
         return 0
 
     def close(self) -> None:
-        """Free the addresses."""
-        for one in (*self._heard, self._poses):
+        """Close the sockets."""
+        for one in (*self._inputs, self._poses):
             one.close()
 
     def _wait_for_onboard(self) -> bool:
-        """Hold the clock at 0 until the first motor command; False if none comes or the process is to end.
+        """Wait at flight time 0 for the first motor command; False if none comes or the process is asked to stop.
 
-        Nothing of the scenario runs meanwhile, the radio included.
+        Until then nothing of the scenario runs, not even the radio.
         """
         limit_ns = time.monotonic_ns() + round(START_LIMIT_S * 1e9)
         while time.monotonic_ns() < limit_ns and self._stop.count == 0:
@@ -122,14 +121,14 @@ class SimProcess:
         return False
 
     def _wait(self) -> None:
-        """Sleep until something arrives, a radio datagram is due or the next step is."""
+        """Sleep until a datagram arrives, or a radio datagram or the next step is due."""
         due_ns = self._next_step_ns
         for direction in DIRECTIONS:
             radio_due_ns = self._radio.next_due_ns(direction)
             if radio_due_ns is not None and radio_due_ns < due_ns:
                 due_ns = radio_due_ns
         ahead_ns = due_ns + self._start_ns - time.monotonic_ns()
-        select.select(self._heard, (), (), max(0.0, ahead_ns * 1e-9))
+        select.select(self._inputs, (), (), max(0.0, ahead_ns * 1e-9))
 
     def _carry_radio(self, now: int) -> None:
         for datagram in self._onboard_side.receive(RADIO_DATAGRAMS_PER_WAKE):
@@ -142,7 +141,7 @@ class SimProcess:
             self._onboard_side.send(datagram)
 
     def _step(self, now: int) -> None:
-        """One vehicle step on the grid; a stall is integrated over in one."""
+        """One step of the vehicle on the grid. After a stall, one step covers all the missed ones."""
         late_ns = now - self._next_step_ns
         stalled = late_ns // PERIOD_NS
         self.stalled_steps += stalled
@@ -187,7 +186,7 @@ class SimProcess:
         return self._next_step_ns > self._duration_ns + overtime_ns
 
     def status(self, now: int) -> dict[str, Any]:
-        """What the live status shows of the world."""
+        """What the live status shows of this process."""
         return {"time_s": now * 1e-9, "link": self._counts()}
 
     def _counts(self) -> dict[str, dict[str, int]]:
@@ -198,7 +197,7 @@ class SimProcess:
         }
 
     def summary(self) -> dict[str, Any]:
-        """What the flight record keeps of this process; times of its log are on the machine's monotonic clock."""
+        """Summary for the flight folder. Times in the log of this process are on the machine's monotonic clock."""
         return {
             "start_ns": self._start_ns,
             "duration_s": max(0, self._next_step_ns - PERIOD_NS) * 1e-9,
@@ -212,6 +211,6 @@ class SimProcess:
 
 
 def _any_port(peer: str) -> str:
-    """A free port of the side of this machine that faces `peer`."""
+    """A free port on the interface that leads to `peer`."""
     local = peer.startswith(("127.", "localhost:"))
     return "127.0.0.1:0" if local else "0.0.0.0:0"

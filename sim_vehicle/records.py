@@ -1,4 +1,4 @@
-"""What the simulated vehicle gives out: its truth record and the output of a step."""
+"""Records of the simulated vehicle: the truth and the output of a step."""
 
 from typing import Final, NamedTuple, TypeAlias
 
@@ -18,10 +18,12 @@ TRUTH: Final = RecordType(
         *vector_fields("rate", "pqr", "rad/s, body FRD"),
         *vector_fields("acceleration", "ned", "m/s^2, velocity gained over the step by its length"),
         *vector_fields("angular_acceleration", "xyz", "rad/s^2, body FRD, rates gained over the step by its length"),
-        *vector_fields("motor_thrust", "1234", "N, PX4 order, really given, without ground effect"),
+        *vector_fields("motor_thrust", "1234", "N, PX4 order, actual, without ground effect"),
         *vector_fields("wind", "ned", "m/s, air velocity at the vehicle"),
-        *vector_fields("disturbance_force", "ned", "N, mean over the step: what the nominal model does not explain"),
-        *vector_fields("disturbance_torque", "xyz", "N m, body FRD, mean over the step: likewise"),
+        *vector_fields("disturbance_force", "ned", "N, mean over the step: not explained by the nominal model"),
+        *vector_fields(
+            "disturbance_torque", "xyz", "N m, body FRD, mean over the step: not explained by the nominal model"
+        ),
         ("battery_voltage", "V"),
         ("airborne", "1 when nothing touches the floor"),
     ),
@@ -29,13 +31,13 @@ TRUTH: Final = RecordType(
 """The true state at the end of a step.
 
 Disturbance force and torque are m a - m g - R T and J alpha + omega x J omega - tau, with mass m, inertia J, thrust T
-and torque tau of the *nominal* vehicle under the same commands (`nominal` of the configuration): that is, mass times
-the paper's Delta. On the floor they contain the floor's reaction.
+and torque tau of the *nominal* vehicle under the same commands (`nominal` of the configuration). The force is m Delta
+in the notation of the paper. On the floor both contain the reaction of the floor.
 """
 
 
 class VehicleOutput(NamedTuple):
-    """What one step of the simulated vehicle gives out."""
+    """Output of one step."""
 
     to_onboard: list[bytes]
     """MAVLink 2 datagrams of the sensors."""

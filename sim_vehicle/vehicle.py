@@ -1,11 +1,11 @@
 """The simulated vehicle: motor commands in, sensor datagrams and truth out. No clock, no socket, no file.
 
-Time is flight time, ns from 0. The vehicle lives on a grid of 1 ms sub-steps; `step` integrates up to the last grid
-point at or before its time, and sensors sample on every fifth one (200 Hz), whatever the calls' times.
+Time is flight time, ns from 0. The vehicle moves on a grid of 1 ms sub-steps: `step` integrates up to the last grid
+point at or before its time. Sensors sample on every fifth grid point (200 Hz), independently of the times of the calls.
 """
 
 from collections import Counter, deque
-from math import cos, degrees, sin
+from math import cos, sin
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
@@ -14,19 +14,10 @@ import sim_vehicle.physics.layout as at
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.mavlink import VehicleCodec
 from sim_vehicle.link.radio import Radio
-from sim_vehicle.physics.advance import (
-    HARD_TOUCH,
-    SOUND,
-    TILTED,
-    TILTED_TOUCH,
-    WORK_ROWS,
-    advance,
-    tilt_of,
-    verdict,
-    write_truth,
-)
-from sim_vehicle.physics.disturb import knowing
-from sim_vehicle.physics.limits import flight_limits
+from sim_vehicle.physics.advance import CLEARANCE, WORK_ROWS, advance, write_truth
+from sim_vehicle.physics.crash import crash_limits, crash_reason
+from sim_vehicle.physics.disturb import for_disturbances
+from sim_vehicle.physics.draws import SUBSTEPS_MAX
 from sim_vehicle.physics.packing import COULOMB_PER_MAH, GRAVITY, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, Array, VehicleOutput
 from sim_vehicle.sensors.battery import Battery
@@ -36,28 +27,26 @@ from sim_vehicle.sensors.motion_capture import MotionCapture
 from sim_vehicle.sensors.ultrasonic import Ultrasonic
 from sim_vehicle.world.world import World
 
-SAMPLE_NS: Final = 5 * SUBSTEP_NS
-"""ns, IMU period."""
+PERIOD_NS: Final = 5 * SUBSTEP_NS
+"""IMU period, and step of the real-time process."""
 IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM, WIRE_STREAM = 1, 2, 3, 4, 5, 6
-"""Random streams [seed, n] of the sensors and the vehicle's link."""
+"""Random streams [seed, n] of the sensors and of the vehicle's link."""
 _TRUTH_SIZE: Final = len(TRUTH.fields)
 SampleT = TypeVar("SampleT")
-LONGEST_RUN: Final = 400
-"""Sub-steps in one call of the compiled step."""
 
 
 class SimVehicle:
-    """One Mambo in its world. `key`: of its MAVLink, if that is to be signed."""
+    """One Mambo in its world. key: of its MAVLink; None: unsigned."""
 
     def __init__(self, config: SimVehicleConfig, seed: int, key: bytes | None = None) -> None:
         self._config = config
         self._world = World(config, seed)
-        self._advance = knowing(advance, config.disturbances)
+        self._advance = for_disturbances(advance, config.disturbances)
         self._state = initial_state(config)
         self._sums: Array = np.zeros(at.SUMS_SIZE)
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
         self._commands: Array = np.zeros(4)
-        self._limits: Array = flight_limits(config)
+        self._limits: Array = crash_limits(config)
         hover_thrust_n = config.body.mass_kg * GRAVITY / 4
         sensors = config.sensors
         self._imu = Imu(sensors.imu, hover_thrust_n, seed, IMU_STREAM)
@@ -78,24 +67,14 @@ class SimVehicle:
         self._armed = False
         self._commanded_ns = 0
         self._time_ns = 0
-        self._sample_ns = SAMPLE_NS
+        self._sample_ns = PERIOD_NS
         self.crash_reason = ""
-        """Why the flight is lost; "" while it is not. The motors are off from then on."""
+        """Empty until the vehicle crashes. The motors are off from then on."""
 
     @property
     def rejected(self) -> Counter[str]:
         """Motor frames dropped, by reason."""
         return self._codec.rejected
-
-    @property
-    def world(self) -> World:
-        """The disturbances as resolved from the seed."""
-        return self._world
-
-    @property
-    def imu(self) -> Imu:
-        """The IMU, with its biases."""
-        return self._imu
 
     def receive(self, datagram: bytes, now_ns: int) -> None:
         """Receive a datagram from onboard. Its motor command acts from `now_ns` plus the configured delay.
@@ -113,15 +92,15 @@ class SimVehicle:
             self._pending.append((now_ns + self._command_delay_ns, command[0], command[1]))
 
     def step(self, now_ns: int) -> VehicleOutput:
-        """Advance to `now_ns` (at or before the last call's: nothing moves), sampling the sensors that fall due."""
+        """Advance to `now_ns` and sample the sensors that are due. Time does not go backwards."""
         to_onboard: list[bytes] = []
         end_ns = now_ns - now_ns % SUBSTEP_NS
         while self._time_ns < end_ns:
-            self._run(min(end_ns, self._sample_ns, self._world.next_event_ns, self._take_command()))
+            self._run(min(end_ns, self._sample_ns, self._world.next_event_ns, self._apply_command()))
             if self._time_ns >= self._world.next_event_ns:
                 self._world.apply(self._time_ns)
             if self._time_ns >= self._sample_ns:
-                self._sample_ns += SAMPLE_NS
+                self._sample_ns += PERIOD_NS
                 self._sample(to_onboard)
                 if self._wire is not None:
                     for datagram in to_onboard:
@@ -136,8 +115,8 @@ class SimVehicle:
         write_truth(self._state, self._sums, self._world.condition.parameters, truth)
         return VehicleOutput(to_onboard, to_motion_capture, truth)
 
-    def _take_command(self) -> int:
-        """Put the command due into force; gives the time of the next change (ns)."""
+    def _apply_command(self) -> int:
+        """Apply the command that is due, and return the time of the next change, ns."""
         arrival_ns = None
         if self._wire is not None:
             for datagram in self._wire.due("down", self._time_ns):
@@ -153,7 +132,7 @@ class SimVehicle:
             self._armed = False
         if not self._armed or self.crash_reason:
             self._commands[:] = 0.0
-        next_ns = timeout_ns if self._armed else self._time_ns + LONGEST_RUN * SUBSTEP_NS
+        next_ns = timeout_ns if self._armed else self._time_ns + SUBSTEPS_MAX * SUBSTEP_NS
         if self._pending:
             next_ns = min(next_ns, self._pending[0][0])
         if arrival_ns is not None:
@@ -177,23 +156,10 @@ class SimVehicle:
         )
         self._time_ns = end_ns
         if not self.crash_reason:
-            self.crash_reason = self._judge()
-
-    def _judge(self) -> str:
-        """Why the flight is lost now, or ""."""
-        fault = verdict(self._state, self._sums, self._limits)
-        if fault == SOUND:
-            return ""
-        if fault == HARD_TOUCH:
-            return f"hit the floor at {self._sums[at.TOUCH_SPEED]:.1f} m/s"
-        if fault == TILTED_TOUCH:
-            return f"touched the floor tilted by {degrees(self._sums[at.TOUCH_TILT]):.0f} deg"
-        if fault == TILTED:
-            return f"tilted by {degrees(tilt_of(self._state)):.0f} deg"
-        return f"left the room, {np.linalg.norm(self._state[: at.VELOCITY]):.1f} m from the origin"
+            self.crash_reason = crash_reason(self._state, self._sums, self._limits)
 
     def _sample(self, to_onboard: list[bytes]) -> None:
-        """Sample every sensor that is due at the present time."""
+        """Sample every sensor that is due now."""
         now_ns, state, sums, codec, sent = self._time_ns, self._state, self._sums, self._codec, self._sent
         condition = self._world.condition
         capture_us = now_ns // 1000 + self._clock_offset_us
@@ -221,7 +187,7 @@ class SimVehicle:
                 self._poses.append((due_ns, codec.pose(pose, capture_us)))
 
     def _sent(self, sensor: str, sample: SampleT | None) -> SampleT | None:
-        """What the sensor sends instead of `sample`, which is `sample` itself without a fault. None: nothing."""
+        """What the sensor sends: `sample` unless it has a fault. None: nothing."""
         fault = self._world.condition.sensor_faults.get(sensor)
         if fault is not None:
             return cast(SampleT | None, fault(sample, self._last_samples.get(sensor)))
@@ -245,5 +211,5 @@ def initial_state(config: SimVehicleConfig) -> Array:
     state[at.CHARGE_USED] = config.battery.charge_used * config.battery.capacity_mah * COULOMB_PER_MAH
     span = config.battery.full_v - config.battery.empty_v
     state[at.VOLTAGE] = config.battery.full_v - span * config.battery.charge_used
-    state[at.AIRBORNE] = float(state[at.POSITION + 2] < -floor.foot_drop_m - 0.01)
+    state[at.AIRBORNE] = float(state[at.POSITION + 2] < -floor.foot_drop_m - CLEARANCE)
     return state

@@ -1,5 +1,3 @@
-"""A weak battery."""
-
 from math import exp
 
 from pydantic import Field

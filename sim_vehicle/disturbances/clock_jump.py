@@ -1,5 +1,3 @@
-"""A jump of the vehicle's clock."""
-
 from pydantic import Field
 
 from sim_vehicle.records import Array

@@ -1,5 +1,3 @@
-"""A cloth below the frame."""
-
 from math import cos, pi, sin, sqrt
 
 from pydantic import Field

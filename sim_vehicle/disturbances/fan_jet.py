@@ -1,5 +1,3 @@
-"""The jet of a fan."""
-
 from math import exp, sqrt
 from typing import ClassVar
 

@@ -1,5 +1,3 @@
-"""Turbulence."""
-
 from math import exp, sqrt
 from typing import ClassVar
 

@@ -1,5 +1,3 @@
-"""Weak and unequal motors."""
-
 from numpy.random import Generator
 from pydantic import Field
 

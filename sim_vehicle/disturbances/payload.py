@@ -1,5 +1,3 @@
-"""A payload."""
-
 from pydantic import Field
 
 from protocol.geometry import Vector3

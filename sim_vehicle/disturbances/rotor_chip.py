@@ -1,5 +1,3 @@
-"""A damaged rotor."""
-
 from collections.abc import Iterable
 from typing import Final, Literal
 

@@ -1,5 +1,3 @@
-"""A sensor that fails."""
-
 from math import nan
 from typing import Any, Final, Literal
 

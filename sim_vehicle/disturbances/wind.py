@@ -1,5 +1,3 @@
-"""Uniform wind."""
-
 from typing import ClassVar
 
 from pydantic import Field

@@ -1,11 +1,10 @@
-"""The radio between onboard and offboard, and all it does to datagrams: one core for real time and lockstep.
+"""The radio between onboard and offboard: impairs datagrams, in real time and in lockstep.
 
-A datagram's way: queue of the rate-limited sender (full: dropped), air (blackout, burst loss, independent loss),
-corruption, delay with exponential jitter and a rare long tail, duplication. Datagrams keep their order, as a late
-one holds back those behind it, unless reordering picks one out to arrive later than its turn. Each direction draws
-from a generator of its own, a fixed count of numbers for each datagram, so that the same seed gives datagram i the
-same luck whatever else is configured. What became of each datagram is kept and can be flown again
-(`RecordedDeliveries`).
+The stages for a datagram: queue of the rate-limited sender (full: dropped), loss (blackout, burst, independent),
+corruption, delay with exponential jitter and a rare long tail, duplication. A late datagram delays those behind it, so
+that the order stays the same, unless reordering delays a single one. Each direction has its own generator and draws
+the same number of values for each datagram: with the same seed, datagram i gets the same draws under any configuration.
+The delivery of each datagram is stored and can be flown again (`RecordedDeliveries`).
 """
 
 import heapq
@@ -26,17 +25,17 @@ Direction = Literal["up", "down"]
 """up: onboard to offboard; down: offboard to onboard."""
 DIRECTIONS: Final[tuple[Direction, Direction]] = ("up", "down")
 RADIO_STREAM: Final = 301
-"""Number of the radio's random stream, apart from the vehicle's; real time and lockstep draw the same luck."""
+"""The radio draws from the stream [seed, RADIO_STREAM], in real time and in lockstep."""
 IN_FLIGHT_MAX: Final = 20_000
-"""Most datagrams on their way in a direction; beyond it the queue counts as full."""
+"""Datagrams on their way in one direction; with more, the queue counts as full."""
 DELIVERIES_MAX: Final = 1_000_000
-"""Most deliveries kept in a direction, over an hour of flight; later ones are counted but not kept."""
+"""Deliveries stored per direction, more than an hour of flight; later ones are only counted."""
 _DRAWS: Final = 10
 _BLOCK: Final = 128
 
 
 class BlackoutConfig(ConfigRecord):
-    """A window in which nothing gets through."""
+    """A window without any delivery."""
 
     start_s: float = Field(ge=0.0, description="s after the start of the flight")
     end_s: float | None = Field(
@@ -61,7 +60,7 @@ class BurstConfig(ConfigRecord):
 
 
 class DirectionConfig(ConfigRecord):
-    """What one direction does to datagrams."""
+    """Impairments of one direction."""
 
     delay_s: float = Field(default=0.0, ge=0.0, le=10.0, description="s, least one-way delay")
     jitter_s: float = Field(default=0.0, ge=0.0, le=10.0, description="s, mean of the exponential delay on top")
@@ -69,17 +68,17 @@ class DirectionConfig(ConfigRecord):
         default=0.0, ge=0.0, le=1.0, description="share of datagrams with a long extra delay"
     )
     tail_min_s: float = Field(default=0.04, ge=0.0, le=10.0, description="s, least extra delay of those")
-    tail_max_s: float = Field(default=0.1, ge=0.0, le=10.0, description="s, most extra delay of those")
+    tail_max_s: float = Field(default=0.1, ge=0.0, le=10.0, description="s, greatest extra delay of those")
     rate_bit_s: float | None = Field(default=None, gt=0.0, description="bit/s; null: unlimited")
     queue_bytes: int = Field(
-        default=16_384, ge=1200, description="bytes the rate-limited sender holds back before it drops"
+        default=16_384, ge=1200, description="bytes that the rate-limited sender queues; more are dropped"
     )
     loss: float = Field(default=0.0, ge=0.0, le=1.0, description="independent loss probability")
     burst: BurstConfig = BurstConfig()
     blackouts: tuple[BlackoutConfig, ...] = Field(default=(), description="windows without any delivery")
     duplication: float = Field(default=0.0, ge=0.0, le=1.0, description="probability of a second copy")
-    reordering: float = Field(default=0.0, ge=0.0, le=1.0, description="probability of arriving out of turn")
-    reordering_delay_s: float = Field(default=0.02, ge=0.0, le=10.0, description="s, most extra delay of those")
+    reordering: float = Field(default=0.0, ge=0.0, le=1.0, description="probability of arriving out of order")
+    reordering_delay_s: float = Field(default=0.02, ge=0.0, le=10.0, description="s, greatest extra delay of those")
     corruption: float = Field(default=0.0, ge=0.0, le=1.0, description="probability of one flipped bit")
 
     @model_validator(mode="after")
@@ -109,7 +108,7 @@ OUTCOMES: Final[tuple[str, ...]] = ("delivered", "loss", "burst", "blackout", "q
 
 
 class Delivery(NamedTuple):
-    """What became of one datagram. Delays are -1 where there was no such copy, bits -1 where none was flipped."""
+    """The delivery of one datagram. A delay is -1 without such a copy, a bit -1 if none was flipped."""
 
     sent_ns: int
     size_bytes: int
@@ -153,17 +152,16 @@ class DirectionCounts:
     """Running counts of one direction."""
 
     sent: int = 0
-    sent_bytes: int = 0
     delivered: int = 0
-    """Datagrams handed over at least once, corrupted ones included."""
+    """Datagrams delivered at least once, corrupted ones included."""
     lost: int = 0
     duplicated: int = 0
     corrupted: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
 
 
-class _Luck:
-    """Uniform numbers in [0, 1), _DRAWS for each datagram, drawn in blocks for speed."""
+class _Draws:
+    """Uniform draws from [0, 1), _DRAWS for each datagram, in blocks for speed."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -176,12 +174,12 @@ class _Luck:
 
 
 class RecordedDeliveries:
-    """One direction's deliveries of an earlier flight, dealt out to the datagrams of another.
+    """Gives the datagrams of a flight the deliveries of an earlier one, in one direction.
 
-    Both are walked in the order of time: a datagram meets the next delivery, unless that lies more than SLACK_NS away.
-    Deliveries whose time has passed are skipped; where there is none for a datagram, the one before it counts again.
-    So a flight that sends at the same times meets exactly the recorded deliveries, one by one, and a flight that sends
-    more or less, as with another controller, still meets each burst and each silence when the recorded one did.
+    A datagram gets the next delivery in time if that is no more than SLACK_NS away. Deliveries whose time has passed
+    are skipped. A datagram without a delivery gets that of the datagram before it. A flight that sends at the same
+    times thus gets exactly the recorded deliveries. A flight that sends more or less, for example with another
+    controller, gets each burst and each silence at the recorded time.
     """
 
     SLACK_NS: Final = 100_000_000
@@ -190,17 +188,17 @@ class RecordedDeliveries:
         self._deliveries = deliveries
         self._next = 0
         self.used = 0
-        """Datagrams that met a recorded delivery of their own."""
+        """Datagrams with their own recorded delivery."""
         self.repeated = 0
-        """Datagrams that shared the delivery of the one before."""
+        """Datagrams that got the delivery of the one before."""
 
     @property
     def skipped(self) -> int:
-        """Deliveries that no datagram has met, of those that came before the latest one met."""
+        """Deliveries without a datagram, up to the latest one used."""
         return self._next - self.used
 
     def delivery(self, size_bytes: int, now_ns: int) -> Delivery | None:
-        """The delivery of a datagram sent now; None past the end of the record."""
+        """The delivery of a datagram sent now; None after the end of the recording."""
         deliveries, count = self._deliveries, len(self._deliveries)
         if not count or now_ns > deliveries[-1].sent_ns + self.SLACK_NS:
             return None
@@ -223,23 +221,23 @@ class _Path:
 
     def __init__(self, config: DirectionConfig, rng: np.random.Generator, recorded: Sequence[Delivery]) -> None:
         self._config = config
-        self._luck = _Luck(rng)
+        self._draws = _Draws(rng)
         self.recording = RecordedDeliveries(recorded)
         self._in_bad_state = False
-        self._free_ns = 0  # when the rate-limited sender has sent all it holds
-        self._in_order_ns = 0  # arrival of the latest datagram that kept its turn
+        self._free_ns = 0  # when the queue of the rate-limited sender is empty
+        self._in_order_ns = 0  # arrival of the latest datagram that was not reordered
         self._heap: list[tuple[int, int, bool, bytes]] = []  # (due, running number, is a copy, datagram)
         self._pushed = 0
         self.counts = DirectionCounts()
         self.deliveries: list[Delivery] = []
 
     def send(self, datagram: bytes, now_ns: int, since_start_s: float) -> None:
-        luck = self._luck.row()
+        draws = self._draws.row()
         if len(self._heap) >= IN_FLIGHT_MAX:
             delivery = _undelivered(datagram, now_ns, "queue")
         else:
             recorded = self.recording.delivery(len(datagram), now_ns)
-            delivery = self._decide(datagram, now_ns, since_start_s, luck) if recorded is None else recorded
+            delivery = self._decide(datagram, now_ns, since_start_s, draws) if recorded is None else recorded
         self._count(delivery)
         if delivery.outcome == "delivered":
             arriving = _flip(datagram, delivery.flipped_bit)
@@ -265,7 +263,6 @@ class _Path:
     def _count(self, delivery: Delivery) -> None:
         counts = self.counts
         counts.sent += 1
-        counts.sent_bytes += delivery.size_bytes
         counts.outcomes[delivery.outcome] += 1
         counts.lost += delivery.outcome != "delivered"
         counts.duplicated += delivery.copy_delay_ns >= 0
@@ -273,10 +270,10 @@ class _Path:
         if len(self.deliveries) < DELIVERIES_MAX:
             self.deliveries.append(delivery)
 
-    def _decide(self, datagram: bytes, now_ns: int, since_start_s: float, luck: list[float]) -> Delivery:
+    def _decide(self, datagram: bytes, now_ns: int, since_start_s: float, draws: list[float]) -> Delivery:
         c = self._config
         change = c.burst.leave if self._in_bad_state else c.burst.enter
-        if luck[0] < change:
+        if draws[0] < change:
             self._in_bad_state = not self._in_bad_state
         left_ns = self._leave_queue(len(datagram), now_ns)
         if left_ns is None:
@@ -285,17 +282,17 @@ class _Path:
             b.start_s <= since_start_s and (b.end_s is None or since_start_s < b.end_s) for b in c.blackouts
         ):
             return _undelivered(datagram, now_ns, "blackout")
-        if self._in_bad_state and luck[1] < c.burst.loss_in_bad:
+        if self._in_bad_state and draws[1] < c.burst.loss_in_bad:
             return _undelivered(datagram, now_ns, "burst")
-        if luck[2] < c.loss:
+        if draws[2] < c.loss:
             return _undelivered(datagram, now_ns, "loss")
-        arrival_ns = self._arrival(left_ns, luck)
-        copy_ns = arrival_ns + round(luck[7] * 1e6) - now_ns if luck[6] < c.duplication else -1
-        bit = int(luck[9] * 8 * len(datagram)) if luck[8] < c.corruption and datagram else -1
+        arrival_ns = self._arrival(left_ns, draws)
+        copy_ns = arrival_ns + round(draws[7] * 1e6) - now_ns if draws[6] < c.duplication else -1
+        bit = int(draws[9] * 8 * len(datagram)) if draws[8] < c.corruption and datagram else -1
         return Delivery(now_ns, len(datagram), "delivered", arrival_ns - now_ns, copy_ns, bit)
 
     def _leave_queue(self, size_bytes: int, now_ns: int) -> int | None:
-        """When the last bit is on the air; None when the queue is full."""
+        """When the last bit is sent; None if the queue is full."""
         rate = self._config.rate_bit_s
         if rate is None:
             return now_ns
@@ -305,16 +302,16 @@ class _Path:
         self._free_ns = now_ns + waiting_ns + round(size_bytes * 8e9 / rate)
         return self._free_ns
 
-    def _arrival(self, left_ns: int, luck: list[float]) -> int:
+    def _arrival(self, left_ns: int, draws: list[float]) -> int:
         c = self._config
-        delay_s = c.delay_s - c.jitter_s * math.log1p(-luck[3])
-        if luck[4] < c.tail_probability:  # the same number, stretched, says how long
-            delay_s += c.tail_min_s + (c.tail_max_s - c.tail_min_s) * luck[4] / c.tail_probability
-        in_turn_ns = max(self._in_order_ns, left_ns + round(delay_s * 1e9))
-        if luck[5] < c.reordering:
-            return in_turn_ns + round(c.reordering_delay_s * 1e9 * luck[5] / c.reordering)
-        self._in_order_ns = in_turn_ns
-        return in_turn_ns
+        delay_s = c.delay_s - c.jitter_s * math.log1p(-draws[3])
+        if draws[4] < c.tail_probability:  # the same draw, scaled, gives the length
+            delay_s += c.tail_min_s + (c.tail_max_s - c.tail_min_s) * draws[4] / c.tail_probability
+        in_order_ns = max(self._in_order_ns, left_ns + round(delay_s * 1e9))
+        if draws[5] < c.reordering:
+            return in_order_ns + round(c.reordering_delay_s * 1e9 * draws[5] / c.reordering)
+        self._in_order_ns = in_order_ns
+        return in_order_ns
 
 
 class Radio:
@@ -322,10 +319,9 @@ class Radio:
 
     Parameters
     ----------
-    rng: source of the two directions' own generators.
-    start_ns: start of the flight, which blackouts count from; by default the time of the first datagram.
-    recorded: deliveries of an earlier flight by direction, dealt out by `RecordedDeliveries`. Past their end `config`
-    decides.
+    rng: each direction spawns its own generator from it.
+    start_ns: start of the flight, from which blackouts count; by default the time of the first datagram.
+    recorded: deliveries of an earlier flight by direction, see `RecordedDeliveries`. After their end `config` decides.
     """
 
     def __init__(
@@ -345,33 +341,29 @@ class Radio:
 
     @property
     def deliveries(self) -> dict[Direction, list[Delivery]]:
-        """What became of each datagram, in the order sent."""
+        """The delivery of each datagram, in the order sent."""
         return {direction: path.deliveries for direction, path in self._paths.items()}
 
     def recording(self, direction: Direction) -> RecordedDeliveries:
-        """How far the recorded deliveries were dealt out."""
+        """How many of the recorded deliveries were used."""
         return self._paths[direction].recording
 
-    def start(self, now_ns: int) -> None:
-        """Says that the flight starts now."""
-        self._start_ns = now_ns
-
     def send(self, direction: Direction, datagram: bytes, now_ns: int) -> None:
-        """Takes a datagram to carry."""
+        """Receive a datagram from one end."""
         if self._start_ns is None:
             self._start_ns = now_ns
         self._paths[direction].send(datagram, now_ns, (now_ns - self._start_ns) * 1e-9)
 
     def due(self, direction: Direction, now_ns: int) -> list[bytes]:
-        """The datagrams that arrive by now, in the order of their arrival."""
+        """The datagrams for the other end that have arrived by now, in order of arrival."""
         return self._paths[direction].due(now_ns)
 
     def next_due_ns(self, direction: Direction) -> int | None:
-        """When the next datagram arrives; None when nothing is on its way."""
+        """When the next datagram arrives; None if none is on its way."""
         return self._paths[direction].next_due_ns()
 
     def counts(self, direction: Direction) -> DirectionCounts:
-        """Running counts; sent = delivered + lost + on their way."""
+        """Counts so far; sent = delivered + lost + on their way."""
         return self._paths[direction].counts
 
 
@@ -380,9 +372,9 @@ def _undelivered(datagram: bytes, now_ns: int, outcome: str) -> Delivery:
 
 
 def _flip(datagram: bytes, bit: int) -> bytes:
-    """`datagram` with one bit inverted; as it is when there is no such bit."""
+    """`datagram` with one bit inverted; unchanged if there is no such bit."""
     if not 0 <= bit < 8 * len(datagram):
         return datagram
-    spoilt = bytearray(datagram)
-    spoilt[bit // 8] ^= 1 << bit % 8
-    return bytes(spoilt)
+    corrupted = bytearray(datagram)
+    corrupted[bit // 8] ^= 1 << bit % 8
+    return bytes(corrupted)

@@ -1,4 +1,4 @@
-"""One call, several sub-steps: world, motors, battery, rigid body, and the sums for sensors and truth. Compiled."""
+"""Several sub-steps in one call: disturbances, motors, battery, rigid body, sums for sensors and truth. Compiled."""
 
 from math import acos
 
@@ -19,14 +19,14 @@ from sim_vehicle.physics.motors import drain_battery, lag_motors
 from sim_vehicle.records import Array
 
 CLEARANCE = 0.01
-"""m above the floor from which the vehicle counts as airborne (touching is at 0, so that it does not chatter)."""
+"""m above the floor from which the vehicle is airborne. It touches the floor at 0, so the flag does not chatter."""
 WORK_ROWS = 10
 """Rows of 13 of the work array: 5 for Runge-Kutta, 3 thrusts, 1 effect of the disturbances, 1 nominal thrust."""
 
 
 @compiled
 def nominal_torque(state: Array, P: Array) -> tuple[float, float, float, float]:
-    """Collective thrust, N, and torque, N m body, that the nominal model expects of the present commands."""
+    """Collective thrust, N, and torque, N m body, that the nominal model gives for the present commands."""
     T1, T2, T3, T4 = (
         state[at.NOMINAL_THRUST],
         state[at.NOMINAL_THRUST + 1],
@@ -41,7 +41,7 @@ def nominal_torque(state: Array, P: Array) -> tuple[float, float, float, float]:
 def account(state: Array, before: Array, middle: Matrix, nominal: Array, P: Array, sums: Array) -> None:
     """Add one sub-step to the sums of the IMU and of the truth.
 
-    before: [13] state at the start. middle: rotation half way. nominal: [4] collective thrust and torque.
+    before: [13] state at the start. middle: rotation in the middle. nominal: [4] collective thrust and torque.
     """
     h = P[at.STEP]
     gained = (state[3] - before[3], state[4] - before[4], state[5] - before[5])
@@ -49,10 +49,10 @@ def account(state: Array, before: Array, middle: Matrix, nominal: Array, P: Arra
         state[at.ACCELERATION + i] = gained[i] / h
         sums[at.TRUTH_VELOCITY + i] += gained[i]
         sums[at.TRUTH_RATES + i] += state[at.RATES + i] - before[at.RATES + i]
-    felt = to_body(middle, gained[0], gained[1], gained[2] - P[at.GRAVITY] * h)
+    specific_force = to_body(middle, gained[0], gained[1], gained[2] - P[at.GRAVITY] * h)
     sums[at.IMU_TIME] += h
     for i in range(3):
-        sums[at.IMU_FORCE + i] += felt[i]
+        sums[at.IMU_FORCE + i] += specific_force[i]
     sums[at.TRUTH_TIME] += h
     lift = to_world(middle, 0.0, 0.0, -nominal[0] * h)
     m = P[at.NOMINAL_MASS]
@@ -73,7 +73,7 @@ def account(state: Array, before: Array, middle: Matrix, nominal: Array, P: Arra
 
 @compiled
 def account_flow(state: Array, R: Matrix, P: Array, sums: Array) -> None:
-    """Add one sub-step to the optical flow's integrals, PX4's signs: see sensors.py."""
+    """Add one sub-step to the integrals of the optical flow, in PX4's signs (sim_vehicle/sensors/flow.py)."""
     h = P[at.STEP]
     v = to_body(R, state[3], state[4], state[5])
     distance = max(0.02, -state[at.POSITION + 2]) / max(0.1, R[8])
@@ -86,7 +86,7 @@ def account_flow(state: Array, R: Matrix, P: Array, sums: Array) -> None:
 
 @compiled
 def watch_floor(state: Array, sinking: float, R: Matrix, P: Array, sums: Array) -> None:
-    """Keep the airborne flag, and note speed and tilt of touch-downs. sinking: m/s at the start of the sub-step."""
+    """Update the airborne flag, and speed and tilt of touch-downs. sinking: m/s at the start of the sub-step."""
     lowest = lowest_point(state, R, P) if state[at.POSITION + 2] > -FLOOR_REACH else -1.0
     if lowest < -CLEARANCE:
         state[at.AIRBORNE] = 1.0
@@ -114,8 +114,8 @@ def advance(
     Parameters
     ----------
     state: [STATE_SIZE]. commands: [4] fractions, zero is off. P: [PARAMETERS_SIZE].
-    rows, memories: [k, .], see sim_vehicle.world.world. noise: [>= count, k, NOISE_PER_ROW] unit normal draws.
-    sums: [SUMS_SIZE]. work: [WORK_ROWS, 13], contents of no meaning.
+    rows, memories: [k, .], see World. noise: [>= count, k, NOISE_PER_ROW] unit normal draws.
+    sums: [SUMS_SIZE]. work: [WORK_ROWS, 13] scratch memory.
     """
     thrust, effect, nominal = work[5:8, :4], work[8, : at.EFFECT_SIZE], work[9, :4]
     wind, before, load = state[at.WIND : at.WIND + 3], work[4], effect[at.FORCE : at.TORQUE + 3]
@@ -140,35 +140,8 @@ def advance(
 
 
 @compiled
-def tilt_of(state: Array) -> float:
-    """Angle, rad, between the body's down axis and the world's."""
-    x, y = state[at.QUATERNION + 1], state[at.QUATERNION + 2]
-    return acos(min(1.0, max(-1.0, 1.0 - 2.0 * (x * x + y * y))))
-
-
-SOUND, HARD_TOUCH, TILTED_TOUCH, TILTED, OUTSIDE = 0, 1, 2, 3, 4
-"""What `verdict` says of a flight."""
-
-
-@compiled
-def verdict(state: Array, sums: Array, limits: Array) -> int:
-    """Whether the flight is lost. limits: [4] touch-down m/s, tilt at touch-down rad, tilt rad, distance m."""
-    if sums[at.TOUCH_SPEED] > limits[0]:
-        return HARD_TOUCH
-    if sums[at.TOUCH_TILT] > limits[1]:
-        return TILTED_TOUCH
-    if tilt_of(state) > limits[2]:
-        return TILTED
-    if not state[0] ** 2 + state[1] ** 2 + state[2] ** 2 < limits[3] ** 2:
-        return OUTSIDE
-    sums[at.TOUCH_SPEED] = 0.0
-    sums[at.TOUCH_TILT] = 0.0
-    return SOUND
-
-
-@compiled
 def write_truth(state: Array, sums: Array, P: Array, truth: Array) -> None:
-    """Write the truth record (see records.TRUTH) into truth[34]; zeroes its sums."""
+    """Write the truth record (see records.TRUTH) into truth[34] and zero its sums."""
     scale = 1.0 / max(sums[at.TRUTH_TIME], 1.0e-9)
     for i in range(at.RIGID):
         truth[i] = state[i]

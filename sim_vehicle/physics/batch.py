@@ -1,28 +1,25 @@
-"""Many vehicles of one kind at once: dynamics and world, without sensors and link.
+"""Many vehicles of one kind at once: dynamics and disturbances, without sensors and link.
 
-For training and for studies that need the true state only. A vehicle of the batch moves exactly as a SimVehicle of the
-same seed under the same commands; the test of that is what keeps the two together.
+For training and for studies that need the true state only. A vehicle of the batch moves exactly like a SimVehicle with
+the same seed and commands; a test compares the two.
 """
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 import sim_vehicle.physics.layout as at
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.physics.advance import SOUND, WORK_ROWS, advance, verdict
+from sim_vehicle.physics.advance import WORK_ROWS, advance
 from sim_vehicle.physics.compiled import compiled
-from sim_vehicle.physics.disturb import knowing
-from sim_vehicle.physics.limits import flight_limits
+from sim_vehicle.physics.crash import NO_CRASH, check_crash, crash_limits
+from sim_vehicle.physics.disturb import for_disturbances
+from sim_vehicle.physics.draws import SUBSTEPS_MAX
 from sim_vehicle.physics.packing import SUBSTEP_NS
 from sim_vehicle.records import Array
 from sim_vehicle.vehicle import initial_state
 from sim_vehicle.world.world import World
-
-LONGEST_STEP: Final = 400
-"""Sub-steps in one call of `step`."""
 
 
 class VehicleBatch:
@@ -31,18 +28,18 @@ class VehicleBatch:
     def __init__(self, config: SimVehicleConfig, seeds: Sequence[int]) -> None:
         self._config = config
         self._worlds = [World(config, seed) for seed in seeds]
-        self._advance_all = knowing(advance_all, config.disturbances)
+        self._advance_all = for_disturbances(advance_all, config.disturbances)
         first = self._worlds[0]
         self.states: Array = np.tile(initial_state(config), (len(seeds), 1))
-        """[vehicles, STATE_SIZE], see layout.py; position, velocity, quaternion and rates are the first 13."""
+        """[vehicles, STATE_SIZE], see layout.py. The first 13 are position, velocity, quaternion and rates."""
         self._parameters: Array = np.zeros((len(seeds), at.PARAMETERS_SIZE))
         self._rows: Array = first.rows
         self._memories: Array = np.stack([world.memories for world in self._worlds])
         self._sums: Array = np.zeros((len(seeds), at.SUMS_SIZE))
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
-        self._limits: Array = flight_limits(config)
-        self.lost = np.zeros(len(seeds), dtype=np.bool_)
-        """[vehicles] whether a flight is lost; its motors are off from then on."""
+        self._limits: Array = crash_limits(config)
+        self.crashed = np.zeros(len(seeds), dtype=np.bool_)
+        """[vehicles] whether it has crashed; its motors are off from then on."""
         self.time_ns = 0
         """Flight time."""
         self._apply_worlds()
@@ -53,9 +50,9 @@ class VehicleBatch:
         Raises
         ------
         ValueError
-            If the commands have another shape, or the step is longer than LONGEST_STEP.
+            If the commands have another shape, or there are no sub-steps or more than SUBSTEPS_MAX.
         """
-        if commands.shape != (len(self._worlds), 4) or not 0 < substeps <= LONGEST_STEP:
+        if commands.shape != (len(self._worlds), 4) or not 0 < substeps <= SUBSTEPS_MAX:
             raise ValueError(f"commands of shape {commands.shape} and {substeps} sub-steps cannot be run")
         end_ns = self.time_ns + substeps * SUBSTEP_NS
         while self.time_ns < end_ns:
@@ -70,7 +67,7 @@ class VehicleBatch:
                 self._sums,
                 self._work,
                 self._limits,
-                self.lost,
+                self.crashed,
                 self.time_ns * 1e-9,
                 count,
             )
@@ -100,18 +97,18 @@ def advance_all(
     sums: Array,
     work: Array,
     limits: Array,
-    lost: NDArray[np.bool_],
+    crashed: NDArray[np.bool_],
     time_s: float,
     count: int,
 ) -> None:
-    """`advance` for each vehicle; arrays have a leading vehicle axis, except rows, work and limits.
+    """`advance` for each vehicle. Arrays have a leading axis of vehicles, except rows, work and limits.
 
-    The clearing of `sums` keeps the sums of long batches from growing; nothing here reads them but the verdict.
+    Only `check_crash` reads the sums here. The others are zeroed, so that they do not grow without bound.
     """
     for k in range(states.shape[0]):
-        if lost[k]:
+        if crashed[k]:
             commands[k, :] = 0.0
         advance(states[k], commands[k], parameters[k], rows, memories[k], noise[k], sums[k], work, time_s, count)
-        if not lost[k] and verdict(states[k], sums[k], limits) != SOUND:
-            lost[k] = True
+        if not crashed[k] and check_crash(states[k], sums[k], limits) != NO_CRASH:
+            crashed[k] = True
         sums[k, : at.TOUCH_SPEED] = 0.0

@@ -1,7 +1,7 @@
-"""Compilation of the per-step code: numba where it is installed, the very same Python source where it is not.
+"""Compiles the code of a step with numba where it is installed. Without numba, CPython runs the same source.
 
-The compiled functions of this package use only scalars, tuples and flat numpy arrays, so that CPython can run them
-too. `python_twin` gives that uncompiled twin, all the way down, as the reference which the compiled code must equal.
+The compiled functions of this package use only scalars, tuples and numpy arrays, so that CPython can run them too.
+`python_twin` gives the uncompiled form of a function and of all that it calls, as a reference for the compiled one.
 """
 
 import contextlib
@@ -23,20 +23,20 @@ COMPILED: Final[bool] = numba is not None
 """Whether this process runs compiled code."""
 
 COMPILED_CODE: Final = b"sim_vehicle.physics.layout"
-"""Mark of the files that hold compiled code, and of what they share."""
+"""Text by which files with compiled code are recognised."""
 
 YOUNG_S: Final = 3600.0
-"""s; younger caches of other sources are left alone."""
+"""s; younger caches of other sources are not removed."""
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def _cache_directory() -> Path | None:
-    """Where this source's machine code is kept between runs; None where nothing can be written.
+    """Where the machine code of this source is stored between runs; None if nothing can be written.
 
-    It is named by a digest of the compiled source. Numba itself looks only at the file of the function that it loads,
-    so that a change in a called file would leave stale machine code in use. The cache holds pickles, so it lies only
-    where this user alone writes: beside the source, or in the home directory.
+    Its name is a digest of the compiled source. Numba itself checks only the file of the function that it loads, so a
+    change in the file of a called function would leave stale machine code in use. The cache contains pickles, so it is
+    stored only where this user alone writes: beside the source, or in the home directory.
     """
     here = Path(__file__).resolve().parent
     sources = [path.read_bytes() for path in sorted(here.parent.rglob("*.py"))]
@@ -47,13 +47,13 @@ def _cache_directory() -> Path | None:
         except (OSError, RuntimeError):
             continue
         if os.access(base / name, os.W_OK):
-            _forget_old_caches(base, name)
+            _remove_old_caches(base, name)
             return base / name
     return None
 
 
-def _forget_old_caches(base: Path, name: str) -> None:
-    """Remove other sources' caches unless they are young, when another process may still be writing there."""
+def _remove_old_caches(base: Path, name: str) -> None:
+    """Remove the caches of other sources, unless they are young: another process may still write to those."""
     newest = (base / name).stat().st_mtime
     for other in base.glob("numba-*"):
         with contextlib.suppress(OSError):

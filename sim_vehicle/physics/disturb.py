@@ -1,9 +1,9 @@
 """The disturbances in one sub-step. Compiled.
 
-Every disturbance is a row of numbers (sim_vehicle.world.world) and the function `act` of its class. Compiled code
-cannot look a function up in a table, so `call_act` is a chain: each link calls its own function if the row has its
-number, else the next link. The chain of the built-in disturbances is compiled and cached once. For a flight with a
-disturbance of the user's own, `knowing` compiles a longer chain, and all that calls it, anew.
+A disturbance is a row of numbers (sim_vehicle/world/world.py) and the function `act` of its class. Compiled code cannot
+look a function up in a table, so `call_act` is a chain: each link calls its own function if the row has its number,
+else the next link. The chain of the built-in disturbances is compiled once and cached. For a flight with a disturbance
+of the user's own, `for_disturbances` compiles a longer chain and the functions that call it.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def _end(
 
 
 def _link(own: int, act: Any, rest: Any) -> Any:
-    """The function that calls `act` for the number `own`, and `rest` for others."""
+    """A function that calls `act` for the number `own`, and `rest` for other numbers."""
 
     def link(
         number: float, v: Array, memory: Array, time_s: float, state: Array, P: Array, noise: Array, effect: Array
@@ -42,7 +42,7 @@ def _link(own: int, act: Any, rest: Any) -> Any:
 
 
 def _chain(classes: tuple[type[Disturbance], ...]) -> Any:
-    """The function that calls the `act` of any of the classes by its number, which is its place among them."""
+    """A function that calls the `act` of a class by its number, which is its place among the classes."""
     call = _end
     for number, one in reversed(list(enumerate(classes))):
         call = _link(number, inlined(one.act), call)
@@ -75,12 +75,12 @@ def disturb(state: Array, rows: Array, memories: Array, time_s: float, P: Array,
                 call_act(rows[j, at.ROW_NUMBER], v, memories[j], since_onset_s, state, P, noise[j], effect)
 
 
-def knowing(function: FunctionT, disturbances: tuple[Disturbance, ...]) -> FunctionT:
-    """`function` with a chain that has the classes of all the disturbances; itself where they are all built in."""
+def for_disturbances(function: FunctionT, disturbances: tuple[Disturbance, ...]) -> FunctionT:
+    """`function`, compiled for disturbances of these classes; itself if all of them are built in."""
     classes = acting_classes(disturbances)
-    return function if classes == BUILT_IN else _knowing(function, classes)
+    return function if classes == BUILT_IN else _for_classes(function, classes)
 
 
 @cache
-def _knowing(function: FunctionT, classes: tuple[type[Disturbance], ...]) -> FunctionT:
+def _for_classes(function: FunctionT, classes: tuple[type[Disturbance], ...]) -> FunctionT:
     return replaced(function, call_act, _chain(classes))

@@ -1,4 +1,7 @@
-"""Random draws in blocks, because one draw at a time costs more than the physics."""
+"""Random draws in blocks, because single draws cost more than the physics."""
+
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
@@ -6,23 +9,25 @@ from numpy.random import Generator
 from sim_vehicle.records import Array
 
 BLOCK = 2048
+SUBSTEPS_MAX: Final = 400
+"""Sub-steps in one call of the compiled step; less than a block of SubstepNormals."""
 
 
-class Normals:
-    """Unit normal draws, one float at a time."""
+class Draws:
+    """Draws of one distribution, one float at a time. draw: a method of a generator, such as `standard_normal`."""
 
-    def __init__(self, rng: Generator) -> None:
-        self._rng = rng
+    def __init__(self, draw: Callable[[int], Array]) -> None:
+        self._draw = draw
         self._block: list[float] = []
 
     def take(self) -> float:
         """The next draw."""
         if not self._block:
-            self._block = self._rng.standard_normal(BLOCK).tolist()
+            self._block = self._draw(BLOCK).tolist()
         return self._block.pop()
 
     def several(self, count: int) -> list[float]:
-        """The next `count` draws, as so many calls of `take` would give them."""
+        """The next `count` draws, the same as from `count` calls of `take`."""
         block = self._block
         if len(block) < count:
             return [self.take() for _ in range(count)]
@@ -46,22 +51,8 @@ class NormalRows:
         return self._rows.pop()
 
 
-class Uniforms:
-    """Uniform draws from [0, 1), one float at a time."""
-
-    def __init__(self, rng: Generator) -> None:
-        self._rng = rng
-        self._block: list[float] = []
-
-    def take(self) -> float:
-        """The next draw."""
-        if not self._block:
-            self._block = self._rng.random(BLOCK).tolist()
-        return self._block.pop()
-
-
 class SubstepNormals:
-    """Unit normal draws for the sub-steps: `width` for each, in order."""
+    """Unit normal draws for the sub-steps: [rows, per_row] for each, in order."""
 
     def __init__(self, rng: Generator, rows: int, per_row: int) -> None:
         self._rng = rng
@@ -70,7 +61,7 @@ class SubstepNormals:
         self._next = 0
 
     def take(self, count: int) -> Array:
-        """[count, rows, per_row]: draws of the next `count` sub-steps (at most BLOCK / 4), however they are called."""
+        """[count, rows, per_row] draws of the next `count` sub-steps, at most BLOCK / 4."""
         end = self._next + count
         if end > len(self._block):
             rest = self._block[self._next :]

@@ -1,8 +1,8 @@
 """Rigid body: forces, torques, floor contact and one Runge-Kutta step. Compiled; see compiled.py.
 
-Theory of operation. The state is kept for a reference point O fixed in the frame (the bare vehicle's centre of
-mass). A payload moves the centre of mass C to r_c from O; then, with F every force but weight and tau its torque
-about O,
+Theory of operation. The state is that of a reference point O fixed in the frame (the centre of mass of the bare
+vehicle). A payload moves the centre of mass C to r_c from O. With F the sum of all forces but weight, and tau its
+torque about O,
 
     J_C omega_dot = tau - r_c x F - omega x J_C omega
     a_O = g + F/m - omega_dot x r_c - omega x (omega x r_c)
@@ -17,7 +17,7 @@ from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.records import Array
 
 FLOOR_REACH = 0.15
-"""Reference points higher than this (m) cannot touch the floor; it must exceed every part's distance from O."""
+"""m; a vehicle whose reference point is higher cannot touch the floor. It exceeds the distance of every part from O."""
 
 Vector = tuple[float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
@@ -25,7 +25,7 @@ Matrix = tuple[float, float, float, float, float, float, float, float, float]
 
 @compiled
 def rotation(w: float, x: float, y: float, z: float) -> Matrix:
-    """The nine elements, row by row, of the body-to-world matrix of a quaternion of about unit length."""
+    """Body-to-world matrix, row by row, of a quaternion of about unit length."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return (
         1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
@@ -54,14 +54,14 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @compiled
 def symmetric(m: Array, start: int, v: Vector) -> Vector:
-    """M v for the symmetric matrix whose xx yy zz xy xz yz begin at m[start]."""
+    """M v for the symmetric matrix with xx yy zz xy xz yz from m[start] on."""
     xx, yy, zz, xy, xz, yz = m[start], m[start + 1], m[start + 2], m[start + 3], m[start + 4], m[start + 5]
     return (xx * v[0] + xy * v[1] + xz * v[2], xy * v[0] + yy * v[1] + yz * v[2], xz * v[0] + yz * v[1] + zz * v[2])
 
 
 @compiled
 def contact_point(i: int, P: Array) -> Vector:
-    """Body position, m, of contact point i: 0..3 the feet, 4..7 the rotors' rims (so that it also lies on its back)."""
+    """Body position, m, of contact point i: 0..3 the feet, 4..7 the rims of the rotors (on its back)."""
     x = P[at.FOOT_X] if (i & 1) == 0 else -P[at.FOOT_X]
     y = P[at.FOOT_Y] if (i & 2) == 0 else -P[at.FOOT_Y]
     return (x, y, P[at.FOOT_DROP] if i < 4 else -P[at.ROTOR_HEIGHT])
@@ -69,7 +69,7 @@ def contact_point(i: int, P: Array) -> Vector:
 
 @compiled
 def lowest_point(x: Array, R: Matrix, P: Array) -> float:
-    """Down coordinate, m, of the lowest contact point; positive is in the floor."""
+    """Down coordinate, m, of the lowest contact point; positive: in the floor."""
     lowest = -1.0e9
     for i in range(8):
         r = contact_point(i, P)
@@ -79,7 +79,7 @@ def lowest_point(x: Array, R: Matrix, P: Array) -> float:
 
 @compiled
 def floor_contact(x: Array, R: Matrix, rates: Vector, P: Array) -> tuple[float, float, float, float, float, float]:
-    """Force, N, and torque about O, N m, both body, of the floor: spring, damper and friction bounded by Coulomb."""
+    """Force, N, and torque about O, N m, both body, of the floor: spring, damper, friction limited by Coulomb's law."""
     force = (0.0, 0.0, 0.0)
     torque = (0.0, 0.0, 0.0)
     for i in range(8):
@@ -103,14 +103,14 @@ def floor_contact(x: Array, R: Matrix, rates: Vector, P: Array) -> tuple[float, 
 def rotor_wrench(down: float, R: Matrix, thrust: Array, P: Array) -> tuple[float, float, float, float]:
     """Total thrust, N, and its torque about O, body N m.
 
-    Ground effect 1 + k (R/4z)^2 acts on each rotor by its own height z above the floor (Cheeseman and Bennett's form
-    with a fitted k), held constant below z = R.
+    The ground effect 1 + k (R/4z)^2 depends on the height z of each rotor above the floor, and is constant below z = R
+    (form of Cheeseman and Bennett with a fitted k).
     """
     total, roll, pitch, yaw = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
         front = 1.0 if (i == 0 or i == 2) else -1.0  # PX4: front right, rear left, front left, rear right
         right = 1.0 if (i == 0 or i == 3) else -1.0
-        spin = 1.0 if i < 2 else -1.0  # a rotor that turns counter-clockwise pushes the frame clockwise, + yaw
+        spin = 1.0 if i < 2 else -1.0  # a counter-clockwise rotor turns the frame clockwise, + yaw
         rx, ry = front * P[at.ARM_X], right * P[at.ARM_Y]
         height = -(down + R[6] * rx + R[7] * ry - R[8] * P[at.ROTOR_HEIGHT])
         quotient = P[at.ROTOR_RADIUS] / (4.0 * max(height, P[at.ROTOR_RADIUS]))
@@ -129,7 +129,7 @@ def derivative(x: Array, thrust: Array, wind: Array, load: Array, P: Array, dx: 
     Parameters
     ----------
     x: [13] position, velocity, quaternion, rates.
-    thrust: [4] N, sound-rotor thrust.
+    thrust: [4] N, of undamaged rotors.
     wind: [3] m/s, air velocity, NED.
     load: [6] further force, N, NED, and torque about O, N m, body.
     P: [PARAMETERS_SIZE].
@@ -173,9 +173,9 @@ def derivative(x: Array, thrust: Array, wind: Array, load: Array, P: Array, dx: 
 
 @compiled
 def runge_kutta(state: Array, thrust: Array, wind: Array, load: Array, P: Array, work: Array) -> None:
-    """One classical fourth-order step of the rigid body, state[0:13] in place, quaternion brought to unit length.
+    """One classical fourth-order step of the rigid body, state[0:13] in place. Normalises the quaternion.
 
-    thrust: [3, 4] at the start, middle and end. wind, load: held over the sub-step. work: [5, 13].
+    thrust: [3, 4] at the start, middle and end. wind, load: constant over the sub-step. work: [5, 13].
     """
     h = P[at.STEP]
     k1, k2, k3, k4, x = work[0], work[1], work[2], work[3], work[4]

@@ -1,7 +1,7 @@
-"""Where each quantity stands in the flat arrays that the compiled step works on (sim_vehicle.physics.layout, "at").
+"""Indices of the quantities in the flat arrays of the compiled step; imported as `at`.
 
-Flat arrays, because one call with few array arguments costs little, and because many vehicles then lie one after
-the other in memory (see batch.py). A three-vector occupies its index and the two after it.
+The arrays are flat because a call with few array arguments is cheap, and because many vehicles are then contiguous in
+memory (batch.py). A three-vector occupies its index and the two after it.
 """
 
 from typing import Final
@@ -12,7 +12,7 @@ VELOCITY: Final = 3  # m/s, NED
 QUATERNION: Final = 6  # wxyz, body FRD to world NED
 RATES: Final = 10  # rad/s, body FRD
 RIGID: Final = 13  # size of the part that RK4 integrates
-THRUST: Final = 13  # N, [4] what a sound rotor would give at the present rotor speed, out of ground effect
+THRUST: Final = 13  # N, [4] of an undamaged rotor at the present speed, without ground effect
 NOMINAL_THRUST: Final = 17  # N, [4] thrust of the nominal motor model under the same commands
 ROTOR_PHASE: Final = 21  # rad, [4]
 CHARGE_USED: Final = 25  # A s
@@ -34,23 +34,23 @@ TRUTH_FORCE: Final = 11  # N s, [3] integral of the disturbance force, NED
 TRUTH_TORQUE: Final = 14  # N m s, [3] integral of the disturbance torque, body FRD
 TRUTH_VELOCITY: Final = 17  # m/s, [3] velocity gained
 TRUTH_RATES: Final = 20  # rad/s, [3] rates gained
-TOUCH_SPEED: Final = 23  # m/s, greatest speed of sinking at a touch-down
-TOUCH_TILT: Final = 24  # rad, greatest tilt while touching the floor after having been airborne
+TOUCH_SPEED: Final = 23  # m/s, greatest sinking speed at a touch-down
+TOUCH_TILT: Final = 24  # rad, greatest tilt at a touch-down
 CURRENT: Final = 25  # A, last battery current
 SUMS_SIZE: Final = 26
 
-# --- parameters: constant, except those that the world changes at an event (see world.py) -----------------------
+# --- parameters: constant until a disturbance begins or ends ----------------------------------------------------
 MASS: Final = 0  # kg, with payload
 CENTRE: Final = 1  # m, [3] centre of mass relative to the reference point, body
 INERTIA: Final = 4  # kg m^2, [6] xx yy zz xy xz yz about the centre of mass
 INVERSE: Final = 10  # 1/(kg m^2), [6] its inverse, same order
-THRUST_FACTOR: Final = 16  # [4] left of a damaged rotor's thrust
-TORQUE_FACTOR: Final = 20  # [4] left of a damaged rotor's drag torque
+THRUST_FACTOR: Final = 16  # [4] share of the thrust left to a damaged rotor
+TORQUE_FACTOR: Final = 20  # [4] share of its drag torque left
 GAIN: Final = 24  # [4] motor gain
 STEP: Final = 28  # s, length of a sub-step
-KEEP_UP: Final = 29  # [2] what is left of a thrust error after a half and a whole sub-step, rising
+KEEP_UP: Final = 29  # [2] share of a thrust error left after a half and a whole sub-step, rising
 KEEP_DOWN: Final = 31  # [2] the same, falling
-NOMINAL_KEEP: Final = 33  # [2] the nominal motors': rising, falling, whole sub-step
+NOMINAL_KEEP: Final = 33  # [2] the same of the nominal motors after a whole sub-step: rising, falling
 MAX_THRUST: Final = 35  # N per motor, at the rated voltage
 TORQUE_RATIO: Final = 36  # m, drag torque per thrust
 ARM_X: Final = 37  # m
@@ -68,7 +68,7 @@ EMPTY_VOLTAGE: Final = 48  # V, open circuit
 CAPACITY: Final = 49  # A s
 RESISTANCE: Final = 50  # ohm
 POLARISATION_RESISTANCE: Final = 51  # ohm
-POLARISATION_KEEP: Final = 52  # left of the polarisation error after a sub-step
+POLARISATION_KEEP: Final = 52  # share of the polarisation error left after a sub-step
 POWER_FACTOR: Final = 53  # W/N^1.5
 IDLE_CURRENT: Final = 54  # A
 CONTACT_STIFFNESS: Final = 55  # N/m per point
@@ -87,14 +87,13 @@ NOMINAL_ARM_Y: Final = 69  # m
 PARAMETERS_SIZE: Final = 70
 
 # --- one row per disturbance that acts in every sub-step --------------------------------------------------------
-ROW_NUMBER: Final = 0  # of its class, see sim_vehicle.world.catalogue.acting_classes
+ROW_NUMBER: Final = 0  # place of its class in world.catalogue.acting_classes
 ROW_STAGE: Final = 1
 ROW_ONSET: Final = 2  # s
 ROW_END: Final = 3  # s
 ROW_VALUES: Final = 4  # its settings, from here to the end of the row
 NOISE_PER_ROW: Final = 3
-"""Normal draws per row and sub-step. A row that does not use them gets them too, so that no row changes the draws of
-another."""
+"""Normal draws per row and sub-step, used or not, so that the kind of one row does not change the draws of another."""
 
 # --- stages of the disturbances in a sub-step -------------------------------------------------------------------
 MEAN_AIR: Final = 0

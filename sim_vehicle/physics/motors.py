@@ -1,7 +1,7 @@
 """Motors and battery: from commands to thrust, rotor phase and terminal voltage, over one sub-step.
 
-A motor's thrust follows its command with a first-order lag, faster up than down. The lag's exact solution over a
-sub-step is used, so the motors add no integration error. Thrust per command grows with the square of the voltage.
+The thrust of a motor follows its command with a first-order lag, faster up than down. The lag is solved exactly over a
+sub-step, so the motors add no integration error. Thrust per command grows with the square of the voltage.
 """
 
 from math import pi, sqrt
@@ -12,7 +12,7 @@ from sim_vehicle.records import Array
 
 TWO_PI = 2.0 * pi
 LEAST_THRUST = 1.0e-12
-"""N; less is nought, so that no denormal numbers slow the processor down."""
+"""N; less becomes 0, because denormal numbers slow the processor down."""
 
 
 @compiled
@@ -24,7 +24,7 @@ def lag_motors(state: Array, commands: Array, P: Array, thrust: Array) -> None:
     state: [STATE_SIZE], changed in place: thrusts, nominal thrusts, rotor phases.
     commands: [4] fractions of full thrust, 0..1, PX4 order; zero is off.
     P: [PARAMETERS_SIZE].
-    thrust: [3, 4] out: N, sound-rotor thrust at the start, the middle and the end of the sub-step.
+    thrust: [3, 4] out: N, thrust of an undamaged rotor at the start, the middle and the end of the sub-step.
     """
     ratio = state[at.VOLTAGE] / P[at.RATED_VOLTAGE]
     full = P[at.MAX_THRUST] * ratio * ratio
@@ -51,10 +51,10 @@ def lag_motors(state: Array, commands: Array, P: Array, thrust: Array) -> None:
 
 @compiled
 def drain_battery(state: Array, drop_v: float, P: Array) -> float:
-    """Advance the battery by one sub-step; gives the current in A.
+    """Advance the battery by one sub-step and return the current in A.
 
-    Open-circuit voltage falls linearly with charge; the drop has an immediate and a slow resistive part. Electrical
-    power is taken as proportional to thrust^1.5 (momentum theory). `drop_v`: further drop, from a disturbance.
+    The open-circuit voltage falls linearly with the used charge. The voltage drop has an immediate and a slow resistive
+    part. Electrical power is proportional to thrust^1.5 (momentum theory). drop_v: further drop, from a disturbance.
     """
     power = 0.0
     for i in range(4):

@@ -1,4 +1,4 @@
-"""From typed configuration to the flat parameter array of the compiled step."""
+"""From the typed configuration to the flat parameters of the compiled step."""
 
 from collections.abc import Sequence
 from math import exp
@@ -87,9 +87,9 @@ def set_mass(
     centre_m: Vector3,
     payloads: Sequence[tuple[float, Vector3]],
 ) -> None:
-    """Write mass, centre of mass, inertia about it and its inverse into P, for a body with point masses fixed to it.
+    """Write mass, centre of mass, inertia about it and the inverse inertia into P, for a body with point masses on it.
 
-    payloads: (kg, offset m from the reference point) each. The parallel-axis theorem, twice.
+    payloads: (kg, m from the reference point) each. Uses the parallel-axis theorem.
     """
     total = mass_kg + sum(m for m, _ in payloads)
     centre = (mass_kg * np.array(centre_m) + sum((m * np.array(r) for m, r in payloads), np.zeros(3))) / total

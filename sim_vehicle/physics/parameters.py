@@ -1,4 +1,4 @@
-"""The vehicle's constants as typed records. Values with their sources stand in configs/vehicles/*.yaml; units here."""
+"""Constants of the vehicle as typed records, with units. Values and their sources: configs/vehicles/*.yaml."""
 
 from typing import Annotated
 
@@ -30,19 +30,19 @@ class MotorConfig(ConfigRecord):
 
     max_thrust_n: float = Field(gt=0.0, description="N per motor at full command and rated voltage")
     thrust_slope_n_s2: float = Field(gt=0.0, description="N/(rad/s)^2, thrust per squared rotor speed")
-    torque_ratio_m: float = Field(ge=0.0, description="m, drag torque per thrust, as it really is")
+    torque_ratio_m: float = Field(ge=0.0, description="m, drag torque per thrust")
     gain: tuple[float, float, float, float] = Field(description="thrust per command against max_thrust_n, PX4 order")
     lag_up_s: float = Field(gt=0.0, description="s, time constant of rising thrust")
     lag_down_s: float = Field(gt=0.0, description="s, time constant of falling thrust")
     command_min: float = Field(ge=0.0, lt=1.0, description="least fraction of an armed motor")
-    command_delay_s: float = Field(ge=0.0, le=0.1, description="s from a command's arrival to its effect")
+    command_delay_s: float = Field(ge=0.0, le=0.1, description="s from the arrival of a command to its effect")
     command_timeout_s: float = Field(gt=0.0, description="s without a command after which the motors stop")
 
 
 class BatteryConfig(ConfigRecord):
     """A single lithium-polymer cell with an immediate and a slow resistance."""
 
-    rated_v: float = Field(gt=0.0, description="V, at which a motor gives max_thrust_n; thrust grows with V^2")
+    rated_v: float = Field(gt=0.0, description="V, of max_thrust_n; thrust grows with V^2")
     full_v: float = Field(gt=0.0, description="V, open circuit, full")
     empty_v: float = Field(gt=0.0, description="V, open circuit, empty")
     capacity_mah: float = Field(gt=0.0, description="mA h")
@@ -93,7 +93,7 @@ class ImuConfig(ConfigRecord):
 
     accelerometer_bias_sigma_m_s2: UnitVector3 = Field(description="m/s^2")
     accelerometer_noise_m_s2: float = Field(ge=0.0, description="m/s^2, motors off")
-    accelerometer_vibration_m_s2: float = Field(ge=0.0, description="m/s^2, added in square by motors at hover thrust")
+    accelerometer_vibration_m_s2: float = Field(ge=0.0, description="m/s^2, at hover thrust, added in square")
     accelerometer_step_m_s2: float = Field(gt=0.0, description="m/s^2, quantisation")
     accelerometer_range_m_s2: float = Field(gt=0.0, description="m/s^2, full scale")
     gyroscope_bias_bound_rad_s: UnitVector3 = Field(description="rad/s")
@@ -138,10 +138,10 @@ class OutageConfig(ConfigRecord):
 
 
 class MotionCaptureConfig(ConfigRecord):
-    """Motion capture of the room, which reports to the offboard host."""
+    """Motion capture of the room, which sends to the offboard host."""
 
     rate_hz: float = Field(gt=0.0, le=200.0, description="Hz")
-    latency_s: float = Field(ge=0.0, le=1.0, description="s from capture to the datagram's leaving")
+    latency_s: float = Field(ge=0.0, le=1.0, description="s from capture to sending")
     position_noise_m: float = Field(ge=0.0, description="m, per axis")
     attitude_noise_rad: float = Field(ge=0.0, description="rad, per axis")
     loss_probability: float = Field(ge=0.0, le=1.0, description="share of frames that are not solved")
@@ -149,7 +149,7 @@ class MotionCaptureConfig(ConfigRecord):
 
 
 class SensorsConfig(ConfigRecord):
-    """Everything that measures."""
+    """All sensors."""
 
     imu: ImuConfig
     ultrasonic: UltrasonicConfig

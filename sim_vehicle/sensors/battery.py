@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.physics.draws import Normals
+from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.packing import COULOMB_PER_MAH
 from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
@@ -27,7 +27,7 @@ class Battery:
     def __init__(self, noise_v: float, capacity_mah: float, seed: int, stream: int) -> None:
         self._noise_v, self._capacity_mah = noise_v, capacity_mah
         self.schedule = Schedule(1.0)
-        self._normals = Normals(np.random.default_rng([seed, stream]))
+        self._normals = Draws(np.random.default_rng([seed, stream]).standard_normal)
 
     def sample(self, state: Array, sums: Array) -> BatterySample:
         """Read the gauge."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.physics.draws import Normals
+from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import FlowConfig
 from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
@@ -35,7 +35,7 @@ class Flow:
     def __init__(self, config: FlowConfig, seed: int, stream: int) -> None:
         self._config = config
         self.schedule = Schedule(config.rate_hz)
-        self._normals = Normals(np.random.default_rng([seed, stream]))
+        self._normals = Draws(np.random.default_rng([seed, stream]).standard_normal)
 
     def sample(self, state: Array, sums: Array) -> FlowSample:
         """Read the camera and zero the flow's sums."""

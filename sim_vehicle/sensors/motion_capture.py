@@ -7,7 +7,7 @@ import numpy as np
 
 import sim_vehicle.physics.layout as at
 from protocol.geometry import Quaternion, Vector3, quaternion_multiply
-from sim_vehicle.physics.draws import Normals, Uniforms
+from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import MotionCaptureConfig
 from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
@@ -29,7 +29,7 @@ class MotionCapture:
         self.config = config
         self.schedule = Schedule(config.rate_hz)
         rng = np.random.default_rng([seed, stream])
-        self._normals, self._uniforms = Normals(rng), Uniforms(rng.spawn(1)[0])
+        self._normals, self._uniforms = Draws(rng.standard_normal), Draws(rng.spawn(1)[0].random)
         self._last: tuple[int, Vector3] | None = None
 
     def sample(self, state: Array, now_ns: int) -> PoseSample | None:

@@ -5,8 +5,8 @@ from math import cos
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.physics.advance import tilt_of
-from sim_vehicle.physics.draws import Normals, Uniforms
+from sim_vehicle.physics.crash import tilt_of
+from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import UltrasonicConfig
 from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
@@ -22,7 +22,7 @@ class Ultrasonic:
         self._config = config
         self.schedule = Schedule(config.rate_hz)
         rng = np.random.default_rng([seed, stream])
-        self._normals, self._uniforms = Normals(rng), Uniforms(rng.spawn(1)[0])
+        self._normals, self._uniforms = Draws(rng.standard_normal), Draws(rng.spawn(1)[0].random)
 
     def sample(self, state: Array) -> float | None:
         """Distance in m along the beam, or None without an echo."""

@@ -124,12 +124,12 @@ def test_the_rate_limit_holds_and_its_queue_ends() -> None:
 
 def test_blackouts_count_from_the_start_of_the_flight() -> None:
     windows = [{"start_s": 0.1, "end_s": 0.2}, {"start_s": 0.4}]
-    radio = radio_of(blackouts=windows)
-    radio.start(0)
+    config = fill(RadioConfig, {"down": {"blackouts": windows}}, "test")
+    radio = Radio(config, np.random.default_rng(0), start_ns=0)
     assert numbers(carry(radio, 60)) == [*range(10), *range(20, 40)]
     late = radio_of(blackouts=windows)
     late.send("down", b"x", 1000 * S)
-    assert late.due("down", 1000 * S), "without start() the first datagram starts the flight"
+    assert late.due("down", 1000 * S), "without start_ns the first datagram starts the flight"
 
 
 def test_duplication() -> None:

@@ -29,15 +29,15 @@ def test_batch_equals_single_vehicles(motors):
         truths = [single.step((k + 1) * 5_000_000).truth for single in singles]
     np.testing.assert_allclose(batch.states[:, :13], np.array(truths)[:, :13], rtol=1e-12, atol=1e-12)
     assert batch.time_ns == 300_000_000
-    assert not batch.lost.any()
+    assert not batch.crashed.any()
 
 
-def test_a_lost_vehicle_stops_its_motors_and_no_others():
+def test_a_crashed_vehicle_stops_its_motors_and_no_others():
     batch = VehicleBatch(load_vehicle("mambo", OVER | {"disturbances": []}), range(2))
     commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.9, 0.2, 0.2, 0.9]])
     for _ in range(100):
         batch.step(commands.copy())
-    assert batch.lost.tolist() == [False, True]
+    assert batch.crashed.tolist() == [False, True]
     assert batch.states[1, 13:17].max() < 0.02
     assert batch.states[0, 13:17].min() > 0.1
 

@@ -7,7 +7,7 @@ import pytest
 
 import sim_vehicle.physics.layout as at
 from sim_vehicle.config import load_vehicle
-from sim_vehicle.physics.draws import BLOCK, Normals
+from sim_vehicle.physics.draws import BLOCK, Draws
 from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.sensors.flow import Flow
 from sim_vehicle.sensors.imu import Imu, imu_settings, read_imu
@@ -261,7 +261,7 @@ def test_motion_capture_outage():
 
 
 def test_several_draws_at_once_are_those_of_one_at_a_time() -> None:
-    one, several = (Normals(np.random.default_rng(5)) for _ in range(2))
+    one, several = (Draws(np.random.default_rng(5).standard_normal) for _ in range(2))
     drawn = [value for _ in range(2 * BLOCK // 7) for value in several.several(7)]  # across the end of a block
     assert len(drawn) > BLOCK
     assert drawn == [one.take() for _ in drawn]
