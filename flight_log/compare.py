@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flight_log.html import code, image, name_value_table, page, paragraph, section, table
+from flight_log.html import code, image, page, paragraph, section, table, values_table
 from flight_log.reader import Flight, FlightError, Table
 from flight_log.report import repeat_command, summary_rows, title_of
 
@@ -43,9 +43,7 @@ def build_comparison(flights: Sequence[Flight]) -> str:
         [
             section("Flights", table([[n, str(f.path)] for n, f in zip(names, flights, strict=True)])),
             section("Figure", image(draw(flights, names), "comparison")),
-            section(
-                "Summaries", name_value_table(summary_table(flights), ("", *names)), _without_summary(flights, names)
-            ),
+            section("Summaries", values_table(summary_table(flights), ("", *names)), _without_summary(flights, names)),
             section("Repeat", code("\n".join(repeat_command(flight) for flight in flights if flight.summary))),
         ],
     )

@@ -43,18 +43,18 @@ def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     return f'<div class="scroll"><table>{top}{"".join(map(_row, rows))}</table></div>'
 
 
-def name_value_table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
+def values_table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     """A table of names and values of any kind: all aligned to the left, long values broken. "" if there are no rows."""
     body = table(rows, head)
     return f'<div class="values">{body}</div>' if body else ""
 
 
-def collapsible_text(title: str, text: str) -> str:
+def details_text(title: str, text: str) -> str:
     """Preformatted text that opens on a click."""
-    return collapsible(title, code(text)) if text else ""
+    return details(title, code(text)) if text else ""
 
 
-def collapsible(title: str, body: str) -> str:
+def details(title: str, body: str) -> str:
     """HTML that opens on a click."""
     return f"<details><summary>{escape(title)}</summary>{body}</details>"
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from flight_log.clocks import ClockMap, clock_map
 from flight_log.log_file import FlightError, LogFile, VectorTopic, read_log_file
 
 __all__ = ["Event", "Flight", "FlightError", "Gap", "Table", "open_flight"]
+
+PayloadT = TypeVar("PayloadT")
 
 TICK_TOPIC: Final = "onboard/tick"
 GAP_MIN_NS: Final = 100_000_000
@@ -168,9 +170,7 @@ class Flight:
             raise KeyError(f"{self.path} has no bytes of {topic!r}; it has {', '.join(self.byte_topics) or 'none'}")
         found = []
         for log, to_base in zip(self.logs, self._maps, strict=True):
-            messages = log.raw.get(topic, [])
-            times = to_base(np.array([time_ns for time_ns, _ in messages], dtype=np.int64))
-            found += [(int(time_ns), data) for time_ns, (_, data) in zip(times, messages, strict=True)]
+            found += _on_base(log.raw.get(topic, []), to_base)
         return found
 
     @cached_property
@@ -179,8 +179,7 @@ class Flight:
         found = []
         for log, to_base in zip(self.logs, self._maps, strict=True):
             texts = [message for messages in log.texts.values() for message in messages]
-            times = to_base(np.array([time_ns for time_ns, _ in texts], dtype=np.int64))
-            found += [Event(int(time_ns), log.process, text) for time_ns, (_, text) in zip(times, texts, strict=True)]
+            found += [Event(time_ns, log.process, text) for time_ns, text in _on_base(texts, to_base)]
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
     @cached_property
@@ -283,6 +282,12 @@ def open_flight(path: Path | str) -> Flight:
     if not any(log.record_count for log in logs):
         raise FlightError(f"{path}: the flight log contains no records")
     return Flight(path, tuple(logs))
+
+
+def _on_base(messages: list[tuple[int, PayloadT]], to_base: ClockMap) -> list[tuple[int, PayloadT]]:
+    """Messages with their times mapped to the common time base."""
+    times = to_base(np.array([time_ns for time_ns, _ in messages], dtype=np.int64))
+    return [(int(time_ns), payload) for time_ns, (_, payload) in zip(times, messages, strict=True)]
 
 
 def _run_order(log: LogFile) -> tuple[str, int, str]:

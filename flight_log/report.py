@@ -12,17 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, parse_yaml
-from flight_log.html import (
-    code,
-    collapsible,
-    collapsible_text,
-    image,
-    name_value_table,
-    page,
-    paragraph,
-    section,
-    table,
-)
+from flight_log.html import code, details, details_text, image, page, paragraph, section, table, values_table
 from flight_log.inspect import check
 from flight_log.log_file import FlightError
 from flight_log.reader import TICK_TOPIC, Flight, Table, open_flight
@@ -57,7 +47,7 @@ def build_report(flight: Flight) -> str:
         title_of(flight),
         [
             _outcome(summary),
-            section("Summary", name_value_table(summary_rows(summary))),
+            section("Summary", values_table(summary_rows(summary))),
             section("Figures", *(image(file.read_bytes(), file.stem) for file in sorted(flight.path.glob("*.png")))),
             section("Training", _training(flight.get("offboard/training"))),
             section("Events", _events(flight)),
@@ -144,7 +134,7 @@ def _training(training: Table | None) -> str:
     shown = np.unique(np.linspace(0, len(training) - 1, TRAINING_ROUNDS_MAX).astype(int))
     names = [name for name in training.names if np.isfinite(training[name]).any()]
     rows = [[f"{training[name][i]:.4g}" for name in names] for i in shown]
-    return collapsible(f"{len(shown)} of {len(training)} rounds", table(rows, names))
+    return details(f"{len(shown)} of {len(training)} rounds", table(rows, names))
 
 
 def _events(flight: Flight) -> str:
@@ -165,7 +155,7 @@ def _logs(flight: Flight) -> str:
         f"{process}\n" + "\n".join(f"  {key}: {value}" for key, value in values.items())
         for process, values in flight.metadata.items()
     )
-    return state + table(rows, ("topic", "records", "columns")) + collapsible_text("versions and clocks", metadata)
+    return state + table(rows, ("topic", "records", "columns")) + details_text("versions and clocks", metadata)
 
 
 def _configs(flight: Flight) -> list[str]:
@@ -174,4 +164,4 @@ def _configs(flight: Flight) -> list[str]:
     for process, attachments in flight.attachments.items():
         for name, data in attachments.items():
             found.setdefault(data, []).append(f"{process}: {name}")
-    return [collapsible_text(", ".join(names), data.decode(errors="replace")) for data, names in found.items()]
+    return [details_text(", ".join(names), data.decode(errors="replace")) for data, names in found.items()]

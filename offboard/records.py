@@ -42,20 +42,10 @@ TRAINING: Final = RecordType(
 EPOCH: Final = RecordType("offboard/epoch", (("round", ""), ("epoch", ""), *_LOSSES))
 """The losses after each epoch of a round."""
 
+_POSES_AND_SAMPLES: Final = ("poses_relayed", "poses_rejected", "samples", "labels", "flying_version")
 LINK: Final = RecordType(
     "offboard/link",
-    (
-        ("received", ""),
-        ("lost", ""),
-        ("duplicate", ""),
-        ("rejected", ""),
-        ("sent", ""),
-        ("poses_relayed", ""),
-        ("poses_rejected", ""),
-        ("samples", ""),
-        ("labels", ""),
-        ("flying_version", ""),
-    ),
+    tuple((name, "") for name in ("received", "lost", "duplicate", "rejected", "sent", *_POSES_AND_SAMPLES)),
 )
 """Once a second: counts of datagrams, poses and samples since start."""
 

@@ -4,13 +4,15 @@ A datagram is a header (28 bytes), a body and a MAC (16 bytes, `protocol.authent
 
 A body is one msgpack array with the message's fields in the order of `protocol.messages`. Integers are msgpack
 integers. Arrays are little-endian float32 in msgpack bin; the message type determines their shape. Nothing else is
-accepted: no maps, no text, no extension types, no nesting. The bytes of a feature set, which are sent in chunks, are
-defined in `protocol.feature_codec` and exported here too.
+accepted: no maps, no text, no extension types, no nesting. `protocol.feature_codec` has the bytes
+of a feature set.
 """
 
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import fields
+from operator import attrgetter
 from typing import Any, Final
 
 import msgpack
@@ -18,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.feature_codec import decode_feature_set, encode_feature_set, encode_for_wire
 from protocol.messages import (
     CHUNK_DATA_MAX_BYTES,
     SAMPLES_PER_BATCH_MAX,
@@ -33,13 +34,17 @@ from protocol.messages import (
 from protocol.msgpack_array import unpack_array
 from protocol.signals import CHANNELS, SIGNAL_COUNT
 
-__all__ = ["decode_body", "decode_feature_set", "encode_body", "encode_feature_set", "encode_for_wire"]
-
 PROTOCOL_VERSION: Final = 1
 HEADER: Final = struct.Struct("<BBHQQQ")
 """Version, type, vehicle id, session, sequence, sender time in ns; little-endian, no padding, 28 bytes."""
 _SIGNAL_BYTES: Final = 4 * SIGNAL_COUNT
 _FIELDS_MAX: Final = 12
+
+
+Pack = Callable[[Any], tuple[Any, ...]]
+"""The fields of a message."""
+Unpack = Callable[[list[Any]], Message]
+"""The message of fields. Raises ProtocolError or ValueError."""
 
 
 def _float32(array: NDArray[np.floating]) -> bytes:
@@ -67,25 +72,6 @@ def _unpack_sample_batch(fields: list[Any]) -> SampleBatch:
     )
 
 
-def _pack_status(m: Status) -> tuple[Any, ...]:
-    transfer = (m.transfer_version, m.received_chunks, m.refused_version, m.refusal)
-    return (
-        m.mode,
-        m.feature_version,
-        *transfer,
-        m.ticks,
-        m.missed_ticks,
-        m.pose_age_ms,
-        m.received,
-        m.lost,
-        m.rejected,
-    )
-
-
-def _pack_feature_chunk(m: FeatureChunk) -> tuple[Any, ...]:
-    return (m.version, m.index, m.count, m.digest, m.data)
-
-
 def _pack_pose(m: Pose) -> tuple[Any, ...]:
     return (m.time_ns, _float32(m.position_ned_m), _float32(m.quaternion))
 
@@ -95,19 +81,22 @@ def _unpack_pose(fields: list[Any]) -> Pose:
     return Pose(time_ns, _array(position, (3,)), _array(quaternion, (4,)))
 
 
+def _plain(cls: type[Any], kinds: str) -> tuple[type[Any], Pack, Unpack]:
+    """The row of a message whose fields, of these `kinds` (see `_typed`), are sent as they are."""
+    names = [field.name for field in fields(cls)]
+    get = attrgetter(*names)
+    pack = get if len(names) > 1 else lambda m: (get(m),)
+    return cls, pack, lambda values: cls(*_typed(values, kinds))
+
+
 # One row per message type: its number on the wire, its class, message to fields, fields to message.
-_ROWS: Final[tuple[tuple[int, type[Any], Callable[[Any], tuple[Any, ...]], Callable[[list[Any]], Message]], ...]] = (
+_ROWS: Final[tuple[tuple[int, type[Any], Pack, Unpack], ...]] = (
     (1, SampleBatch, _pack_sample_batch, _unpack_sample_batch),
-    (2, Status, _pack_status, lambda fields: Status(*_typed(fields, "iiibiiiiiiii"))),
-    (3, TimeSyncRequest, lambda m: (m.origin_ns,), lambda fields: TimeSyncRequest(*_typed(fields, "i"))),
-    (65, FeatureChunk, _pack_feature_chunk, lambda fields: FeatureChunk(*_typed(fields, "iiibb"))),
+    (2, *_plain(Status, "iiibiiiiiiii")),
+    (3, *_plain(TimeSyncRequest, "i")),
+    (65, *_plain(FeatureChunk, "iiibb")),
     (66, Pose, _pack_pose, _unpack_pose),
-    (
-        67,
-        TimeSyncReply,
-        lambda m: (m.origin_ns, m.receive_ns, m.transmit_ns),
-        lambda fields: TimeSyncReply(*_typed(fields, "iii")),
-    ),
+    (67, *_plain(TimeSyncReply, "iii")),
 )
 TYPE_NUMBERS: Final[dict[type[Any], int]] = {cls: number for number, cls, _, _ in _ROWS}
 _BOTH_WAYS: Final = frozenset({TYPE_NUMBERS[TimeSyncRequest], TYPE_NUMBERS[TimeSyncReply]})

@@ -12,10 +12,10 @@ in the status of the peer, which would otherwise ignore them as old.
 
 import hashlib
 
-from protocol.codec import decode_feature_set, encode_for_wire
 from protocol.config import TransferConfig
 from protocol.conventions import NEVER_NS
 from protocol.errors import ProtocolError
+from protocol.feature_codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.messages import CHUNK_COUNT_MAX, DIGEST_BYTES, REFUSALS, FeatureChunk, Status
 

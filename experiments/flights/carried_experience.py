@@ -29,7 +29,7 @@ def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
     arrays: dict[str, Any] = {}
     controller = onboard.controller
     if offboard is not None and offboard.learner.latest is not None:
-        from protocol.codec import encode_feature_set
+        from protocol.feature_codec import encode_feature_set
 
         with np.load(io.BytesIO(offboard.learner.experience()), allow_pickle=False) as archive:
             arrays |= {key: archive[key] for key in archive.files}

@@ -23,8 +23,8 @@ from experiments.results.statistics import median
 from experiments.results.tables import Table
 from onboard.control.features import Features, NetworkFeatures, RadialFeatures
 from onboard.control.laws.adaptive import AdaptiveConfig
-from protocol.codec import decode_feature_set
 from protocol.conventions import Array
+from protocol.feature_codec import decode_feature_set
 from protocol.feature_config import FeatureInputs, FeaturesConfig
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import CHANNELS, SIGNAL_NAMES

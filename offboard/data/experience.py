@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from offboard.data.buffer import COLUMNS, SampleTable
 from offboard.training.job import TrainerState
 from offboard.training.network import NetworkState
-from protocol.codec import decode_feature_set, encode_feature_set
 from protocol.errors import ProtocolError
+from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import FeatureSet
 
 FORMAT: Final = 1

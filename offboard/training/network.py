@@ -147,21 +147,13 @@ def state_of(features: FeatureSet, config: TrainedFeatures) -> NetworkState:
         If its channels, inputs or widths are not those of the configuration.
     """
     plan = InputPlan.of(config)
-    template = initial_state(config, np.random.default_rng(0))
+    state = initial_state(config, np.random.default_rng(0))
     found = [(features.position, features.attitude)[at] for at in plan.channels]
-    state = NetworkState(
-        template.offset.copy(),
-        template.scale.copy(),
-        tuple(np.zeros_like(W) for W in template.weights),
-        tuple(np.zeros_like(b) for b in template.biases),
-        template.last_layer.copy(),
-        template.last_bias.copy(),
-    )
     for row, channel in enumerate(found):
         m = len(plan.names[row])
         if channel is None or channel.inputs != plan.names[row]:
             raise ValueError(f"features of {CHANNELS[plan.channels[row]]}: not the configured inputs")
-        expected = [W.shape[2] for W in template.weights]
+        expected = [W.shape[2] for W in state.weights]
         if [W.shape[0] for W in channel.weights] != expected:
             raise ValueError(f"features of {CHANNELS[plan.channels[row]]}: not the configured widths {expected}")
         state.offset[row, :m], state.scale[row, :m] = channel.offset, channel.scale

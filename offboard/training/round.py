@@ -18,8 +18,8 @@ from offboard.training.gradient import LossGradient, Optimiser, Views, layer_out
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
 from offboard.training.network import Array32, InputPlan, NetworkState, feature_set, phi, scales_from_data
 from offboard.training.spectral_bound import SpectralBound
-from protocol.codec import decode_feature_set, encode_for_wire
 from protocol.conventions import Array
+from protocol.feature_codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 

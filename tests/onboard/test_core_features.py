@@ -8,7 +8,7 @@ import pytest
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.feature_swap import SwapConfig
 from onboard.control.features import random_channel
-from protocol.codec import encode_feature_set
+from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
 from protocol.transfer import split

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from protocol.codec import encode_feature_set
 from protocol.endpoint import Endpoint, Role
+from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.messages import FeatureChunk, Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.transfer import split

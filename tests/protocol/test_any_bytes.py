@@ -10,9 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import DOWN_TYPES, HEADER, UP_TYPES, decode_feature_set, encode_feature_set
+from protocol.codec import DOWN_TYPES, HEADER, UP_TYPES
 from protocol.endpoint import Endpoint, Role
 from protocol.errors import ProtocolError
+from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, Message
 

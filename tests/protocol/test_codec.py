@@ -6,8 +6,9 @@ import msgpack
 import numpy as np
 import pytest
 
-from protocol.codec import TYPE_NUMBERS, decode_body, decode_feature_set, encode_body, encode_feature_set
+from protocol.codec import TYPE_NUMBERS, decode_body, encode_body
 from protocol.errors import ProtocolError
+from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk, Message, Pose, SampleBatch
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocol.codec import decode_feature_set, encode_feature_set, encode_for_wire
 from protocol.config import TransferConfig
+from protocol.feature_codec import decode_feature_set, encode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.messages import CHUNK_COUNT_MAX, REFUSALS, FeatureChunk, Status
 from protocol.transfer import FeatureReceiver, FeatureSender, split

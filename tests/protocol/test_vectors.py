@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from onboard.flight.modes import FlightMode
-from protocol.codec import decode_feature_set, encode_feature_set
 from protocol.endpoint import Endpoint
+from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.messages import REFUSALS, TimeSyncRequest
 from protocol.signals import SIGNAL_NAMES
 

@@ -25,8 +25,9 @@ from onboard.flight.modes import Command, FlightMode
 from onboard.process import OnboardProcess
 from onboard.record.tick import OFFSET
 from onboard.sampling.sampler import NETWORK_BYTES
-from protocol.codec import HEADER, encode_feature_set
+from protocol.codec import HEADER
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX, Endpoint
+from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.session import session_number

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.control.features import INPUT_LIMIT, BiasFeatures, NetworkFeatures, RadialFeatures, halton, random_channel
-from protocol.codec import decode_feature_set, encode_feature_set
+from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
