@@ -1,24 +1,8 @@
 """`python -m sim_vehicle`: run this process alone."""
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported: its threads only cost here
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-import argparse
 import sys
 
-from sim_vehicle.command import add_arguments, run
-
-
-def main() -> int:
-    """Parse the command line and run the process."""
-    parser = argparse.ArgumentParser(
-        prog="python -m sim_vehicle", description="Simulate a Mambo, its motion capture and its radio, in real time."
-    )
-    add_arguments(parser)
-    return run(parser.parse_args())
-
+from runtime.entry import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main("sim_vehicle", "Simulate a Mambo, its motion capture and its radio, in real time."))

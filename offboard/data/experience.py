@@ -20,6 +20,7 @@ from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import FeatureSet
 
 FORMAT: Final = 1
+_UNREADABLE: Final = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, ProtocolError)
 
 
 class ExperienceError(Exception):
@@ -69,8 +70,15 @@ def dump_experience(experience: Experience) -> bytes:
     arrays |= {f"moment_{number}": moment for number, moment in enumerate(state.moments)}
     for name, table in (("buffer", experience.buffer), ("newest", experience.newest)):
         arrays |= {f"{name}_{column}": getattr(table, column) for column in COLUMNS}
-    for number, features in enumerate(experience.versions):
-        arrays[f"version_{number}"] = np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
+    arrays |= {f"version_{number}": _encoded(features) for number, features in enumerate(experience.versions)}
+    return _archive(arrays)
+
+
+def _encoded(features: FeatureSet) -> NDArray[np.uint8]:
+    return np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
+
+
+def _archive(arrays: dict[str, NDArray[Any]]) -> bytes:
     out = io.BytesIO()
     np.savez(out, allow_pickle=False, **arrays)
     return out.getvalue()
@@ -87,7 +95,7 @@ def load_experience(data: bytes) -> Experience:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             return _from_arrays({name: archive[name] for name in archive.files})
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, ProtocolError) as error:
+    except _UNREADABLE as error:
         raise ExperienceError(f"not an experience file of format {FORMAT}: {error}") from None
 
 
@@ -121,10 +129,7 @@ def _from_arrays(arrays: dict[str, NDArray[Any]]) -> Experience:
 
 def dump_version(features: FeatureSet) -> bytes:
     """The bytes of a version file, from which another flight can start."""
-    out = io.BytesIO()
-    encoded = np.frombuffer(encode_feature_set(features, "float32"), dtype=np.uint8)
-    np.savez(out, allow_pickle=False, features=encoded)
-    return out.getvalue()
+    return _archive({"features": _encoded(features)})
 
 
 def load_version(data: bytes) -> FeatureSet:
@@ -139,9 +144,9 @@ def load_version(data: bytes) -> FeatureSet:
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             if "features" in archive.files:
                 return decode_feature_set(archive["features"].tobytes())
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, ProtocolError) as error:
+    except _UNREADABLE as error:
         raise ExperienceError(f"not a file of features: {error}") from None
     experience = load_experience(data)
     if not experience.versions:
-        raise ExperienceError("the experience holds no version yet")
+        raise ExperienceError("the experience contains no version yet")
     return experience.versions[-1]

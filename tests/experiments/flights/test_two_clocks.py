@@ -29,8 +29,8 @@ from flight_log import metadata
 describe = metadata.describe_process
 wrong = {{"clock": "monotonic/another machine", "started_utc": "2020-01-01T00:00:00+00:00"}}
 metadata.describe_process = lambda: describe() | wrong
-from offboard.__main__ import main
-sys.exit(main())
+from runtime.entry import main
+sys.exit(main("offboard", ""))
 """
 
 

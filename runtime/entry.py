@@ -1,0 +1,19 @@
+"""Entry point of `python -m onboard`, `python -m offboard` and `python -m sim_vehicle`."""
+
+import argparse
+import os
+from importlib import import_module
+
+
+def main(package: str, description: str) -> int:
+    """Parse the command line and run the process of a package; returns its exit status."""
+    for name in (
+        "OPENBLAS_NUM_THREADS",
+        "OMP_NUM_THREADS",
+    ):  # before numpy is imported, whose threads only cost time here
+        os.environ.setdefault(name, "1")
+    command = import_module(f"{package}.command")
+    parser = argparse.ArgumentParser(prog=f"python -m {package}", description=description)
+    command.add_arguments(parser)
+    status: int = command.run(parser.parse_args())
+    return status
