@@ -85,9 +85,7 @@ def test_input_that_is_not_a_flight_gives_one_line_and_status_2(
     assert sorted(tmp_path.rglob("*")) == before, "nothing was written"
 
 
-def test_a_truncated_log_opens_and_check_reports_where_it_ends(
-    full_flight: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_reports_where_a_truncated_log_ends(full_flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = full_flight / "onboard.mcap"
     log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
     for command in ("log info", "log export --npz", "report"):

@@ -94,7 +94,7 @@ def test_the_repeat_command_is_that_of_the_summary_if_it_has_one(make_flight: Ca
     assert repeat_command(open_flight(folder)) == "scripts/fly x --set a=1"
 
 
-def test_comparison_has_a_table_a_figure_and_the_commands(
+def test_a_comparison_has_table_figure_and_commands(
     full_flight: Path, make_flight: Callable[..., Path], tmp_path: Path
 ) -> None:
     other = make_flight("other", error_m=0.3, controller="pid", position_rmse_m=0.3, features={})

@@ -25,7 +25,7 @@ def assert_same(one: Any, other: Any) -> None:
             assert a == b, field.name
 
 
-def test_a_message_is_the_same_after_encoding_and_decoding(any_message: Message) -> None:
+def test_message_round_trip(any_message: Message) -> None:
     assert_same(decode_body(TYPE_NUMBERS[type(any_message)], encode_body(any_message)), any_message)
 
 
@@ -96,9 +96,7 @@ def test_a_batch_that_is_not_finite_cannot_be_made() -> None:
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [("float32", 1e-7), ("float16", 1e-3)])
-def test_a_feature_set_is_the_same_after_encoding_and_decoding(
-    make_features: Make, dtype: Any, tolerance: float
-) -> None:
+def test_feature_set_round_trip(make_features: Make, dtype: Any, tolerance: float) -> None:
     features = make_features(version=5)
     back = decode_feature_set(encode_feature_set(features, dtype))
     assert (back.version, back.parent, back.samples) == (5, 4, 1000)

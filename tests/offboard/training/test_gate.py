@@ -68,12 +68,10 @@ def test_a_small_or_doubtful_gain_is_not_sent() -> None:
 def test_too_few_samples_and_too_soon() -> None:
     good = evidence((0.1, 0.1), (0.5, 0.5))
     assert judge(evidence((0.1, 0.1), (0.5, 0.5), n=CONFIG.gate.minimum_validation - 1)) is Verdict.TOO_FEW_SAMPLES
-    gate_with_history = gate()
-    gate_with_history.note_sent(10 * S)
-    assert gate_with_history.judge(candidate(), good, 10 * S + S // 10) is Verdict.TOO_SOON
-    assert (
-        gate_with_history.judge(candidate(), good, 10 * S + round((CONFIG.gate.interval_s + 0.1) * S)) is Verdict.SEND
-    )
+    used_gate = gate()
+    used_gate.note_sent(10 * S)
+    assert used_gate.judge(candidate(), good, 10 * S + S // 10) is Verdict.TOO_SOON
+    assert used_gate.judge(candidate(), good, 10 * S + round((CONFIG.gate.interval_s + 0.1) * S)) is Verdict.SEND
 
 
 @pytest.mark.parametrize(
