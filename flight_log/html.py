@@ -49,11 +49,6 @@ def values_table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str
     return f'<div class="values">{body}</div>' if body else ""
 
 
-def details_text(title: str, text: str) -> str:
-    """Preformatted text that opens on a click."""
-    return details(title, code(text)) if text else ""
-
-
 def details(title: str, body: str) -> str:
     """HTML that opens on a click."""
     return f"<details><summary>{escape(title)}</summary>{body}</details>"

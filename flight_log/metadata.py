@@ -7,8 +7,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("async-dmrac", "numpy", "mcap", "torch", "numba")
-LOCKSTEP_CLOCK = "lockstep"
-"""Clock name of a virtual-time flight."""
 
 
 def describe_process() -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError, parse_yaml
-from flight_log.html import code, details, details_text, image, page, paragraph, section, table, values_table
+from flight_log.html import code, details, image, page, paragraph, section, table, values_table
 from flight_log.inspect import check
 from flight_log.log_file import FlightError
 from flight_log.reader import TICK_TOPIC, Flight, Table, open_flight
@@ -155,7 +155,7 @@ def _logs(flight: Flight) -> str:
         f"{process}\n" + "\n".join(f"  {key}: {value}" for key, value in values.items())
         for process, values in flight.metadata.items()
     )
-    return state + table(rows, ("topic", "records", "columns")) + details_text("versions and clocks", metadata)
+    return state + table(rows, ("topic", "records", "columns")) + details("versions and clocks", code(metadata))
 
 
 def _configs(flight: Flight) -> list[str]:
@@ -164,4 +164,4 @@ def _configs(flight: Flight) -> list[str]:
     for process, attachments in flight.attachments.items():
         for name, data in attachments.items():
             found.setdefault(data, []).append(f"{process}: {name}")
-    return [details_text(", ".join(names), data.decode(errors="replace")) for data, names in found.items()]
+    return [details(", ".join(names), code(data.decode(errors="replace"))) for data, names in found.items()]

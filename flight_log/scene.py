@@ -103,12 +103,7 @@ PLAIN_CURVES: Final[tuple[tuple[str, str, str, str, float, bool], ...]] = (
     ("health", "mode", "onboard/tick", "mode", 1.0, False),
 )
 TABS: Final = {
-    "control": (
-        "position [m]",
-        "attitude [deg]",
-        "adaptive, position [m/s²]",
-        "adaptive, attitude [rad/s²]",
-    ),
+    "control": ("position [m]", "attitude [deg]", "adaptive, position [m/s²]", "adaptive, attitude [rad/s²]"),
     "adaptation": ("norm(W)", "norm(e), position [m, m/s]", "norm(e), attitude [rad, rad/s]"),
     "learning": ("features", "training loss, position [(m/s²)²]", "training loss, attitude [(rad/s²)²]"),
     "link": ("datagrams lost in 1 s [%]", "delay of datagrams [ms]", "link ages [s]", "link counts"),

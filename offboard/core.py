@@ -191,9 +191,7 @@ class OffboardCore:
             "onboard_age_ms": None if age_ns is None else age_ns // 1_000_000,
             "flying_version": self._versions.flying_version,
             "sent_version": self.learner.version,
-            "rounds": self.learner.rounds,
-            "samples": self.learner.labelled,
-            "buffered": self.learner.buffered,
+            **self.learner.counts(),
             "poses": self._relay.relayed,
             **self.learner.validation_losses,
         }
@@ -203,9 +201,7 @@ class OffboardCore:
         link = self.endpoint.statistics
         return {
             "version": self.learner.version,
-            "rounds": self.learner.rounds,
-            "samples": self.learner.labelled,
-            "buffered": self.learner.buffered,
+            **self.learner.counts(),
             "verdicts": dict(self.learner.verdicts),
             "received": link.received,
             "lost": link.lost,

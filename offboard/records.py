@@ -83,5 +83,5 @@ def link_record(
     link: LinkStatistics, poses: tuple[int, int], samples: tuple[int, int], flying_version: int, now_ns: int
 ) -> Logged:
     """The LINK record. `poses`: relayed and rejected; `samples`: received and labelled."""
-    counts = (link.received, link.lost, link.duplicate, link.rejected_total, link.sent)
+    counts = (link.received, link.lost, link.duplicate, link.rejected.total(), link.sent)
     return LINK, now_ns, np.array([*counts, *poses, *samples, flying_version], dtype=np.float64)

@@ -61,15 +61,9 @@ def _unpack_sample_batch(fields: list[Any]) -> SampleBatch:
     n, rest = divmod(len(signals), _SIGNAL_BYTES)
     if rest or not 1 <= n <= SAMPLES_PER_BATCH_MAX:
         raise ProtocolError("body", f"signals of {len(signals)} bytes")
-    return SampleBatch(
-        first_index,
-        time_ns,
-        period_ns,
-        version,
-        _array(signals, (n, SIGNAL_COUNT)),
-        _array(delivered, (n, len(CHANNELS), 3)),
-        _array(adaptive, (n, len(CHANNELS), 3)),
-    )
+    per_channel = (n, len(CHANNELS), 3)
+    arrays = (_array(signals, (n, SIGNAL_COUNT)), _array(delivered, per_channel), _array(adaptive, per_channel))
+    return SampleBatch(first_index, time_ns, period_ns, version, *arrays)
 
 
 def _pack_pose(m: Pose) -> tuple[Any, ...]:

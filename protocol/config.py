@@ -15,14 +15,12 @@ class TransferConfig(ConfigRecord):
     chunk_bytes: int = Field(
         default=CHUNK_DATA_MAX_BYTES, ge=64, le=CHUNK_DATA_MAX_BYTES, description="size of a chunk"
     )
-    chunks_per_second: float = Field(default=40.0, gt=0.0, le=2000.0, description="pace; 40 is at most 0.4 Mbit/s")
-    chunks_per_poll: int = Field(default=4, ge=1, le=64, description="most chunks sent in one call, however late it is")
+    chunks_per_second: float = Field(default=40.0, gt=0.0, le=2000.0, description="rate; 40 is at most 0.4 Mbit/s")
+    chunks_per_poll: int = Field(default=4, ge=1, le=64, description="most chunks sent in one call")
     resend_after_s: float = Field(
         default=0.04,
         gt=0.0,
         le=10.0,
         description="s, a chunk that is missing this long after it was sent is sent again; near the round trip",
     )
-    resend_max_s: float = Field(
-        default=1.0, gt=0.0, le=60.0, description="s, longest interval of the back-off when no status arrives"
-    )
+    resend_max_s: float = Field(default=1.0, gt=0.0, le=60.0, description="s, longest back-off interval without status")

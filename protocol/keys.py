@@ -79,14 +79,11 @@ def read_key(path: Path) -> bytes:
         If the file cannot be read, is accessible to others than its owner, or does not hold a key.
     """
     try:
-        with open(path, "rb", opener=_open_without_waiting) as file:
+        # O_NONBLOCK: opening a named pipe must not block
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             return _read_checked(path, file)
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from None
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)  # opening a named pipe must not block
 
 
 def _read_checked(path: Path, file: BinaryIO) -> bytes:

@@ -44,11 +44,6 @@ class LinkStatistics:
         self.delay_max_ns = max(self.delay_max_ns, delay_ns)
 
     @property
-    def rejected_total(self) -> int:
-        """Rejected datagrams, for all reasons."""
-        return self.rejected.total()
-
-    @property
     def loss_fraction(self) -> float:
         """Lost share of the datagrams that the peer sent; 0 before the first one."""
         expected = self.received + self.lost

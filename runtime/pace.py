@@ -95,8 +95,4 @@ class DurationStatistics:
 
     def summary(self) -> dict[str, float]:
         """p50, p99 and max, us."""
-        return {
-            "p50": self.quantile_us(0.5),
-            "p99": self.quantile_us(0.99),
-            "max": round(self._maximum_ns / 1000, 1),
-        }
+        return {"p50": self.quantile_us(0.5), "p99": self.quantile_us(0.99), "max": round(self._maximum_ns / 1000, 1)}

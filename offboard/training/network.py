@@ -86,14 +86,8 @@ def initial_state(config: TrainedFeatures, rng: np.random.Generator) -> NetworkS
     offset, scale = np.zeros((C, m), dtype=np.float32), np.ones((C, m), dtype=np.float32)
     for row, names in enumerate(plan.names):
         offset[row, : len(names)], scale[row, : len(names)] = config.offset_and_scale(names)
-    return NetworkState(
-        offset,
-        scale,
-        tuple(weights),
-        tuple(biases),
-        np.zeros((C, config.count - 1, 3), dtype=np.float32),
-        np.zeros((C, 1, 3), dtype=np.float32),
-    )
+    theta, theta_0 = np.zeros((C, config.count - 1, 3), dtype=np.float32), np.zeros((C, 1, 3), dtype=np.float32)
+    return NetworkState(offset, scale, tuple(weights), tuple(biases), theta, theta_0)
 
 
 def scales_from_data(config: TrainedFeatures, signals: Array32) -> tuple[Array32, Array32]:

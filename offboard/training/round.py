@@ -179,14 +179,10 @@ class _Round:
         return torch.cat([features, torch.ones_like(features[:, :1])], dim=1)
 
     def _network_now(self) -> NetworkState:
-        return NetworkState(
-            self._network.offset,
-            self._network.scale,
-            tuple(W.numpy().copy() for W in self._parameters.weights),
-            tuple(b.numpy().copy() for b in self._parameters.biases),
-            (self._parameters.last_layer * self._label_scale.mT).numpy(),
-            (self._parameters.last_bias * self._label_scale.mT).numpy(),
-        )
+        trained, start = self._parameters, self._network
+        weights, biases = (tuple(one.numpy().copy() for one in part) for part in (trained.weights, trained.biases))
+        theta, theta_0 = (part * self._label_scale.mT for part in (trained.last_layer, trained.last_bias))
+        return NetworkState(start.offset, start.scale, weights, biases, theta.numpy(), theta_0.numpy())
 
     def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
         """What the gate judges: the errors of the rounded candidate, and how far numpy's features are from torch's."""

@@ -77,6 +77,10 @@ class VehicleLearner:
         """Rounds of training so far."""
         return self._state.rounds
 
+    def counts(self) -> dict[str, int]:
+        """Rounds, labelled samples and buffered samples, for status and summary."""
+        return {"rounds": self.rounds, "samples": self.labelled, "buffered": self.buffered}
+
     def start_flight(self) -> None:
         """Another onboard process has started: sample indices and sample times begin anew."""
         self._labels.restart()

@@ -37,9 +37,9 @@ def seal(role: Role, header: tuple[int, ...], body: bytes) -> bytes:
 
 def hear(endpoint: Endpoint, datagram: bytes, now_ns: int) -> None:
     """Decode, and check that the outcome was counted."""
-    before = endpoint.statistics.rejected_total + endpoint.statistics.duplicate
+    before = endpoint.statistics.rejected.total() + endpoint.statistics.duplicate
     message = endpoint.decode(datagram, now_ns)
-    counted = endpoint.statistics.rejected_total + endpoint.statistics.duplicate - before
+    counted = endpoint.statistics.rejected.total() + endpoint.statistics.duplicate - before
     assert counted == (message is None)
 
 

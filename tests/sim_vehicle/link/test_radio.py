@@ -148,7 +148,7 @@ def test_corruption_flips_one_bit_and_no_endpoint_believes_it() -> None:
             offboard.decode(datagram, index * 10 * MS)
     spoilt = radio.counts("up").corrupted
     assert 25 < spoilt < 80
-    assert offboard.statistics.rejected_total == spoilt
+    assert offboard.statistics.rejected.total() == spoilt
     assert offboard.statistics.received == 500 - spoilt
     assert offboard.statistics.lost == spoilt
 
