@@ -1,7 +1,4 @@
-"""The report of a flight as one self-contained HTML page.
-
-It contains summary, figures, training, events, logs, the command that repeats the flight, and configuration.
-"""
+"""The report of a flight, one HTML page: summary, figures, training, events, logs, repeat command, configuration."""
 
 import shlex
 from collections.abc import Mapping

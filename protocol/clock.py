@@ -13,10 +13,7 @@ JUMP_SLACK_NS: Final = 5_000_000
 
 
 class ForwardClock:
-    """A clock that never goes back. When its source does, it repeats its last time once and continues from there.
-
-    Deadlines and ages would otherwise stay wrong for good.
-    """
+    """A clock that never goes back. When its source does, it repeats its last time once and continues from there."""
 
     __slots__ = ("_latest_ns", "_shift_ns", "jumps")
 

@@ -168,10 +168,7 @@ class Endpoint:
         return silent_ns is not None and silent_ns >= SILENCE_BEFORE_OLDER_NS
 
     def challenge(self, now_ns: int) -> TimeSyncRequest | None:
-        """The request to send if an older session wants to replace the silent one; None if there is none.
-
-        Only a process that is alive can answer it.
-        """
+        """The request that an older session must answer to replace the silent one; None if there is no such session."""
         wanted, self._challenge_wanted = self._challenge_wanted, False
         if not wanted:
             return None
