@@ -1,5 +1,6 @@
 """Input that is not a flight: every command names it in one line, with exit status 2."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from mcap.writer import Writer
 
 from async_dmrac.command_line import main
 from flight_log.mcap_file import METADATA_NAME, McapFile
-from flight_log.reader import open_flight
+from flight_log.reader import FlightError, open_flight
 from flight_log.writer import FlightLogWriter
 
 
@@ -22,6 +23,10 @@ def empty(folder: Path) -> None:
 
 def without_records(folder: Path) -> None:
     FlightLogWriter(folder / "onboard.mcap", "onboard").close()
+
+
+def nothing_written(folder: Path) -> None:
+    (folder / "onboard.mcap").write_bytes(b"")
 
 
 def cut_to_nothing(folder: Path) -> None:
@@ -50,6 +55,7 @@ FOLDERS = {
     missing: "no such flight",
     empty: "contains no flight log (*.mcap)",
     without_records: "the flight log contains no records",
+    nothing_written: "the flight log contains no records",
     cut_to_nothing: "the flight log contains no records",
     no_log: "not an MCAP file",
     foreign: "an MCAP file, but not a flight log of this project",
@@ -61,8 +67,26 @@ COMMANDS = (
 )
 
 
+each_folder = pytest.mark.parametrize(
+    ("make", "message"), FOLDERS.items(), ids=lambda value: getattr(value, "__name__", "")
+)
+
+
+@each_folder
+def test_a_folder_that_is_not_a_flight_raises_with_one_line(
+    make: Callable[[Path], None], message: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    make(folder)
+    with pytest.raises(FlightError, match=re.escape(message)) as caught:
+        open_flight(folder)
+    assert str(folder) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize(("make", "message"), FOLDERS.items(), ids=lambda value: getattr(value, "__name__", ""))
+@each_folder
 def test_input_that_is_not_a_flight_gives_one_line_and_status_2(
     command: str,
     make: Callable[[Path], None],

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 
-from flight_log.mcap_file import METADATA_NAME, McapFile
 from flight_log.reader import FlightError, open_flight
 from flight_log.schema import CLOCK_OFFSET, RecordType
 from flight_log.writer import FlightLogWriter
@@ -62,46 +60,6 @@ def test_unknown_topics_and_columns_raise_and_list_the_known_ones(tmp_path: Path
         flight.messages("x")
     assert flight.get("x") is None
     assert "position_n" in flight["onboard/tick"]
-
-
-def foreign(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(library="somebody else")
-        writer.finish()
-
-
-def newer(path: Path) -> None:
-    file = McapFile(path)
-    file.start()
-    file.add_metadata(METADATA_NAME, {"format_version": "99"})
-    file.close()
-
-
-def headless(path: Path) -> None:
-    FlightLogWriter(path, "onboard").close()
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda path: path.parent.rmdir(), "no such flight"),
-        (lambda path: None, r"contains no flight log \(\*\.mcap\)"),
-        (lambda path: path.write_bytes(b""), "contains no records"),
-        (headless, "contains no records"),
-        (lambda path: path.write_bytes(b"PK\x03\x04 something"), "not an MCAP file"),
-        (foreign, "not a flight log of this project"),
-        (newer, "written in format 99, this version reads up to 1"),
-    ],
-)
-def test_a_folder_that_is_not_a_flight_raises_with_one_line(tmp_path: Path, make, message: str) -> None:
-    folder = tmp_path / "flight"
-    folder.mkdir()
-    make(folder / "onboard.mcap")
-    with pytest.raises(FlightError, match=message) as caught:
-        open_flight(folder)
-    assert str(folder) in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_log_truncated_anywhere_is_read_up_to_the_cut(tmp_path: Path) -> None:
