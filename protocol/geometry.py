@@ -5,11 +5,13 @@ Quaternions are wxyz, body FRD to world NED (docs/conventions.md).
 
 import math
 from collections.abc import Iterable
+from typing import Final
 
 Quaternion = tuple[float, float, float, float]
 Vector3 = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 """A rotation matrix, row by row."""
+ZERO: Final[Vector3] = (0.0, 0.0, 0.0)
 
 
 def vector(values: Iterable[float]) -> Vector3:
@@ -21,6 +23,34 @@ def vector(values: Iterable[float]) -> Vector3:
 def cross(a: Vector3, b: Vector3) -> Vector3:
     """The vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def add(a: Vector3, b: Vector3) -> Vector3:
+    """a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def subtract(a: Vector3, b: Vector3) -> Vector3:
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def scale(v: Vector3, factor: float) -> Vector3:
+    """v times a number."""
+    return v[0] * factor, v[1] * factor, v[2] * factor
+
+
+def matrix_times(R: Rotation, v: Vector3) -> Vector3:
+    """R v."""
+    x, y, z = v
+    return R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z
+
+
+def normalised(q: Quaternion) -> Quaternion:
+    """The quaternion with length 1; `q` must not be zero."""
+    w, x, y, z = q
+    factor = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    return w * factor, x * factor, y * factor, z * factor
 
 
 def quaternion_multiply(a: Quaternion, b: Quaternion) -> Quaternion:
@@ -118,6 +148,11 @@ def rotation_of(q: Quaternion) -> Rotation:
         2.0 * (yz + wx),
         1.0 - 2.0 * (xx + yy),
     )
+
+
+def euler_of(R: Rotation) -> Vector3:
+    """Roll, pitch and yaw (yaw-pitch-roll sequence) of a rotation body to world, rad."""
+    return math.atan2(R[7], R[8]), math.asin(min(1.0, max(-1.0, -R[6]))), math.atan2(R[3], R[0])
 
 
 def quaternion_of(roll: float, pitch: float, yaw: float) -> Quaternion:

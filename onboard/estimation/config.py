@@ -1,4 +1,4 @@
-"""Settings of the estimator: noise of each sensor, gates, and times after which it changes its mind."""
+"""Settings of the estimator: sensor noise, gates and times."""
 
 from pydantic import Field
 
@@ -6,23 +6,23 @@ from configs.loader import ConfigRecord
 
 
 class EstimatorConfig(ConfigRecord):
-    """Standard deviations unless said otherwise. The defaults fit the Mambo's bench and flight logs."""
+    """Sigmas are standard deviations. The defaults fit the Mambo's bench and flight logs."""
 
     accelerometer_sigma: float = Field(
-        default=0.3, gt=0, description="m/s^2 per sample, motors off; grows by vibration"
+        default=0.3, gt=0, description="m/s^2 per sample, motors off; grows with vibration"
     )
     accelerometer_sigma_max: float = Field(default=3.0, gt=0, description="m/s^2, limit of that growth")
-    vibration_to_sigma: float = Field(default=0.74, ge=0, description="1; accelerometer sigma per vibration measure")
+    vibration_to_sigma: float = Field(default=0.74, ge=0, description="1; accelerometer sigma per vibration level")
     vibration_white_max_m_s2: float = Field(
-        default=4.0, gt=0, description="m/s^2; with more, poses that disagree say that the velocity is wrong"
+        default=4.0, gt=0, description="m/s^2; above it, poses that disagree mean a wrong velocity"
     )
     gyro_sigma: float = Field(default=0.03, gt=0, description="rad/s per sample, in flight")
     gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
     accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")
-    gyro_delay_s: float = Field(default=0.005, ge=0, le=0.05, description="s; rates are this old at their time stamp")
+    gyro_delay_s: float = Field(default=0.005, ge=0, le=0.05, description="s; age of the rates at their time stamp")
 
-    start_samples: int = Field(default=50, ge=10, le=2000, description="still IMU samples that find the attitude")
-    start_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; a faster rotation is not stillness")
+    start_samples: int = Field(default=50, ge=10, le=2000, description="still IMU samples needed for the start")
+    start_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; a faster vehicle is not still")
     start_tilt_sigma_rad: float = Field(default=0.05, gt=0, description="rad, from accelerometer bias")
     start_yaw_sigma_rad: float = Field(default=0.05, gt=0, description="rad; without pose the start defines north")
     start_gyro_bias_sigma: float = Field(default=0.02, gt=0, description="rad/s")
@@ -33,14 +33,14 @@ class EstimatorConfig(ConfigRecord):
 
     pose_position_sigma_m: float = Field(default=0.0007, gt=0, description="m, per axis")
     pose_attitude_sigma_rad: float = Field(default=0.012, gt=0, description="rad, per axis")
-    pose_time_sigma_s: float = Field(default=0.0005, ge=0, description="s, error of capture time against our clock")
+    pose_time_sigma_s: float = Field(default=0.0005, ge=0, description="s, error of the capture time")
     pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
     pose_turn_time_sigma_s: float = Field(default=0.003, ge=0, description="s, the same for the attitude")
     pose_time_error_max_s: float = Field(
         default=0.1, ge=0, description="s; an attitude that such an error of the capture time explains is left out"
     )
-    pose_near_m: float = Field(default=0.1, ge=0, description="m off: up to here a pose gets less weight, no refusal")
-    pose_near_rad: float = Field(default=0.2, ge=0, description="rad off: up to here it gets less weight, no refusal")
+    pose_near_m: float = Field(default=0.1, ge=0, description="m; a pose off by less gets less weight, no refusal")
+    pose_near_rad: float = Field(default=0.2, ge=0, description="rad; a pose off by less gets less weight, no refusal")
     pose_delay_max_s: float = Field(default=0.4, gt=0, le=0.6, description="s; older poses are refused")
     pose_reset_count: int = Field(default=5, ge=2, description="refused poses in a row that agree: state jumps to them")
     pose_agree_m: float = Field(default=0.2, gt=0, description="m between successive refused poses that agree")
@@ -48,26 +48,24 @@ class EstimatorConfig(ConfigRecord):
 
     flow_rate_sigma_rad_s: float = Field(default=0.1, gt=0, description="rad/s, per axis, of the flow rate")
     flow_scale_sigma: float = Field(default=0.05, ge=0, description="1; relative error of the flow velocity")
-    flow_quality_min: int = Field(default=30, ge=0, le=255, description="worse flow is ignored")
-    flow_height_min_m: float = Field(default=0.12, gt=0, description="m; nearer to the floor there is no flow")
+    flow_quality_min: int = Field(default=30, ge=0, le=255, description="flow of lower quality is ignored")
+    flow_height_min_m: float = Field(default=0.12, gt=0, description="m; flow below this height is ignored")
     flow_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
     range_sigma_m: float = Field(default=0.04, gt=0, description="m")
-    range_floor_m: float = Field(default=0.44, gt=0, description="m; the ultrasonic sensor reads nothing below")
-    range_margin_m: float = Field(default=0.04, ge=0, description="m above the floor reading at which readings count")
+    range_floor_m: float = Field(default=0.44, gt=0, description="m; least distance of the ultrasonic sensor")
+    range_margin_m: float = Field(default=0.04, ge=0, description="m above that distance, from which readings count")
     range_max_m: float = Field(default=4.0, gt=0, description="m")
-    range_half_cone_rad: float = Field(default=0.35, ge=0, lt=1.5, description="rad; half the beam's opening")
+    range_half_cone_rad: float = Field(default=0.35, ge=0, lt=1.5, description="rad; half the beam's opening angle")
     range_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
-    pressure_sigma_pa: float = Field(default=4.0, gt=0, description="Pa, of a mean of some samples, drift included")
+    pressure_sigma_pa: float = Field(default=4.0, gt=0, description="Pa, of a mean of some samples, with drift")
     pressure_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
     still_velocity_sigma_m_s: float = Field(default=0.05, gt=0, description="m/s on the ground")
-    still_height_sigma_m: float = Field(default=0.03, gt=0, description="m on the ground, when no pose says better")
-    unaided_velocity_sigma_m_s: float = Field(
-        default=2.0, gt=0, description="m/s; all that is known with no aid at all"
-    )
-    recovery_s: float = Field(default=1.0, gt=0, description="s of refused aids after which uncertainty is widened")
-    aid_fresh_s: float = Field(default=0.5, gt=0, description="s; an aid younger than this is present")
+    still_height_sigma_m: float = Field(default=0.03, gt=0, description="m on the ground, without a pose")
+    unaided_velocity_sigma_m_s: float = Field(default=2.0, gt=0, description="m/s; assumed without any aid")
+    recovery_s: float = Field(default=1.0, gt=0, description="s of refused aids after which the uncertainty grows")
+    aid_fresh_s: float = Field(default=0.5, gt=0, description="s; a younger aid counts as present")
     covariance_every: int = Field(default=2, ge=1, le=8, description="IMU samples per covariance step")
-    gap_s: float = Field(default=0.05, gt=0, description="s; an IMU gap longer than this widens the uncertainty")
+    gap_s: float = Field(default=0.05, gt=0, description="s; after a longer IMU gap the uncertainty grows")

@@ -1,7 +1,7 @@
-"""Whether the relayed pose is good enough to be armed on: its rate, its idea of upright against the IMU's, the floor.
+"""Checks before arming whether the relayed pose is good enough: its rate, its upright against the IMU's, its floor.
 
-Theory of operation. The newest poses are kept; every few of them a verdict is drawn, from a vehicle that stands still
-on the floor. Heading cannot be judged there: `dmrac preflight` does that, with a person's help.
+The newest poses are stored; every few of them are judged, while the vehicle stands still on the floor. Heading cannot
+be judged there: `dmrac preflight` checks it with the help of a person.
 """
 
 from collections import deque
@@ -12,15 +12,16 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from protocol.conventions import Array
+from protocol.geometry import Quaternion, rotation_of
 
 POSES: Final = 32
 EVERY: Final = 8
-"""A verdict after so many poses."""
+"""Poses between two judgements."""
 NOT_COMPARED: Final = "the pose has not been compared with the IMU yet"
 
 
 class PoseHealthConfig(ConfigRecord):
-    """What the pose must be like before the vehicle may be armed, where arming needs one."""
+    """Limits for the pose before arming, where arming needs a pose."""
 
     rate_min_hz: float = Field(default=20.0, gt=0, description="Hz, poses that arrive")
     upright_tolerance_rad: float = Field(default=0.2, gt=0, description="rad; pose's upright against the IMU's")
@@ -28,38 +29,37 @@ class PoseHealthConfig(ConfigRecord):
 
 
 class PoseHealth:
-    """Judges the poses it is shown, when it is asked: in flight nobody asks."""
+    """Judges the newest poses when `fault` is read; it is not read in flight."""
 
     def __init__(self, config: PoseHealthConfig) -> None:
         self._config = config
         self._arrivals_ns: deque[int] = deque(maxlen=POSES)
-        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=POSES)
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=POSES)
         self._force: Array = np.zeros(3)
         self._count = 0
-        self._next_verdict = EVERY
+        self._next_judgement = EVERY
         self._fault = ""
 
     @property
     def fault(self) -> str:
-        """Why the poses are not good enough; "" when they are."""
-        if self._count >= self._next_verdict:
-            self._next_verdict = (self._count // EVERY + 1) * EVERY
+        """Why the poses are not good enough; "" if they are."""
+        if self._count >= self._next_judgement:
+            self._next_judgement = (self._count // EVERY + 1) * EVERY
             self._fault = self._judge()
         return self._fault
 
-    def add(self, down_m: float, quaternion: tuple[float, ...], now_ns: int, force: Array) -> None:
-        """One pose.
+    def add(self, down_m: float, quaternion: Quaternion, now_ns: int, force: Array) -> None:
+        """Add a pose.
 
         Parameters
         ----------
         down_m: of the position, world NED.
         quaternion: wxyz, body to world.
-        now_ns: when it came.
+        now_ns: arrival.
         force: [3] m/s^2, the IMU's mean specific force.
         """
-        w, x, y, z = quaternion
         self._arrivals_ns.append(now_ns)
-        self._rows.append((down_m, 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
+        self._rows.append((down_m, *rotation_of(quaternion)[6:]))
         self._force = force
         self._count += 1
 
@@ -75,7 +75,7 @@ class PoseHealth:
             return NOT_COMPARED
         angle = float(np.arccos(np.clip(-(force @ np.array(down_axis)) / length, -1.0, 1.0)))
         if angle > config.upright_tolerance_rad:
-            return f"pose and IMU are {np.degrees(angle):.0f} deg apart about upright: frame or order of the pose"
+            return f"pose and IMU are {np.degrees(angle):.0f} deg apart in tilt: wrong frame or order of the pose"
         if abs(down_m) > config.floor_tolerance_m:
-            return f"pose is {-down_m:+.2f} m above the floor at rest: its zero is the floor, d is down, in metres"
+            return f"pose is {-down_m:+.2f} m above the floor at rest: its zero must be the floor, d down, in metres"
         return ""

@@ -1,4 +1,4 @@
-"""The vehicle's state as estimated: one record, rewritten in place with every IMU sample."""
+"""The estimated state of the vehicle: one record, overwritten with every IMU sample."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from protocol.conventions import NEVER_NS, Array
 
 
 class VehicleState:
-    """The estimator's view of the vehicle now. The arrays are the estimator's own, rewritten with every IMU sample."""
+    """The vehicle's state now. The arrays belong to the estimator, which overwrites them with every IMU sample."""
 
     __slots__ = (
         "accelerometer_bias",
@@ -14,6 +14,7 @@ class VehicleState:
         "gyro_bias",
         "height_valid",
         "initialised",
+        "last_height_ns",
         "last_imu_ns",
         "last_pose_ns",
         "last_velocity_aid_ns",
@@ -63,17 +64,19 @@ class VehicleState:
         self.tilt_rad = 0.0
         """Angle between body z and world z."""
         self.height_valid = False
-        """Height was corrected by pose or ultrasonic range recently."""
+        """Height was recently corrected by pose or ultrasonic range."""
         self.initialised = False
-        """Attitude has been found; before that nothing here may be used."""
+        """Attitude is known; before that the state must not be used."""
         self.position_reset_count = 0
-        """Counts jumps of the position estimate, so that a controller can move its own memory along."""
+        """Number of jumps of the position estimate; a controller shifts its own references with them."""
         self.position_jump: Array = np.zeros(3)
-        """m, world NED: new minus old position of the latest jump."""
+        """m, world NED: new minus old position at the latest jump."""
         self.yaw_jump = 0.0
-        """rad: new minus old yaw of the latest jump."""
+        """rad: new minus old yaw at the latest jump."""
         self.last_imu_ns = NEVER_NS
         self.last_pose_ns = NEVER_NS
         """Arrival of the newest pose that was accepted, onboard clock."""
         self.last_velocity_aid_ns = NEVER_NS
         """Newest accepted pose or flow, onboard clock."""
+        self.last_height_ns = NEVER_NS
+        """Newest accepted pose or range, onboard clock."""

@@ -1,15 +1,15 @@
-"""Copies the filter's tuples into the VehicleState that all others read; element by element, which is the fastest."""
+"""Copies the filter's tuples into the VehicleState that the other blocks read, element by element for speed."""
 
 import math
 
 from onboard.estimation.error_state_filter import ErrorStateFilter
 from onboard.estimation.state import VehicleState
-from protocol.geometry import tilt_angle
+from protocol.geometry import euler_of, tilt_angle
 from protocol.mavlink.sensors import ImuReading
 
 
 def publish(state: VehicleState, source: ErrorStateFilter, reading: ImuReading) -> None:
-    """Everything that changes with an IMU sample."""
+    """Copy everything that changes with an IMU sample."""
     state.time_ns = reading.time_ns
     out = state.position
     out[0], out[1], out[2] = source.position
@@ -31,19 +31,17 @@ def publish(state: VehicleState, source: ErrorStateFilter, reading: ImuReading) 
 
 
 def publish_attitude(state: VehicleState, source: ErrorStateFilter) -> None:
-    """Quaternion, rotation matrix, Euler angles and tilt."""
+    """Copy quaternion, rotation matrix, Euler angles and tilt."""
     q, r, rotation = state.quaternion, state.rotation, source.rotation
     q[0], q[1], q[2], q[3] = source.quaternion
     r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2] = rotation
     euler = state.euler
-    euler[0] = math.atan2(rotation[7], rotation[8])
-    euler[1] = math.asin(min(1.0, max(-1.0, -rotation[6])))
-    euler[2] = math.atan2(rotation[3], rotation[0])
+    euler[0], euler[1], euler[2] = euler_of(rotation)
     state.tilt_rad = tilt_angle(rotation[8])
 
 
 def publish_sigmas(state: VehicleState, source: ErrorStateFilter) -> None:
-    """Standard deviations of position and velocity."""
+    """Copy the standard deviations of position and velocity."""
     n, e, _, vn, ve, vd = source.P.diagonal()[:6].tolist()
     state.position_sigma_m = math.sqrt(max(n, e, 0.0))
     state.velocity_sigma_m_s = math.sqrt(max(vn, ve, vd, 0.0))

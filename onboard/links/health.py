@@ -14,11 +14,10 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from protocol.conventions import Array
+from protocol.conventions import GRAVITY, Array
 
 BLOCK_SAMPLES: Final = 50
 BLOCKS: Final = 4
-STANDARD_GRAVITY: Final = 9.80665
 AXES: Final = tuple(f"{sensor} {axis}" for sensor in ("accelerometer", "gyroscope") for axis in "xyz")
 NOT_JUDGED: Final = "the vehicle's IMU has not been judged yet"
 
@@ -149,7 +148,7 @@ class LinkHealth:
         if len(stuck):
             return f"{AXES[stuck[0]]} never changes: stuck"
         force = float(np.linalg.norm(self.force))
-        if abs(force - STANDARD_GRAVITY) > config.gravity_tolerance_m_s2:
+        if abs(force - GRAVITY) > config.gravity_tolerance_m_s2:
             return f"accelerometer gives {force:.3g} m/s^2 at rest"
         axis = int(np.argmax(np.abs(self.force)))
         if axis != 2:

@@ -12,9 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from onboard.links.health import STANDARD_GRAVITY
 from onboard.preflight.recorder import StepData
-from protocol.conventions import Array
+from protocol.conventions import GRAVITY, Array
 
 __all__ = ["Check", "MotorAnswer", "PreflightConfig", "Result", "Step", "check_motors", "check_still", "skipped"]
 
@@ -155,7 +154,7 @@ def _accelerometer(recording: StepData, config: PreflightConfig) -> Check:
     mean = recording.accelerometer.mean(axis=0)
     norm = float(np.linalg.norm(mean))
     tilt = float(np.hypot(mean[0], mean[1])) / max(norm, 1e-9)
-    good = abs(norm - STANDARD_GRAVITY) <= config.gravity_tolerance_m_s2
+    good = abs(norm - GRAVITY) <= config.gravity_tolerance_m_s2
     good = good and mean[2] < 0.0 and tilt <= config.level_tolerance_rad
     return judged(
         "accelerometer at rest", good, f"{vector(mean)} m/s^2", "(0, 0, -9.8) m/s^2", _rest_hint(mean, norm, tilt)

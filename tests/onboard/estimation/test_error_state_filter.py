@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from onboard.estimation.error_state_filter import GRAVITY_M_S2, ErrorStateFilter
+from onboard.estimation.error_state_filter import ErrorStateFilter
+from protocol.conventions import GRAVITY
 from protocol.geometry import (
     quaternion_of,
     quaternion_of_rotation_vector,
@@ -55,7 +56,7 @@ def flown(rng, samples=40, every=1):
     """A filter after a short wild flight, and the samples it was given."""
     f = ErrorStateFilter(every)
     f.start(quaternion_of(0.1, -0.2, 0.5), (0.02, 0.01, -0.03), (0.1,) * 15)
-    forces = (rng.normal(0, 2, (samples, 3)) - np.array([0.0, 0.0, GRAVITY_M_S2])).tolist()
+    forces = (rng.normal(0, 2, (samples, 3)) - np.array([0.0, 0.0, GRAVITY])).tolist()
     rates = rng.normal(0, 1, (samples, 3)).tolist()
     inputs = [(tuple(force), tuple(rate)) for force, rate in zip(forces, rates, strict=True)]
     for k, (force, rate) in enumerate(inputs):
@@ -112,10 +113,10 @@ def test_covariance_of_a_hover_agrees_with_the_continuous_equations():
     f.start((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), tuple(np.linspace(0.01, 0.15, 15)))
     P0 = f.P.copy()
     for k in range(400):
-        f.predict((k + 1) * STEP_NS, 0.005, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0), NOISE)
+        f.predict((k + 1) * STEP_NS, 0.005, (0.0, 0.0, -GRAVITY), (0.0, 0.0, 0.0), NOISE)
     F, Q = np.zeros((15, 15)), np.zeros((15, 15))
     F[0:3, 3:6] = np.eye(3)
-    F[3:6, 6:9] = -np.array([[0, GRAVITY_M_S2, 0], [-GRAVITY_M_S2, 0, 0], [0, 0, 0]])
+    F[3:6, 6:9] = -np.array([[0, GRAVITY, 0], [-GRAVITY, 0, 0], [0, 0, 0]])
     F[3:6, 12:15] = F[6:9, 9:12] = -np.eye(3)
     for block, density in ((3, 0.3**2 * 0.005), (6, 0.03**2 * 0.005), (9, 1e-3**2), (12, 5e-3**2)):
         Q[block : block + 3, block : block + 3] = density * np.eye(3)

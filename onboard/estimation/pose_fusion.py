@@ -1,0 +1,160 @@
+"""Fuses the poses of the motion capture: position and attitude as of their capture time.
+
+A pose outside the gate is refused, until several refused poses in a row agree with each other: then the state jumps to
+them. The very first poses always jump. An error of the capture time is a position error in proportion to speed, and an
+attitude error in proportion to rate; the variances contain both. While the vehicle rotates, an attitude that a wrong
+capture time explains is left out, also in a jump: it would disturb a vehicle that knows its tilt better. Under strong
+vibration, poses that disagree mean that the velocity is wrong.
+"""
+
+import math
+from typing import Final
+
+from onboard.estimation.config import EstimatorConfig
+from onboard.estimation.corrections import Corrections
+from onboard.estimation.error_state_filter import ATTITUDE, POSITION, VELOCITY, ErrorStateFilter
+from onboard.estimation.state import VehicleState
+from onboard.estimation.state_output import publish_attitude
+from protocol.conventions import NEVER_NS
+from protocol.geometry import ZERO, Vector3, rotation_between, squared_length, subtract, turned_about_vertical, vector
+from protocol.messages import Pose
+
+FUTURE_NS: Final = 20_000_000
+"""A pose this far ahead of now has a wrong time stamp."""
+WRONG_FOR_S: Final = 0.02
+"""How long a velocity has been wrong when poses show it: the time between two poses."""
+LARGE_TURN_RAD: Final = 0.2
+
+
+class PoseFusion:
+    """Decides which poses are used, and corrects the filter."""
+
+    def __init__(
+        self, config: EstimatorConfig, error_state: ErrorStateFilter, state: VehicleState, corrections: Corrections
+    ) -> None:
+        self._config = config
+        self._filter = error_state
+        self._state = state
+        self._corrections = corrections
+        self._counts = corrections.counts
+        self._delay_max_ns = int(config.pose_delay_max_s * 1e9)
+        self._last_capture_ns = NEVER_NS
+        self._refused = 0
+        self._refused_position: Vector3 = ZERO
+        self._had_pose = False
+
+    def receive(self, pose: Pose, capture_ns: int, now_ns: int, time_sigma_s: float) -> None:
+        """A pose that was true at `capture_ns` (onboard clock, standard deviation `time_sigma_s`)."""
+        if capture_ns <= self._last_capture_ns:
+            self._counts["pose_out_of_order"] += 1
+            return
+        timely = now_ns - capture_ns <= self._delay_max_ns and capture_ns - now_ns <= FUTURE_NS
+        past = self._filter.at(capture_ns) if timely else None
+        if past is None:
+            self._counts["pose_wrong_time"] += 1
+            return
+        self._last_capture_ns = capture_ns
+        innovation = subtract(vector(pose.position_ned_m.tolist()), past.position)
+        if self._had_pose and self._fuse(pose, innovation, capture_ns, now_ns, time_sigma_s):
+            self._refused = 0
+            self._counts["pose_used"] += 1
+            self._accept(now_ns)
+            return
+        self._refuse(pose, capture_ns, now_ns)
+
+    def _fuse(self, pose: Pose, innovation: Vector3, capture_ns: int, now_ns: int, time_sigma_s: float) -> bool:
+        """Position, then attitude. True if the pose was used.
+
+        A pose that is off by more than its variance allows, but not by much in metres and radians, gets less weight,
+        so that it just passes the gate (Huber): a delay that differs from the configured one must not look like wrong
+        poses.
+        """
+        config, f = self._config, self._filter
+        before = f.position
+        delay_s = (self._state.last_imu_ns - capture_ns) * 1e-9
+        sigma_s = max(config.pose_time_sigma_s, time_sigma_s)
+        variance = config.pose_position_sigma_m**2 + sigma_s**2 * squared_length(f.velocity)
+        if self._state.vibration > config.vibration_white_max_m_s2:
+            self._widen_velocity(innovation, delay_s)
+        variance = _softened(variance, squared_length(innovation), config.pose_near_m, config.pose_gate)
+        score = f.correct_position(innovation, delay_s, variance, config.pose_gate)
+        self._corrections.scores["pose_position"] = score
+        if score > config.pose_gate:
+            return False
+        self._corrections.announce_jump(before, "pose", now_ns)
+        past = f.at(capture_ns)
+        if past is not None:
+            turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
+            sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
+            variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
+            variance = _softened(variance, squared_length(turn), config.pose_near_rad, config.pose_gate)
+            score = f.correct_attitude(turn, variance, config.pose_gate)
+            self._corrections.scores["pose_attitude"] = score
+            if score > config.pose_gate:
+                self._counts["pose_attitude_refused"] += 1
+                return self._explained_by_time(turn, past.rate_world)
+        return True
+
+    def _explained_by_time(self, turn: Vector3, rate: Vector3) -> bool:
+        """Whether a wrong capture time alone may explain the difference `turn` of a pose's attitude from ours."""
+        config = self._config
+        return math.hypot(*turn) < config.pose_near_rad + config.pose_time_error_max_s * math.hypot(*rate)
+
+    def _widen_velocity(self, innovation: Vector3, delay_s: float) -> None:
+        """Increase the uncertainty of the velocity if vibration is strong and a pose shows that the velocity is wrong.
+
+        The vibration of an unbalanced rotor, aliased to a low frequency by the sampling, is not white: it adds up in
+        the velocity far beyond the variance. An innovation larger than the variances allow then means a velocity that
+        has been wrong since the poses before. It is no reason to give the pose less weight.
+        """
+        f, config = self._filter, self._config
+        n, e, d = f.P.diagonal()[:3].tolist()
+        off = squared_length(innovation)
+        if off > 2.0 * (n + e + d + 3.0 * config.pose_position_sigma_m**2):
+            f.inflate_motion(math.sqrt(off) / WRONG_FOR_S, WRONG_FOR_S + delay_s)
+
+    def _accept(self, now_ns: int) -> None:
+        state = self._state
+        self._had_pose = True
+        state.last_pose_ns = state.last_velocity_aid_ns = state.last_height_ns = now_ns
+
+    def _refuse(self, pose: Pose, capture_ns: int, now_ns: int) -> None:
+        """Count a refused pose; jump to it if enough of them in a row agree."""
+        position = vector(pose.position_ned_m.tolist())
+        agrees = math.dist(position, self._refused_position) < self._config.pose_agree_m
+        self._refused_position = position
+        self._refused = self._refused + 1 if agrees and self._refused else 1
+        self._counts["pose_refused"] += 1
+        if self._refused >= self._config.pose_reset_count:
+            self._refused = 0
+            self._jump_to(pose, capture_ns, now_ns)
+
+    def _jump_to(self, pose: Pose, capture_ns: int, now_ns: int) -> None:
+        """Set position and attitude to a pose. The velocity stays; its uncertainty grows, except at the first pose."""
+        config, f = self._config, self._filter
+        past = f.at(capture_ns)
+        if past is None:
+            return
+        turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
+        if self._had_pose and self._explained_by_time(turn, past.rate_world):
+            turn = ZERO
+        before, yaw = f.position, self._state.euler[2]
+        f.shift(subtract(vector(pose.position_ned_m.tolist()), past.position), ZERO, turn)
+        # The velocity turns with the frame: what flow measured was in the body frame.
+        f.velocity = turned_about_vertical(turn, f.velocity)
+        f.restart_error(POSITION, 2.0 * config.pose_position_sigma_m)
+        if any(turn):
+            f.restart_error(ATTITUDE, 2.0 * config.pose_attitude_sigma_rad)
+        if self._had_pose:
+            f.restart_error(VELOCITY, 1.0)
+        if math.hypot(*turn) > LARGE_TURN_RAD:
+            f.forget_history()
+        self._counts["pose_jump"] += 1
+        self._accept(now_ns)
+        publish_attitude(self._state, f)
+        self._corrections.announce_jump(before, "pose", now_ns, float(self._state.euler[2] - yaw), always=True)
+
+
+def _softened(variance: float, off: float, near: float, gate: float) -> float:
+    """The variance at which an innovation of squared length `off` passes the gate, if it is not larger than `near`."""
+    return max(variance, off / gate) if off <= near * near else variance
