@@ -1,6 +1,7 @@
-"""`dmrac preflight`: listens to a vehicle, has it moved by hand, turns its motors one by one, and prints a table.
+"""`dmrac preflight`: checks a vehicle's stream, its motion by hand and its motors, and prints a table.
 
-What it found is written down: `dmrac onboard` arms a vehicle beyond this machine only on a complete, good record.
+It writes the results to a certificate. `dmrac onboard` arms a vehicle on another machine only with a complete and good
+certificate.
 """
 
 import argparse
@@ -41,7 +42,7 @@ PLACES = {"fr": "front right", "fl": "front left", "rr": "rear right", "rl": "re
 COLOURS = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIPPED: "yellow", Result.ABSENT: "dim"}
 DATAGRAMS_PER_WAKE = 64
 PRIORITY = 40
-"""As onboard's."""
+"""FIFO priority, the same as onboard's."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,10 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bind", metavar="HOST:PORT", help=f"own address towards the vehicle (default port {ONBOARD_VEHICLE_PORT})"
     )
-    parser.add_argument("--pose", metavar="HOST:PORT", help="own address where motion capture sends its ODOMETRY")
-    parser.add_argument(
-        "--config", type=Path, help="resolved configuration: key file and battery limit are taken from it"
-    )
+    parser.add_argument("--pose", metavar="HOST:PORT", help="own address to which motion capture sends ODOMETRY")
+    parser.add_argument("--config", type=Path, help="resolved configuration, for key file and battery limit")
     parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink, if it is signed")
     parser.add_argument(
         "--certificate",
@@ -61,14 +60,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="file for the results (default: named by the vehicle, in this folder)",
     )
-    parser.add_argument("--no-motors", action="store_true", help="leave the motors alone")
-    parser.add_argument(
-        "--listen-only", action="store_true", help="nothing is moved, nothing turns: stream checks only"
-    )
+    parser.add_argument("--no-motors", action="store_true", help="do not turn the motors")
+    parser.add_argument("--listen-only", action="store_true", help="check the stream only: no motion, no motors")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs the check; returns 0 when nothing failed, 1 when something did (2, bad usage, is raised)."""
+    """Run the check; returns 0 if no check failed, else 1. Bad usage (2) is raised."""
     link, config, key_file = VehicleLinkConfig(), PreflightConfig(), arguments.vehicle_key_file
     if arguments.config is not None:
         key_file = load_network(arguments.config, {"vehicle_key_file": key_file}).vehicle_key_file
@@ -76,10 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
         link = onboard.vehicle_link
         config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
     key = load_key(key_file)
-    if arguments.certificate is not None and not arguments.certificate.parent.is_dir():  # not after the person's work
-        raise ConfigError(f"--certificate {arguments.certificate}: there is no folder {arguments.certificate.parent}")
+    file: Path | None = arguments.certificate
+    if file is not None and not file.parent.is_dir():  # before the person's work, not after
+        raise ConfigError(f"--certificate {file}: there is no folder {file.parent}")
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
-    request_realtime(PRIORITY)  # else this process' own lateness would count as the vehicle's
+    request_realtime(PRIORITY)  # or the delay of this process would count as the vehicle's
     console = Console()
     recorder = StepRecorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
     session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)
@@ -91,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         wire.close()
         checks = session.checks if ended else [*session.checks, skipped("the rest", "ended early")]
         console.print(table_of(checks))
-        path = arguments.certificate or Path(certificate_name(wire.vehicle))
+        path = file or Path(certificate_name(wire.vehicle))
         partly = arguments.listen_only or arguments.no_motors
         console.print(
             write_certificate_file(path, wire.vehicle, arguments.pose is not None, checks, partly), soft_wrap=True
@@ -101,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def write_certificate_file(path: Path, vehicle: str, with_pose: bool, checks: list[Check], partly: bool) -> str:
-    """Writes the record for onboard; what was left out as asked, without a failure, does not undo an earlier one.
+    """Write the certificate for onboard. A partial check without a failure does not replace an earlier certificate.
 
     Raises
     ------
@@ -109,7 +107,7 @@ def write_certificate_file(path: Path, vehicle: str, with_pose: bool, checks: li
         If the file cannot be written.
     """
     if partly and path.exists() and all(check.result is not Result.FAIL for check in checks):
-        return f"{path}: left as it is, because not all checks were asked for"
+        return f"{path}: not changed, because not all checks were requested"
     utc_s = int(time.time())
     content = write_certificate(vehicle, utc_s, with_pose, checks)
     try:
@@ -117,14 +115,14 @@ def write_certificate_file(path: Path, vehicle: str, with_pose: bool, checks: li
     except OSError as error:
         raise StartError(f"--certificate {path}: cannot be written: {error.strerror}") from None
     reason = arming_refusal(read_certificate(content, str(path)), vehicle, True, utc_s)
-    return f"{path}: written; {f'not enough to be armed on: {reason}' if reason else 'dmrac onboard will arm on it'}"
+    return f"{path}: written; {f'dmrac onboard will not arm: {reason}' if reason else 'dmrac onboard will arm'}"
 
 
 class UdpOrSerialWire:
-    """The world's side of a session."""
+    """The vehicle by UDP or serial line, the motion capture, and the clock."""
 
     def __init__(self, vehicle: str, bind: str | None, pose: str | None) -> None:
-        """Raises ConfigError for an address that is none, StartError for one that cannot be opened."""
+        """Raises ConfigError for an invalid address, StartError for one that cannot be opened."""
         self.vehicle = _checked("--vehicle", vehicle, check_vehicle_address)
         local = _checked("--bind", bind or own_address(self.vehicle, ONBOARD_VEHICLE_PORT), check_address)
         pose = None if pose is None else _checked("--pose", pose, check_address)
@@ -134,16 +132,16 @@ class UdpOrSerialWire:
         except StartError:
             self._vehicle.close()
             raise
-        self._relay = PoseRelay(PoseRelayConfig(latency_s=0.0, position_limit_m=1e5))  # so far that mm come through
-        self._heard = [one for one in (self._vehicle, self._pose) if one is not None]
+        self._relay = PoseRelay(PoseRelayConfig(latency_s=0.0, position_limit_m=1e5))  # so large that mm are recognised
+        self._sources = [one for one in (self._vehicle, self._pose) if one is not None]
 
     def now_ns(self) -> int:
         """Monotonic time."""
         return time.monotonic_ns()
 
     def exchange(self, wait_s: float) -> tuple[list[bytes], list[PoseSample]]:
-        """What has come from the vehicle, and the poses of the motion capture."""
-        select.select(self._heard, (), (), wait_s)
+        """The vehicle's datagrams, and the poses of the motion capture."""
+        select.select(self._sources, (), (), wait_s)
         poses = []
         if self._pose is not None:
             for datagram in self._pose.receive(DATAGRAMS_PER_WAKE):
@@ -155,23 +153,23 @@ class UdpOrSerialWire:
         return self._vehicle.receive(DATAGRAMS_PER_WAKE), poses
 
     def send(self, datagram: bytes) -> None:
-        """One datagram to the vehicle."""
+        """Send one datagram to the vehicle."""
         self._vehicle.send(datagram)
 
     def close(self) -> None:
-        """Free the addresses."""
-        for one in self._heard:
+        """Close the sockets."""
+        for one in self._sources:
             one.close()
 
 
 class PersonAtTerminal:
-    """Asks on the terminal."""
+    """Asks the person on the terminal."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
 
     def ready(self, step: Step, seconds: float) -> None:
-        """Explains a step and waits for Enter, except for the first: listening needs nobody."""
+        """Explain a step and wait for Enter, except for the first step, which needs nobody."""
         if step is Step.STILL:
             self._console.print(f"Listening for {seconds:.0f} s: {step.value}.")
             return
@@ -180,7 +178,7 @@ class PersonAtTerminal:
         self._ask("Enter to begin: ")
 
     def consents(self) -> bool:
-        """Only the typed word counts; no terminal is a no."""
+        """Whether the person typed yes."""
         self._console.print(
             "\n[bold red]Motors will turn, one at a time.[/] Take the PROPELLERS OFF, or tie the vehicle"
         )
@@ -188,7 +186,7 @@ class PersonAtTerminal:
         return self._ask('Type "yes" to let the motors turn: ') == "yes"
 
     def saw(self, motor: int) -> MotorAnswer:
-        """Place and sense of rotation, asked until they are understood."""
+        """Place and direction of the rotor that turned, asked until the answer is valid."""
         place = spin = ""
         while place not in PLACES:
             place = self._ask(f"Motor {motor}: which rotor turned? fr, fl, rr, rl or none: ").lower()
@@ -197,11 +195,11 @@ class PersonAtTerminal:
         return MotorAnswer(PLACES[place], spin)
 
     def saw_it_stop(self) -> bool:
-        """Asked about the last spin."""
+        """Whether the rotor of the last spin stopped."""
         return self._ask("Did the rotor stop by itself, at once? yes or no: ").lower() == "yes"
 
     def tell(self, checks: list[Check]) -> None:
-        """A line for each check."""
+        """Print a line for each check."""
         for check in checks:
             colour = COLOURS[check.result]
             self._console.print(f"  [{colour}]{check.result.value}[/] {check.name}", highlight=False)
@@ -214,7 +212,7 @@ class PersonAtTerminal:
 
 
 def table_of(checks: list[Check]) -> Table:
-    """All rows, with what is most likely wrong beside what failed."""
+    """The table of all checks, with the most likely cause of each failure."""
     table = Table(title="preflight")
     for heading in ("check", "result", "measured", "wanted", "likely cause"):
         table.add_column(heading, overflow="fold")
@@ -227,7 +225,7 @@ def table_of(checks: list[Check]) -> Table:
 
 
 def verdict(checks: list[Check]) -> str:
-    """One line under the table."""
+    """The line under the table."""
     failed = sum(check.result is Result.FAIL for check in checks)
     left = sum(check.result is Result.SKIPPED for check in checks)
     if failed:
@@ -236,7 +234,7 @@ def verdict(checks: list[Check]) -> str:
 
 
 def _checked(option: str, value: str, check: Callable[[str], str]) -> str:
-    """An option's address in its plain form. Raises ConfigError naming the option."""
+    """The address of an option in plain form. Raises ConfigError that names the option."""
     try:
         return check(value)
     except ValueError as error:

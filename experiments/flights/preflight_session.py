@@ -1,13 +1,14 @@
-"""The course of a preflight check: what the person is asked, what is recorded meanwhile, which motor turns when.
+"""The sequence of a preflight check: what the person is asked, what is recorded, which motor turns when.
 
-The wire and the person are passed in, so that a test can play both. Motors turn only in `spin_motors`, which begins
-by asking for consent, one at a time, and are told to stop whatever happens.
+Wire and person are arguments, so a test can play both. Motors turn only in `_spin_motors`, after the person's consent,
+one at a time. An error or a silent vehicle stops them.
 """
 
 from typing import Final, Protocol
 
 from onboard.preflight.checks import (
     MOTORS,
+    VEHICLE_RECEIVED,
     Check,
     MotorAnswer,
     PreflightConfig,
@@ -19,49 +20,49 @@ from onboard.preflight.checks import (
 )
 from onboard.preflight.motion_checks import check_motion
 from onboard.preflight.recorder import PoseSample, StepData, StepRecorder
+from protocol.mavlink.motors import OFF
 
 STILL_S: Final = 6.0
 MOTION_S: Final = 8.0
 COMMAND_PERIOD_NS: Final = 20_000_000
-"""Motor commands at rest: zero and disarmed, so that a bridge that waits for its master begins to talk."""
+"""Period of motor commands at rest, zero and disarmed: a bridge that waits for the first command starts to send."""
 SPIN_PERIOD_NS: Final = 5_000_000
 SILENT_NS: Final = 200_000_000
-"""A vehicle silent for so long gets no more commands to spin."""
+"""After this silence of the vehicle its motors are stopped."""
 STOPS: Final = 5
 PAUSE_S: Final = 1.0
-OFF: Final = (0.0, 0.0, 0.0, 0.0)
 
 
 class Wire(Protocol):
     """The vehicle, the motion capture and the clock."""
 
     def now_ns(self) -> int:
-        """The time."""
+        """Monotonic time."""
 
     def exchange(self, wait_s: float) -> tuple[list[bytes], list[PoseSample]]:
-        """Waits at most so long for something to arrive; what has come from the vehicle, and poses."""
+        """Wait at most `wait_s` for data; returns the vehicle's datagrams and the poses."""
 
     def send(self, datagram: bytes) -> None:
-        """One datagram to the vehicle."""
+        """Send one datagram to the vehicle."""
 
 
 class Person(Protocol):
-    """Who moves the vehicle and looks at its rotors."""
+    """The person who moves the vehicle and watches its rotors."""
 
     def ready(self, step: Step, seconds: float) -> None:
-        """Explains a step and returns when the person begins."""
+        """Explain a step; returns when the person begins."""
 
     def consents(self) -> bool:
-        """Whether motors may turn: only an explicit, typed yes counts."""
+        """Whether motors may turn: only a typed yes counts."""
 
     def saw(self, motor: int) -> MotorAnswer:
-        """Which rotor turned, and how."""
+        """Which rotor turned, and in which direction."""
 
     def saw_it_stop(self) -> bool:
-        """Whether the last motor stopped by itself, at once, when the commands ended."""
+        """Whether the last motor stopped by itself at the end of the commands."""
 
     def tell(self, checks: list[Check]) -> None:
-        """Results as they come."""
+        """Show new results."""
 
 
 class PreflightSession:
@@ -78,10 +79,9 @@ class PreflightSession:
         self.checks: list[Check] = []
 
     def run(self, motion: bool, motors: bool) -> list[Check]:
-        """All steps; those not wanted are rows "not done". A vehicle that is not heard ends it at once."""
-        recording = self._record(Step.STILL, STILL_S)
-        self._add(check_still(recording, self._config, self._with_pose))
-        if self.checks[0].name == "vehicle heard":
+        """All steps; the ones not requested are rows "not done". Ends at once if nothing arrives from the vehicle."""
+        self._add(check_still(self._record(Step.STILL, STILL_S), self._config, self._with_pose))
+        if self.checks[0].name == VEHICLE_RECEIVED:
             return self.checks
         steps = [step for step in Step if step is not Step.STILL and (self._with_pose or step is not Step.FORWARD)]
         for step in steps:
@@ -89,8 +89,7 @@ class PreflightSession:
             if not motion:
                 self._add([skipped(name, "left out as asked")])
                 continue
-            recording = self._record(step, MOTION_S)
-            self._add(check_motion(step, recording, self._config, self._with_pose))
+            self._add(check_motion(step, self._record(step, MOTION_S), self._config, self._with_pose))
         if not motors or not self._person.consents():
             self._add([skipped("motor order", "no consent to turn motors" if motors else "left out as asked")])
         else:
@@ -109,7 +108,7 @@ class PreflightSession:
         next_ns = 0
         while (now_ns := self._wire.now_ns()) < end_ns:
             if now_ns >= next_ns:
-                self._wire.send(self._recorder.motors(OFF, False, now_ns))
+                self._wire.send(self._recorder.encode_motors(OFF, False, now_ns))
                 next_ns = now_ns + COMMAND_PERIOD_NS
             self._listen()
         return self._recorder.end()
@@ -123,17 +122,17 @@ class PreflightSession:
             self._recorder.receive_pose(pose)
 
     def _drain(self) -> None:
-        """What waited while the person read is old; its arrival times would be wrong."""
+        """Discard what arrived while the person was reading: its arrival times would be wrong."""
         while any(self._wire.exchange(0.0)):
             pass
 
     def _spin_motors(self) -> list[Check]:
         answers: dict[int, MotorAnswer] = {}
         for motor in MOTORS:
-            heard = self._spin(motor)
+            complete = self._spin(motor)
             self._stop()
-            if not heard:
-                hint = "the vehicle fell silent while a motor turned"
+            if not complete:
+                hint = "the vehicle was silent while a motor turned"
                 return [Check(f"motor {motor}", Result.FAIL, "stopped", "IMU all the time", hint)]
             answers[motor] = self._person.saw(motor)
         self._spin(len(MOTORS))
@@ -143,7 +142,7 @@ class PreflightSession:
         return check_motors(answers, stopped)
 
     def _spin(self, motor: int) -> bool:
-        """Turns one motor for a moment; False when the vehicle fell silent meanwhile. Stops it if anything fails."""
+        """Turn one motor for a moment; False if the vehicle was silent. An exception stops the motor."""
         fractions = tuple(self._config.spin_fraction if number == motor else 0.0 for number in MOTORS)
         command = (fractions[0], fractions[1], fractions[2], fractions[3])
         self._drain()
@@ -154,7 +153,7 @@ class PreflightSession:
                 if now_ns - max(start_ns, self._recorder.last_received_ns) > SILENT_NS:
                     return False
                 if now_ns >= next_ns:
-                    self._wire.send(self._recorder.motors(command, True, now_ns))
+                    self._wire.send(self._recorder.encode_motors(command, True, now_ns))
                     next_ns = now_ns + SPIN_PERIOD_NS
                 self._listen()
         except BaseException:
@@ -164,7 +163,7 @@ class PreflightSession:
 
     def _stop(self) -> None:
         for _ in range(STOPS):
-            self._wire.send(self._recorder.motors(OFF, False, self._wire.now_ns()))
+            self._wire.send(self._recorder.encode_motors(OFF, False, self._wire.now_ns()))
             self._listen()
 
     def _pause(self, seconds: float) -> None:

@@ -1,7 +1,7 @@
-"""What stands against arming, beyond the supervisor's own ages and limits. Gates arming only, never flight.
+"""Arming checks that the supervisor does not make itself. They are not evaluated in flight.
 
-The vehicle's stream, its sensors at rest, optical flow, the pose against the IMU, and what the process knew before it
-began: whether a person has done the preflight check of this vehicle (onboard/preflight/certificate.py).
+They cover the vehicle's stream, its sensors at rest, optical flow, the pose against the IMU, and the preflight
+certificate (onboard/preflight/certificate.py).
 """
 
 from onboard.config import OnboardConfig
@@ -13,7 +13,7 @@ from protocol.messages import Pose
 
 
 class ArmingChecks:
-    """Gathers the verdicts of a vehicle that stands on the floor."""
+    """Collects the checks of a vehicle that stands on the floor."""
 
     def __init__(self, config: OnboardConfig, clearance: Clearance) -> None:
         self._clearance = clearance
@@ -32,14 +32,15 @@ class ArmingChecks:
         self._pose_health.add(down_m, quaternion, now_ns, force)
 
     def refusal(self, now_ns: int, posed: bool, link: VehicleLink) -> str:
-        """The first thing that stands against arming; "" for nothing.
+        """The first reason to refuse arming; "" if there is none.
 
-        posed: whether a pose has ever been used. A first one is waited for, lest a flight begin with a jump.
+        posed: whether a pose has ever been used. Arming waits for a first pose, so that the flight does not begin
+        with a jump of the position.
         """
         if self._started_ns is None:
             self._started_ns = now_ns
         if link.conflict:
-            return "two vehicles speak with one system id"
+            return "two vehicles use one system id"
         if link.health.fault or self._clearance.refusal:
             return link.health.fault or self._clearance.refusal
         if self._flow_silent_ns and now_ns - link.last_flow_ns > self._flow_silent_ns:
@@ -47,5 +48,5 @@ class ArmingChecks:
         if not posed and now_ns - self._started_ns < self._pose_wait_ns:
             return "waiting for the first pose"
         if not self._needs_pose or now_ns - self._last_pose_ns > self._pose_stale_ns:
-            return ""  # what old poses were like does not matter
+            return ""  # old poses are not judged
         return self._pose_health.fault

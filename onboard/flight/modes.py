@@ -1,6 +1,6 @@
-"""The flight modes, what can happen, and which mode follows: data only; supervisor.py reads it.
+"""The table of flight modes: for each mode the events that end it and the next mode. supervisor.py reads it.
 
-Each mode has a row of (event, next mode), the most urgent first.
+Each mode has a row of (event, next mode), the most urgent event first.
 """
 
 from enum import Enum, IntEnum
@@ -8,32 +8,32 @@ from typing import Final
 
 
 class FlightMode(IntEnum):
-    """What the vehicle is doing. The number travels in protocol.messages.Status."""
+    """What the vehicle is doing. protocol.messages.Status carries the number."""
 
     BOOT = 0
     """On the ground, motors off, waiting for healthy sensors."""
     READY = 1
-    """On the ground, motors off, may be armed."""
+    """On the ground, motors off, ready to be armed."""
     ARMED = 2
     """On the ground, motors idle."""
     TAKE_OFF = 3
     FLYING = 4
-    """Following the trajectory."""
+    """Follows the trajectory."""
     HOLD = 5
-    """Holding the place where the pose was lost, on optical flow."""
+    """Holds its place on optical flow after the loss of the pose."""
     HOLD_LEVEL = 6
-    """No velocity is known: level attitude, slow descent on thrust alone."""
+    """Velocity unknown: level attitude, slow descent by thrust alone."""
     LANDING = 7
     LANDED = 8
     """On the ground after a flight, motors off."""
     EMERGENCY = 9
-    """Motors off because of a fault. Left by a disarm command only."""
+    """Motors off because of a fault, until a disarm command."""
     TERMINATED = 10
-    """Motors off by command, for good."""
+    """Motors off by command, until the process ends."""
 
 
 class Command(Enum):
-    """What a pilot, a ground station or the flight plan may ask for."""
+    """Commands of a pilot, a ground station or the flight plan."""
 
     ARM = "arm"
     DISARM = "disarm"
@@ -43,7 +43,7 @@ class Command(Enum):
 
 
 class Event(Enum):
-    """Everything that can change the mode; the value says it in words."""
+    """Everything that can change the mode; the value is its text in the log."""
 
     TERMINATE = "flight terminated by command"
     IMU_SILENT = "IMU silent"

@@ -1,11 +1,11 @@
-"""Which mode the flight is in, and what changes it, by the table in flight_modes.py.
+"""Supervisor: chooses the flight mode by the table in modes.py.
 
-In every step the row of the present mode is read from the left, and the first event whose condition holds decides. A
-condition that needs to last counts only after it has held without a break, in one mode, for that long.
+In every step the row of the present mode is read from the left, and the first event whose condition is true decides.
+Some conditions must be true without a break, in one mode, for a given time.
 
-What each silence does in flight: IMU 50 ms: motors off. Velocity aid (pose or flow) 2 s: level and descend. Pose
-0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). Battery report, ground
-station: landing, if configured. Offboard: nothing but a message; what it learns can wait.
+Reactions in flight when an input is silent: IMU, 50 ms: motors off. Velocity aid (pose or flow), 2 s: level and
+descend. Pose, 0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). Battery
+report, ground station: land, if configured. Offboard: a message only.
 """
 
 import math
@@ -16,60 +16,62 @@ from typing import Final, Literal, NamedTuple
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from onboard.flight.modes import AIRBORNE, COMMAND_EVENTS, SPINNING, TRANSITIONS, Command, Event, FlightMode
+from onboard.flight.modes import COMMAND_EVENTS, TRANSITIONS, Command, Event, FlightMode
 
 __all__ = ["Command", "FlightMode", "Supervisor", "SupervisorConfig", "SupervisorInputs"]
 
 
 M, E = FlightMode, Event
+LEVEL_MAX_RAD: Final = 0.35
+"""A vehicle with more tilt is not armed."""
 _QUEUE_MAX: Final = 8
-"""Commands that may wait for their step."""
-_UNREADY_NS: Final = 2 * 10**9
-"""What keeps the vehicle from being armed for so long is said."""
+"""Commands that may wait for the next steps."""
+_NOT_READY_NS: Final = 2 * 10**9
+"""A reason against arming that lasts this long is reported."""
 
 
 class SupervisorConfig(ConfigRecord):
     """Limits. Ages are seconds since the newest good input."""
 
     imu_silent_s: float = Field(default=0.05, gt=0, description="s; motors off")
-    pose_stale_s: float = Field(default=0.5, gt=0, description="s; the pose does not count any more")
+    pose_stale_s: float = Field(default=0.5, gt=0, description="s; an older pose does not count")
     on_pose_stale: Literal["hold", "continue"] = Field(
         default="hold", description="hold: stop on flow; continue: fly on while flow and position_sigma_m are good"
     )
-    position_sigma_max_m: float = Field(default=0.5, gt=0, description="m; worse is no position, with continue")
-    velocity_stale_s: float = Field(default=0.5, gt=0, description="s; flow does not carry the position any more")
+    position_sigma_max_m: float = Field(default=0.5, gt=0, description="m; limit for continue")
+    velocity_stale_s: float = Field(default=0.5, gt=0, description="s; an older flow does not count")
     velocity_lost_s: float = Field(default=2.0, gt=0, description="s; level and descend")
-    offboard_silent_s: float = Field(default=1.0, gt=0, description="s; a message, nothing else")
-    ground_silent_s: float = Field(default=0.0, ge=0, description="s; landing; 0: no ground station is needed")
-    battery_silent_s: float = Field(default=0.0, ge=0, description="s; landing; 0: battery reports are not needed")
+    offboard_silent_s: float = Field(default=1.0, gt=0, description="s; a message only")
+    ground_silent_s: float = Field(default=0.0, ge=0, description="s; landing; 0: not needed")
+    battery_silent_s: float = Field(default=0.0, ge=0, description="s; landing; 0: not needed")
     battery_low_v: float = Field(default=3.2, gt=0, description="V under load; landing")
     battery_low_remaining: float = Field(default=0.1, ge=0, le=1, description="fraction; landing")
-    battery_low_for_s: float = Field(default=1.0, ge=0, description="s that the battery must be low")
+    battery_low_for_s: float = Field(default=1.0, ge=0, description="s for which the battery must be low")
     battery_arm_v: float = Field(default=3.5, gt=0, description="V; no arming below")
-    battery_max_v: float = Field(default=4.5, gt=0, description="V; no arming above: wrong unit, or not one cell")
+    battery_max_v: float = Field(default=4.5, gt=0, description="V; no arming above: wrong unit or cell count")
     tilt_max_rad: float = Field(default=1.4, gt=0, lt=math.pi, description="rad; motors off")
     fence_m: float = Field(default=10.0, gt=0, description="m from the origin, horizontally; landing")
     ceiling_m: float = Field(default=5.0, gt=0, description="m above the floor; landing")
     take_off_height_m: float = Field(default=1.0, gt=0, description="m above the floor")
-    take_off_tolerance_m: float = Field(default=0.15, gt=0, description="m below that height at which flight begins")
+    take_off_tolerance_m: float = Field(default=0.15, gt=0, description="m below that height: take-off is complete")
     take_off_max_s: float = Field(default=8.0, gt=0, description="s; then landing")
     armed_max_s: float = Field(default=10.0, gt=0, description="s on the ground with idle motors; then disarmed")
     hold_max_s: float = Field(default=20.0, gt=0, description="s on flow alone; then landing")
     level_max_s: float = Field(default=8.0, gt=0, description="s of level descent; then motors off")
     landing_max_s: float = Field(default=20.0, gt=0, description="s; then level descent")
     landed_s: float = Field(default=1.0, gt=0, description="s after touch-down until the next flight may be prepared")
-    touch_down_height_m: float = Field(default=0.12, gt=0, description="m; lower and slower is touch-down")
+    touch_down_height_m: float = Field(default=0.12, gt=0, description="m; below it and slow is touch-down")
     touch_down_speed_m_s: float = Field(default=0.15, gt=0, description="m/s")
-    touch_down_thrust: float = Field(default=0.6, gt=0, lt=1, description="fraction of weight; slower and less is too")
-    touch_down_for_s: float = Field(default=0.3, ge=0, description="s that touch-down must last")
-    healthy_for_s: float = Field(default=0.5, ge=0, description="s that all sensors must be good before arming")
-    back_for_s: float = Field(default=0.3, ge=0, description="s that a lost aid must be back")
+    touch_down_thrust: float = Field(default=0.6, gt=0, lt=1, description="of weight; less and slow is touch-down too")
+    touch_down_for_s: float = Field(default=0.3, ge=0, description="s for which touch-down must last")
+    healthy_for_s: float = Field(default=0.5, ge=0, description="s for which all sensors must be good before arming")
+    back_for_s: float = Field(default=0.3, ge=0, description="s for which a lost aid must be back")
     arm_needs_pose: bool = Field(default=True, description="no arming without a fresh pose")
     auto_arm: bool = Field(default=False, description="simulation only: arm and take off, once, when ready")
 
 
 class SupervisorInputs(NamedTuple):
-    """What the supervisor sees in one step."""
+    """Inputs of the supervisor in one step."""
 
     now_ns: int
     imu_age_s: float
@@ -90,26 +92,26 @@ class SupervisorInputs(NamedTuple):
     """From the origin, horizontally."""
     position_sigma_m: float
     thrust_to_weight: float
-    """Collective thrust as the actuator model has it, over weight."""
+    """Collective thrust of the actuator model over weight."""
     initialised: bool
-    """The estimator has found the attitude."""
+    """The attitude is known."""
     preflight: str = ""
-    """Why the vehicle must not be armed; "" when nothing stands against it."""
+    """Why the vehicle must not be armed; "" if it may be."""
     fault: bool = False
-    """An exception escaped a step, or a block gave numbers that are not finite."""
+    """The estimate is not finite."""
 
 
 class Supervisor:
-    """Keeps the mode. Knows no block but this table and its own clock."""
+    """Keeps the flight mode."""
 
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self._since_ns: dict[Event, int] = {}
         self._entered_ns: int | None = None
         self._offboard_silent = True
-        self._unready_kind = ""
-        self._unready_since_ns = 0
-        self._unready_said = False
+        self._not_ready_kind = ""
+        self._not_ready_since_ns = 0
+        self._not_ready_reported = False
         self._flown = False
         self._inputs: SupervisorInputs | None = None
         self._queue: deque[Command] = deque(maxlen=_QUEUE_MAX)
@@ -132,23 +134,13 @@ class Supervisor:
         }
         self.mode = M.BOOT
 
-    @property
-    def spinning(self) -> bool:
-        """The motors may turn."""
-        return self.mode in SPINNING
-
-    @property
-    def airborne(self) -> bool:
-        """The vehicle is meant to be off the ground."""
-        return self.mode in AIRBORNE
-
     def take_events(self) -> list[tuple[int, str]]:
-        """What happened since the last call: (time_ns, text)."""
+        """Return and clear the events since the last call: (time_ns, text)."""
         events, self._events = self._events, []
         return events
 
     def command(self, command: Command, now_ns: int) -> str:
-        """Takes a command for the next step. Returns why it is refused; "" when it will be obeyed."""
+        """Queue a command for the next step. Returns why it is refused; "" if it is accepted."""
         refusal = self._refusal(command)
         if refusal:
             self._events.append((now_ns, f"refused to {command.value}: {refusal}"))
@@ -156,20 +148,10 @@ class Supervisor:
             self._queue.append(command)
         return refusal
 
-    def request_land(self, now_ns: int) -> None:
-        """Lands if flying, disarms if armed; does nothing otherwise."""
-        if not self._refusal(Command.LAND):
-            self._queue.append(Command.LAND)
-
     def _refusal(self, command: Command) -> str:
         event = COMMAND_EVENTS[command]
         arming = command is Command.ARM
-        if (
-            arming
-            and self.mode is M.BOOT
-            and self._inputs is not None
-            and (reason := self.arming_refusal(self._inputs))
-        ):
+        if arming and self.mode is M.BOOT and self._inputs and (reason := self.arming_refusal(self._inputs)):
             return reason
         if all(entry is not event for entry, _ in TRANSITIONS[self.mode]):
             return f"not in mode {self.mode.name}"
@@ -178,20 +160,20 @@ class Supervisor:
         return "not running yet" if self._inputs is None else self.arming_refusal(self._inputs)
 
     def arming_refusal(self, inputs: SupervisorInputs) -> str:
-        """What stands against arming; "" when nothing does."""
+        """The first reason to refuse arming; "" if there is none."""
         config = self._config
-        if inputs.preflight:  # the vehicle's link above all: what is wrong there explains the rest
+        if inputs.preflight:  # first, because a fault of the link explains the other reasons
             return inputs.preflight
         if not inputs.initialised or inputs.imu_age_s > config.imu_silent_s:
             return "IMU silent or attitude not found"
         if config.arm_needs_pose and inputs.pose_age_s > config.pose_stale_s:
             return "no fresh pose"
-        if inputs.tilt_rad > 0.35:
+        if inputs.tilt_rad > LEVEL_MAX_RAD:
             return "not level"
         if inputs.battery_v > 0.0 and inputs.battery_v < config.battery_arm_v:
             return f"battery at {inputs.battery_v:.2f} V"
         if inputs.battery_v > config.battery_max_v:
-            return f"battery at {inputs.battery_v:.4g} V, which is not one cell in volts"
+            return f"battery at {inputs.battery_v:.4g} V: not one cell, or not in volts"
         if 0.0 <= inputs.battery_remaining < config.battery_low_remaining:
             return f"battery at {inputs.battery_remaining:.0%}"
         if config.battery_silent_s > 0.0 and inputs.battery_v <= 0.0:
@@ -205,7 +187,7 @@ class Supervisor:
         return ""
 
     def step(self, inputs: SupervisorInputs) -> FlightMode:
-        """Reads the row of the present mode and makes at most one transition."""
+        """Read the row of the present mode and make at most one transition."""
         if self._entered_ns is None:
             self._entered_ns = inputs.now_ns
         self._inputs = inputs
@@ -223,7 +205,7 @@ class Supervisor:
         return self.mode
 
     def _next_command(self) -> Command | None:
-        """Termination overtakes everything that waits."""
+        """The next command; termination goes before all others."""
         if not self._queue:
             return None
         if Command.TERMINATE in self._queue:
@@ -232,7 +214,7 @@ class Supervisor:
         return self._queue.popleft()
 
     def _has_lasted(self, event: Event, now_ns: int) -> bool:
-        """Whether an event whose condition holds has held long enough."""
+        """Whether the condition of an event has been true long enough."""
         lasting_ns = self._lasting_ns.get(event)
         return lasting_ns is None or now_ns - self._since_ns.setdefault(event, now_ns) >= lasting_ns
 
@@ -242,7 +224,7 @@ class Supervisor:
         self.mode = mode
         self._entered_ns = inputs.now_ns
         self._since_ns.clear()
-        self._unready_kind = ""
+        self._not_ready_kind = ""
         if mode is M.TAKE_OFF:
             self._flown = True
 
@@ -250,16 +232,16 @@ class Supervisor:
         silent = inputs.offboard_age_s > self._config.offboard_silent_s
         if silent != self._offboard_silent:
             self._offboard_silent = silent
-            self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard heard"))
+            self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard received"))
 
     def _report_readiness(self, inputs: SupervisorInputs) -> None:
-        """Says what keeps the vehicle from being armed: once a kind (numbers apart), when it has lasted."""
+        """Report why the vehicle cannot be armed: each reason once (numbers apart), after it has lasted."""
         reason = self.arming_refusal(inputs)
         kind = "".join(letter for letter in reason if not letter.isdigit())
-        if kind != self._unready_kind:
-            self._unready_kind, self._unready_since_ns, self._unready_said = kind, inputs.now_ns, False
-        if reason and not self._unready_said and inputs.now_ns - self._unready_since_ns >= _UNREADY_NS:
-            self._unready_said = True
+        if kind != self._not_ready_kind:
+            self._not_ready_kind, self._not_ready_since_ns, self._not_ready_reported = kind, inputs.now_ns, False
+        if reason and not self._not_ready_reported and inputs.now_ns - self._not_ready_since_ns >= _NOT_READY_NS:
+            self._not_ready_reported = True
             self._events.append((inputs.now_ns, f"not ready to arm: {reason}"))
 
     # -- conditions ---------------------------------------------------------------------------------------------------
@@ -293,7 +275,7 @@ class Supervisor:
         )
 
     def _touched_down(self, inputs: SupervisorInputs) -> bool:
-        """Not moving, and either low or with little thrust: in the air one of these cannot last."""
+        """Not moving, and either low or with little thrust: neither can last in the air."""
         config = self._config
         if abs(inputs.climb_m_s) > config.touch_down_speed_m_s:
             return False
@@ -333,9 +315,9 @@ _CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] 
     E.HEALTHY: Supervisor._healthy,
     E.UNHEALTHY: Supervisor._sensors_lost,
 }
-"""When each event holds."""
+"""Condition of each event."""
 
 _RULES: Final = {
     mode: tuple((_CONDITIONS[event], event, target) for event, target in row) for mode, row in TRANSITIONS.items()
 }
-"""The table with each event's condition beside it: a lookup by event costs more than most conditions."""
+"""The table with each event's condition: a lookup by event costs more than most conditions."""

@@ -1,7 +1,7 @@
-"""Where the vehicle is to be: paths with smooth starts, and the clock that runs along them.
+"""Trajectories: paths with smooth starts, and the path clock.
 
 A path gives position, velocity and acceleration at any path time, so a controller can look ahead. The path clock can
-be slowed down to a stop and run again (hold), without a jump of the target's velocity.
+stop and start again (hold) without a jump of the target's velocity.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class PathPoint(NamedTuple):
 
 
 class Hover(ConfigRecord):
-    """Stay above the take-off point."""
+    """Hover above the take-off point."""
 
     kind: Literal["hover"]
 
@@ -68,7 +68,7 @@ class TrajectoryConfig(ConfigRecord):
     altitude_m: Annotated[float, Field(ge=0.3, le=8)]
     takeoff_s: Annotated[float, Field(ge=1, le=30)]
     settle_s: Annotated[float, Field(ge=0, le=60, description="hover between take-off and path")]
-    ramp_s: Annotated[float, Field(ge=0, le=60, description="time over which a periodic path gathers speed")]
+    ramp_s: Annotated[float, Field(ge=0, le=60, description="time in which a periodic path reaches its speed")]
     landing_speed_m_s: Annotated[float, Field(gt=0.05, le=1)]
     yaw_rad: Annotated[float, Field(ge=-pi, le=pi)]
 
@@ -96,19 +96,19 @@ class Path:
         self._height_m, self._takeoff_s, self._ramp_s = config.altitude_m, config.takeoff_s, config.ramp_s
         path = config.path
         self._legs = _legs(path) if isinstance(path, Waypoints) else ()
-        # Settled once: isinstance of a record that it is not costs more than the whole path.
+        # Stored once: a failed isinstance of a pydantic record costs more than the whole path.
         self._figure8 = path if isinstance(path, Figure8) else None
         self._circle = path if isinstance(path, Circle) else None
         self._omega = 2.0 * pi / path.period_s if isinstance(path, Figure8 | Circle) else 0.0
 
     @property
     def start_s(self) -> float:
-        """Path time at which the path proper begins, after take-off and settling."""
+        """Path time at which the path begins, after take-off and settling."""
         return self._start_s
 
     @property
     def lap_s(self) -> float:
-        """Period of one lap [s]; 0 where there are no laps."""
+        """Period of one lap, s; 0 for a path without laps."""
         path = self._config.path
         return path.period_s if isinstance(path, Figure8 | Circle) else 0.0
 
@@ -202,7 +202,7 @@ def _along_legs(legs: Sequence[Leg], t: float) -> tuple[Vector3, Vector3, Vector
 
 
 class PathClock:
-    """Path time, whose rate follows a demand of 0 or 1 within `ease_s`, so that the target never jumps in velocity."""
+    """Path time. Its rate changes between 0 and 1 within `ease_s`, so the target's velocity never jumps."""
 
     def __init__(self, ease_s: float = 1.0) -> None:
         self._ease_s = ease_s
@@ -213,7 +213,7 @@ class PathClock:
         """d rate / dt, 1/s."""
 
     def step(self, run: bool, dt: float) -> None:
-        """Advances by dt [s]; `run` says whether time is to flow."""
+        """Advance by dt [s]; `run`: whether path time runs."""
         target = 1.0 if run else 0.0
         move = dt / self._ease_s
         self._x = min(self._x + move, target) if target > self._x else max(self._x - move, target)
@@ -224,11 +224,11 @@ class PathClock:
 
     @property
     def steady(self) -> bool:
-        """Whether path time runs as real time does."""
+        """Whether path time runs like real time."""
         return self.rate == 1.0 and self.rate_change == 0.0
 
     def ahead(self, point: PathPoint) -> PathPoint:
-        """The point's derivatives in real time, at the present rate of the clock."""
+        """The point with derivatives in real time, at the present rate of the clock."""
         r, r1 = self.rate, self.rate_change
         v, a = point.velocity, point.acceleration
         return PathPoint(

@@ -1,9 +1,9 @@
-"""Whether the vehicle's inertial stream is good enough to fly on: rate, lateness, gaps, time base, sound sensors.
+"""Checks before arming whether the vehicle's inertial stream is good enough: rate, delay, gaps, time base, sensors.
 
-Theory of operation. Samples are gathered in blocks; a verdict is drawn at the end of each block over the newest few
-(about one second), so that a fault is remembered for that long and then forgiven. The verdict gates arming, never
-flight: in the air the supervisor's age limits rule. A vehicle that may be armed stands still, so the mean specific
-force is 1 g on the body's z axis and points up, the mean rate is the gyroscope's bias, and what never changes is stuck.
+Samples are collected in blocks. At the end of each block the newest blocks (about one second) are judged, so a fault
+counts for one second after its end. The result gates arming only; in flight the supervisor's age limits apply. A
+vehicle that may be armed stands still: the mean specific force is 1 g, upwards on the body's z axis, the mean rate is
+the gyroscope's bias, and an axis that never changes is stuck.
 """
 
 import math
@@ -19,43 +19,43 @@ from protocol.conventions import GRAVITY, Array
 BLOCK_SAMPLES: Final = 50
 BLOCKS: Final = 4
 AXES: Final = tuple(f"{sensor} {axis}" for sensor in ("accelerometer", "gyroscope") for axis in "xyz")
-NOT_JUDGED: Final = "the vehicle's IMU has not been judged yet"
+NOT_JUDGED: Final = "IMU not checked yet"
 
 
 class LinkHealthConfig(ConfigRecord):
-    """What the stream must be like before the vehicle may be armed."""
+    """Limits of the stream before arming."""
 
     imu_rate_min_hz: float = Field(default=180.0, gt=0, description="Hz, samples that arrive")
     imu_rate_max_hz: float = Field(default=220.0, gt=0, description="Hz")
-    late_s: float = Field(default=0.010, gt=0, description="s behind the quickest sample; such a sample is late")
+    late_s: float = Field(default=0.010, gt=0, description="s behind the fastest sample; more is late")
     late_share_max: float = Field(default=0.05, ge=0, le=1, description="share of late samples")
     gap_max_s: float = Field(default=0.040, gt=0, description="s between two arrivals; less than imu_silent_s")
     backwards_share_max: float = Field(default=0.05, ge=0, le=1, description="share of samples with old time stamps")
-    clock_rate_tolerance: float = Field(default=0.05, gt=0, description="1; the vehicle's second against ours")
+    clock_rate_tolerance: float = Field(default=0.05, gt=0, description="1; vehicle's clock rate against onboard's")
     gravity_tolerance_m_s2: float = Field(default=1.5, gt=0, description="m/s^2; |accelerometer| at rest against 1 g")
-    rest_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; mean rate at rest, the gyroscope's bias")
+    rest_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; mean rate at rest (gyroscope bias)")
     flow_silent_s: float = Field(default=0.0, ge=0, description="s without optical flow; 0: it is not needed")
 
 
 class _Block(NamedTuple):
-    """What is kept of some samples in a row."""
+    """Summary of some samples in a row."""
 
     samples: int
     first_stamp_ns: int
     first_arrival_ns: int
     late: int
     gap_ns: int
-    """Longest time between two arrivals, the one before the block included."""
+    """Longest time between two arrivals, from the one before the block on."""
     backwards: int
-    """Samples that were dropped meanwhile because their time was not new."""
+    """Samples dropped in this time because their time stamp was not new."""
     mean: Array
     """[6]: specific force, m/s^2, and rates, rad/s."""
     stuck: Array
-    """[6]: which of them had one value only."""
+    """[6]: which of them never changed."""
 
 
 class LinkHealth:
-    """Judges the samples it is shown. `fault` is why they are not good enough; "" when they are."""
+    """Judges the inertial stream. `fault` is why it is not good enough; "" if it is."""
 
     def __init__(self, config: LinkHealthConfig) -> None:
         self._config = config
@@ -63,70 +63,70 @@ class LinkHealth:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything: another vehicle, or another clock."""
+        """Forget everything: another vehicle, or another clock."""
         self._blocks: deque[_Block] = deque(maxlen=BLOCKS)
         self._arrival_ns: int | None = None
         self._late = self._gap_ns = self._backwards = 0
         self._first_stamp_ns = self._first_arrival_ns = 0
-        self._felt: list[tuple[float, ...]] = []
+        self._inertial: list[tuple[float, ...]] = []
         self.force: Array = np.zeros(3)
         """[3] m/s^2: mean specific force of the newest samples; zero before there is one."""
         self.fault = NOT_JUDGED
 
-    def add(self, stamp_ns: int, delay_ns: int, arrival_ns: int, felt: tuple[float, ...]) -> None:
-        """One good sample.
+    def add(self, stamp_ns: int, delay_ns: int, arrival_ns: int, inertial: tuple[float, ...]) -> None:
+        """Add a good sample.
 
         Parameters
         ----------
         stamp_ns: the vehicle's clock.
-        delay_ns: how far it came behind the quickest.
-        arrival_ns: when it came, our clock.
-        felt: [6] specific force, m/s^2, and rates, rad/s.
+        delay_ns: delay beyond that of the fastest sample.
+        arrival_ns: the onboard clock.
+        inertial: [6] specific force, m/s^2, and rates, rad/s.
         """
         if self._arrival_ns is not None:
             gap_ns = arrival_ns - self._arrival_ns
             if gap_ns > self._gap_ns:
                 self._gap_ns = gap_ns
         self._arrival_ns = arrival_ns
-        if not self._felt:
+        if not self._inertial:
             self._first_stamp_ns, self._first_arrival_ns = stamp_ns, arrival_ns
         self._late += delay_ns > self._late_ns
-        self._felt.append(felt)
-        if len(self._felt) == BLOCK_SAMPLES:
+        self._inertial.append(inertial)
+        if len(self._inertial) == BLOCK_SAMPLES:
             self._end_block(stamp_ns, arrival_ns)
 
     def count_backwards(self) -> None:
-        """One sample that was dropped because its time stamp was not newer than the last."""
+        """Count a sample that was dropped because its time stamp was not new."""
         self._backwards += 1
 
     def _end_block(self, stamp_ns: int, arrival_ns: int) -> None:
-        felt = np.array(self._felt)
+        inertial = np.array(self._inertial)
         self._blocks.append(
             _Block(
-                len(felt),
+                len(inertial),
                 self._first_stamp_ns,
                 self._first_arrival_ns,
                 self._late,
                 self._gap_ns,
                 self._backwards,
-                felt.mean(axis=0),
-                (felt == felt[0]).all(axis=0),
+                inertial.mean(axis=0),
+                (inertial == inertial[0]).all(axis=0),
             )
         )
         self._late = self._gap_ns = self._backwards = 0
-        self._felt = []
+        self._inertial = []
         self.force = np.mean([block.mean[:3] for block in self._blocks], axis=0)
         self.fault = self._judge(stamp_ns, arrival_ns)
 
     def _judge(self, stamp_ns: int, arrival_ns: int) -> str:
-        """The first thing that is wrong; the time base before all that depends on it."""
+        """The first fault; the time base first, because the other checks depend on it."""
         config, blocks = self._config, self._blocks
         samples = sum(block.samples for block in blocks)
         arrival_s = (arrival_ns - blocks[0].first_arrival_ns) * 1e-9
         stamp_s = (stamp_ns - blocks[0].first_stamp_ns) * 1e-9
         clock_rate = stamp_s / arrival_s if arrival_s > 0.0 else math.inf
         if abs(clock_rate - 1.0) > config.clock_rate_tolerance:
-            return f"time base: the vehicle's clock runs at {clock_rate:.3g} of ours"
+            return f"time base: vehicle clock runs at {clock_rate:.3g} times the onboard clock"
         backwards = sum(block.backwards for block in blocks) / samples
         if backwards > config.backwards_share_max:
             return f"time base: {backwards:.0%} of the samples have old time stamps; two vehicles?"
@@ -138,11 +138,11 @@ class LinkHealth:
             return f"IMU gap of {gap_s * 1e3:.0f} ms"
         late_share = sum(block.late for block in blocks) / samples
         if late_share > config.late_share_max:
-            return f"IMU jitter: {late_share:.0%} come more than {config.late_s * 1e3:.0f} ms late"
+            return f"IMU jitter: {late_share:.0%} of the samples are more than {config.late_s * 1e3:.0f} ms late"
         return self._judge_rest()
 
     def _judge_rest(self) -> str:
-        """What is wrong with the sensors of a vehicle that stands still."""
+        """The first fault of the sensors of a vehicle that stands still."""
         config, blocks = self._config, self._blocks
         stuck = np.flatnonzero(np.all([block.stuck for block in blocks], axis=0))
         if len(stuck):
@@ -152,11 +152,11 @@ class LinkHealth:
             return f"accelerometer gives {force:.3g} m/s^2 at rest"
         axis = int(np.argmax(np.abs(self.force)))
         if axis != 2:
-            return f"gravity is on {AXES[axis]}: axes exchanged, or the vehicle lies on its side"
+            return f"gravity is on {AXES[axis]}: axes swapped, or the vehicle lies on its side"
         if self.force[2] > 0.0:
-            return f"accelerometer z gives {self.force[2]:+.1f} m/s^2 at rest, not -9.8: sign, or upside down"
+            return f"accelerometer z gives {self.force[2]:+.1f} m/s^2 at rest, not -9.8: wrong sign, or upside down"
         rates = np.mean([block.mean[3:] for block in blocks], axis=0)
         axis = int(np.argmax(np.abs(rates)))
         if abs(rates[axis]) > config.rest_rate_max_rad_s:
-            return f"{AXES[3 + axis]} gives {rates[axis]:+.2g} rad/s: the vehicle is moved, or bias or unit is wrong"
+            return f"{AXES[3 + axis]} gives {rates[axis]:+.2g} rad/s: the vehicle moves, or wrong bias or unit"
         return ""

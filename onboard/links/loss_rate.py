@@ -1,9 +1,10 @@
-"""How much of what the peer sends gets lost on the air at present.
+"""Estimates the share of the peer's datagrams that the radio loses at present.
 
-Over the whole flight would be too slow, one gap too quick: it is told by windows in which something came. What a full
-queue drops does not count, since whoever answers that by sending more makes it worse. Where datagrams queue they come
-late, so a mean delay beyond 50 ms is taken for a queue, that of a long path without one as well. How long the way down
-takes is known to half of what the two ways differ; of the way up nothing is known but the byte budget.
+The share is measured in windows in which datagrams arrived: over the whole flight would be too slow, from one gap too
+fast. Datagrams dropped by a full queue do not count, because a sender that answers them by sending more makes the queue
+longer. Datagrams that queue arrive late, so a mean delay beyond 50 ms is taken as a queue, also on a long path without
+one. The delay from the peer is known to within half the asymmetry of the two directions; of the direction to the peer
+only the byte budget is known.
 """
 
 from typing import Final
@@ -12,9 +13,9 @@ from protocol.statistics import LinkStatistics
 
 WINDOW_NS: Final = 1_000_000_000
 QUEUEING_NS: Final = 50_000_000
-"""A mean delay beyond this is taken for a queue's."""
+"""A longer mean delay is taken as queueing."""
 SILENT_NS: Final = 5_000_000_000
-"""After so long without a datagram nothing is known any more."""
+"""After this time without a datagram the share is unknown, and reported as 0."""
 
 
 class LossRate:
@@ -28,7 +29,7 @@ class LossRate:
         self._received = self._lost = 0
 
     def step(self, statistics: LinkStatistics, now_ns: int) -> float:
-        """`share`, brought up to date at the end of each window."""
+        """Returns `share`, updated at the end of each window."""
         if now_ns < self._ends_ns:
             return self.share
         received = statistics.received - self._received

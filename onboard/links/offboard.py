@@ -19,22 +19,22 @@ from protocol.statistics import LinkStatistics
 CLOCK_RECORD_PERIOD_NS: Final = 1_000_000_000
 AGE_MAX_MS: Final = 2**31 - 1
 GOOD_ROUND_TRIP_NS: Final = 40_000_000
-"""Up to here the error of the clocks' offset is within what the estimator assumes of any pose."""
+"""Up to this round trip the error of the clock offset is within the estimator's time sigma of every pose."""
 ROUND_TRIP_TO_SIGMA: Final = 0.1
-"""Beyond it, of each second of round trip so many seconds are the offset's standard deviation."""
+"""Standard deviation of the offset per second of round trip beyond GOOD_ROUND_TRIP_NS."""
 
 
 class DatedPose(NamedTuple):
-    """A pose, and when it was taken on our clock."""
+    """A pose and its time in the onboard clock."""
 
     pose: Pose
     taken_ns: int
     time_sigma_s: float
-    """Standard deviation of `taken_ns`, where the link is slow; 0 where it is not."""
+    """Standard deviation of `taken_ns` on a slow link; 0 on a fast one."""
 
 
 class PeerRestarted(NamedTuple):
-    """A new session of offboard: its versions may count from 1 again."""
+    """A new session of offboard: its versions may start at 1 again."""
 
 
 Received = DatedPose | FeatureChunk | PeerRestarted
@@ -91,7 +91,7 @@ class OffboardLink:
         return received
 
     def _time_sigma_s(self) -> float:
-        """The clocks' offset takes both ways for equally long: on a slow link it is wrong by a part of them."""
+        """The clock offset assumes equal delays in both directions; on a slow link its error is a part of the delay."""
         slow_ns = max((self.endpoint.round_trip_ns or 0) - GOOD_ROUND_TRIP_NS, 0)
         return ROUND_TRIP_TO_SIGMA * slow_ns * 1e-9
 
@@ -106,7 +106,7 @@ class OffboardLink:
         return [PeerRestarted()]
 
     def take_events(self) -> list[tuple[int, str]]:
-        """What happened since the last call: (time_ns, text)."""
+        """Return and clear the events since the last call: (time_ns, text)."""
         events, self._events = self._events, []
         return events
 
@@ -133,7 +133,7 @@ class OffboardLink:
         return datagrams
 
     def clock_record(self, now_ns: int) -> Array | None:
-        """Offboard's clock against ours when it is due to be logged: what puts the logs of both on one time base."""
+        """Clock offset and round trip, ns, when due for the log: they put the logs of both sides on one time base."""
         offset_ns = self.endpoint.clock_offset_ns
         if offset_ns is None or now_ns < self._next_clock_record_ns:
             return None

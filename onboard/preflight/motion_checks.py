@@ -1,7 +1,7 @@
 """Preflight checks for which a person moves the vehicle by hand: axes and signs of IMU, flow, height and pose.
 
-The motion that was asked for is the truth here; nose down, right side down, a turn to the right, a lift and a walk
-forward fix every axis and sign. In FRD, at rest, the accelerometer reads g (sin pitch, -sin roll cos pitch,
+The requested motion is the reference: nose down, right side down, a turn to the right, a lift and a walk forward
+determine every axis and sign. In FRD, at rest, the accelerometer reads g (sin pitch, -sin roll cos pitch,
 -cos roll cos pitch): nose down makes x negative, right side down makes y negative.
 """
 
@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from onboard.preflight.checks import Check, PreflightConfig, Step, absent, frequency, judged, rotation, vector
+from onboard.preflight.checks import LOST, Check, PreflightConfig, Step, absent, frequency, judged, rotation, vector
 from onboard.preflight.recorder import StepData
 from protocol.conventions import Array
 
 WINDOW_S: Final = 0.5
-"""Beginning and end of a step, in which the vehicle is held still."""
+"""Duration at the beginning and the end of a step in which the vehicle is held still."""
 _TURN: Final[dict[Step, tuple[int, float]]] = {
     Step.NOSE_DOWN: (1, -1.0),
     Step.RIGHT_DOWN: (0, 1.0),
@@ -33,41 +33,41 @@ _NAMES: Final = {
 _LEAST_SAMPLES: Final = 100
 
 
-def check_motion(step: Step, recording: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
+def check_motion(step: Step, data: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
     """The rows of one step."""
     name = _NAMES[step]
-    if len(recording.imu_arrival_s) < _LEAST_SAMPLES:
-        return [judged(f"{name}: IMU", False, f"{len(recording.imu_arrival_s)} samples", "a stream", "it fell silent")]
+    if len(data.imu_arrival_s) < _LEAST_SAMPLES:
+        return [judged(f"{name}: IMU", False, f"{len(data.imu_arrival_s)} samples", "a stream", "the stream stopped")]
     if step is Step.LIFT:
-        return _check_lift(recording, config, with_pose)
+        return _check_lift(data, config, with_pose)
     if step is Step.FORWARD:
-        return [_check_forward(recording, config)]
-    checks = [_check_force(step, recording, config)] if step in _FORCE_AXIS else []
-    checks.append(_check_rates(step, recording, config))
+        return [_check_forward(data, config)]
+    checks = [_check_force(step, data, config)] if step in _FORCE_AXIS else []
+    checks.append(_check_rates(step, data, config))
     if step in _FORCE_AXIS:
-        checks.append(_check_flow(step, recording, config))
+        checks.append(_check_flow(step, data, config))
     if with_pose:
-        checks.append(_check_pose_turn(step, recording, config))
+        checks.append(_check_pose_turn(step, data, config))
     return checks
 
 
 # -- inertial sensors -------------------------------------------------------------------------------------------------
 
 
-def _check_force(step: Step, recording: StepData, config: PreflightConfig) -> Check:
-    """The accelerometer's axis and sign in a tilt."""
-    before, after = _ends(recording.imu_arrival_s, recording.accelerometer)
+def _check_force(step: Step, data: StepData, config: PreflightConfig) -> Check:
+    """Axis and sign of the accelerometer in a tilt."""
+    before, after = _ends(data.imu_arrival_s, data.accelerometer)
     axis, change = _FORCE_AXIS[step], after - before
     level = float(np.hypot(change[0], change[1]))
-    tilt = _tilt(recording)
+    tilt = _tilt(data)
     share = float(change[axis]) / max(level, 1e-9)
     other = float(change[1 - axis]) / max(level, 1e-9)
     if tilt < config.tilt_min_rad:
-        hint = "the vehicle was hardly tilted, or an axis is dead"
+        hint = "the vehicle was hardly tilted, or an axis does not work"
     elif share > 0.8:
-        hint = f"sign of accelerometer {'xy'[axis]} is turned round"
+        hint = f"sign of accelerometer {'xy'[axis]} is reversed"
     elif abs(other) > 0.8:
-        hint = "accelerometer x and y are exchanged"
+        hint = "accelerometer x and y are swapped"
     else:
         hint = f"axes are turned by {np.degrees(np.arctan2(other, -share)):.0f} deg about z"
     good = tilt >= config.tilt_min_rad and share < -0.8
@@ -76,40 +76,40 @@ def _check_force(step: Step, recording: StepData, config: PreflightConfig) -> Ch
     return judged(f"{_NAMES[step]}: accelerometer", good, measured, wanted, hint)
 
 
-def _check_rates(step: Step, recording: StepData, config: PreflightConfig) -> Check:
-    """The gyroscope's axis, sign and unit: the angle it sums up, in a tilt against the accelerometer's."""
+def _check_rates(step: Step, data: StepData, config: PreflightConfig) -> Check:
+    """Axis, sign and unit of the gyroscope: its integrated angle, in a tilt against the accelerometer's."""
     axis, sign = _TURN[step]
-    angles = _turned(recording)
+    angles = _turned(data)
     about = float(angles[axis]) * sign
-    truth = _tilt(recording) if step in _FORCE_AXIS else 0.5 * np.pi
+    truth = _tilt(data) if step in _FORCE_AXIS else 0.5 * np.pi
     low, high = (1.0 - config.angle_tolerance) * truth, (1.0 + config.angle_tolerance) * truth
     if step is Step.TURN_RIGHT:
         low, high = config.turn_min_rad, np.pi
     largest = int(np.argmax(np.abs(angles)))
     ratio = about / max(truth, 1e-9)
     if largest != axis:
-        hint = f"the rotation is on {'xyz'[largest]}: gyroscope axes are exchanged"
+        hint = f"the rotation is on {'xyz'[largest]}: gyroscope axes are swapped"
     elif about < 0.0:
-        hint = f"sign of gyroscope {'xyz'[axis]} is turned round"
+        hint = f"sign of gyroscope {'xyz'[axis]} is reversed"
     elif 30.0 < ratio < 90.0:
         hint = "rates seem to be in degrees per second, not rad/s"
-    elif recording.rejected["gyroscope"]:
-        hint = "rates beyond belief were dropped: unit of the gyroscope?"
+    elif data.rejected["gyroscope"]:
+        hint = "rates were too large and dropped: unit of the gyroscope?"
     else:
-        hint = f"gyroscope gives {ratio:.2g} times the angle: scale, lost samples, or not moved as asked"
+        hint = f"gyroscope gives {ratio:.2g} times the angle: scale, lost samples, or not moved as requested"
     good = largest == axis and low <= about <= high and truth >= config.tilt_min_rad
     sums = vector(np.degrees(angles))
     wanted = f"{'+' if sign > 0 else '-'}{np.degrees(truth):.0f} deg about {'xyz'[axis]}"
     return judged(f"{_NAMES[step]}: gyroscope", good, f"{sums} deg", wanted, hint)
 
 
-def _check_flow(step: Step, recording: StepData, config: PreflightConfig) -> Check:
-    """The flow sensor's own gyro sums must be the IMU's: else the rotation would be taken for motion."""
+def _check_flow(step: Step, data: StepData, config: PreflightConfig) -> Check:
+    """The gyro sums of the flow sensor must equal the IMU's, or rotation would be taken as motion."""
     name = f"{_NAMES[step]}: flow's gyro"
-    if len(recording.flow) < 10:
-        return judged(name, False, f"{len(recording.flow)} frames", "flow frames", "no HIL_OPTICAL_FLOW")
+    if len(data.flow) < 10:
+        return judged(name, False, f"{len(data.flow)} frames", "flow frames", "no HIL_OPTICAL_FLOW")
     axis, _ = _TURN[step]
-    summed, expected = float(recording.flow[:, 2 + axis].sum()), float(_turned(recording)[axis])
+    summed, expected = float(data.flow[:, 2 + axis].sum()), float(_turned(data)[axis])
     good = abs(summed - expected) <= config.angle_tolerance * max(abs(expected), config.tilt_min_rad)
     measured = f"{np.degrees(summed):.0f} deg about {'xy'[axis]}"
     hint = f"integrated_{'xy'[axis]}gyro does not follow the IMU: sign, axis or unit"
@@ -119,37 +119,37 @@ def _check_flow(step: Step, recording: StepData, config: PreflightConfig) -> Che
 # -- pose -------------------------------------------------------------------------------------------------------------
 
 
-def _check_pose_turn(step: Step, recording: StepData, config: PreflightConfig) -> Check:
-    """The pose's rotation in the body's axes against what was asked and what the IMU felt."""
+def _check_pose_turn(step: Step, data: StepData, config: PreflightConfig) -> Check:
+    """Rotation of the pose in body axes against the requested one and the IMU's."""
     name = f"{_NAMES[step]}: pose"
-    if len(recording.pose_s) < 10:
-        return judged(name, False, f"{len(recording.pose_s)} poses", "poses", "motion capture lost the vehicle")
+    if len(data.pose_s) < 10:
+        return judged(name, False, f"{len(data.pose_s)} poses", "poses", LOST)
     axis, sign = _TURN[step]
-    truth = _tilt(recording) if step in _FORCE_AXIS else abs(float(_turned(recording)[2]))
+    truth = _tilt(data) if step in _FORCE_AXIS else abs(float(_turned(data)[2]))
     expected = np.zeros(3)
     expected[axis] = sign * truth
-    turn = _pose_turn(recording)
+    turn = _pose_turn(data)
     tolerance = max(config.pose_angle_tolerance_rad, config.angle_tolerance * truth)
     good = truth >= config.tilt_min_rad and float(np.linalg.norm(turn - expected)) <= tolerance
     hint = "the pose's frame is not NED with an FRD body"
-    if float(np.linalg.norm(_pose_turn(recording, (3, 0, 1, 2)) - expected)) <= tolerance:
-        hint = "the quaternion comes as x, y, z, w; the wire has w first"
-    elif float(np.linalg.norm(_pose_turn(recording, inverse=True) - expected)) <= tolerance:
-        hint = "the quaternion is from world to body; the wire has body to world"
+    if float(np.linalg.norm(_pose_turn(data, (3, 0, 1, 2)) - expected)) <= tolerance:
+        hint = "the quaternion is x, y, z, w; it must have w first"
+    elif float(np.linalg.norm(_pose_turn(data, inverse=True) - expected)) <= tolerance:
+        hint = "the quaternion is world to body; it must be body to world"
     elif float(np.linalg.norm(turn + expected)) <= tolerance:
-        hint = f"the rotation about {'xyz'[axis]} is turned round: the pose's axes are not FRD"
+        hint = f"the rotation about {'xyz'[axis]} is reversed: the pose's axes are not FRD"
     elif int(np.argmax(np.abs(turn))) != axis:
-        hint = f"the pose turns about {'xyz'[int(np.argmax(np.abs(turn)))]}: its axes are exchanged"
+        hint = f"the pose turns about {'xyz'[int(np.argmax(np.abs(turn)))]}: its axes are swapped"
     wanted = f"{np.degrees(sign * truth):+.0f} deg about {'xyz'[axis]}"
     return judged(name, good, f"{vector(np.degrees(turn))} deg", wanted, hint)
 
 
-def _check_forward(recording: StepData, config: PreflightConfig) -> Check:
-    """The pose's position moves the way its own attitude says the nose points."""
+def _check_forward(data: StepData, config: PreflightConfig) -> Check:
+    """The pose's position moves in the direction of the nose of its attitude."""
     name, wanted = "forward: pose", "forward in the pose's own heading"
-    if len(recording.pose_s) < 10:
-        return judged(name, False, f"{len(recording.pose_s)} poses", wanted, "motion capture lost the vehicle")
-    before, after = _ends(recording.pose_s, recording.poses)
+    if len(data.pose_s) < 10:
+        return judged(name, False, f"{len(data.pose_s)} poses", wanted, LOST)
+    before, after = _ends(data.pose_s, data.poses)
     nose = rotation(before[3:7])[:, 0]
     heading = float(np.arctan2(nose[1], nose[0]))
     moved = after[:2] - before[:2]
@@ -163,28 +163,28 @@ def _check_forward(recording: StepData, config: PreflightConfig) -> Check:
 # -- height -----------------------------------------------------------------------------------------------------------
 
 
-def _check_lift(recording: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
-    checks = [_check_range(recording, config), _check_pressure(recording, config)]
+def _check_lift(data: StepData, config: PreflightConfig, with_pose: bool) -> list[Check]:
+    checks = [_check_range(data, config), _check_pressure(data, config)]
     if with_pose:
-        checks.append(_check_pose_height(recording, config))
+        checks.append(_check_pose_height(data, config))
     return checks
 
 
-def _check_range(recording: StepData, config: PreflightConfig) -> Check:
-    """The ultrasonic distance grows to what an arm's lift gives, and keeps coming."""
-    end_s = recording.imu_arrival_s[-1]
-    late = recording.range_m[recording.range_arrival_s > end_s - 2.0 * WINDOW_S]
+def _check_range(data: StepData, config: PreflightConfig) -> Check:
+    """The ultrasonic distance grows to about a metre, and readings continue to arrive."""
+    end_s = data.imu_arrival_s[-1]
+    late = data.range_m[data.range_arrival_s > end_s - 2.0 * WINDOW_S]
     wanted = f"{config.lift_min_m} to {config.lift_max_m} m at the end"
     if len(late) < 2:
-        reason = recording.rejected
-        hint = "no DISTANCE_SENSOR with orientation 25 (down) came"
+        reason = data.rejected
+        hint = "no DISTANCE_SENSOR with orientation 25 (down)"
         if reason["range_orientation"]:
             hint = "orientation is not 25 (down)"
         elif reason["range"]:
             hint = "current_distance is in cm"
         return judged("lift: range", False, "no reading", wanted, hint)
     distance_m = float(np.median(late))
-    rate_hz = frequency(recording.range_arrival_s[recording.range_arrival_s > end_s - 2.0 * WINDOW_S])
+    rate_hz = frequency(data.range_arrival_s[data.range_arrival_s > end_s - 2.0 * WINDOW_S])
     good = config.lift_min_m + 0.1 <= distance_m <= config.lift_max_m and rate_hz >= config.range_rate_min_hz
     hint = "rate too low" if rate_hz < config.range_rate_min_hz else "not lifted by a metre"
     if distance_m > 4.0:
@@ -194,26 +194,26 @@ def _check_range(recording: StepData, config: PreflightConfig) -> Check:
     return judged("lift: range", good, f"{distance_m:.2f} m at {rate_hz:.0f} Hz", wanted, hint)
 
 
-def _check_pressure(recording: StepData, config: PreflightConfig) -> Check:
-    """Air pressure falls by 12 Pa a metre."""
-    given = recording.pressure_pa > 0.0
+def _check_pressure(data: StepData, config: PreflightConfig) -> Check:
+    """Air pressure decreases by 12 Pa a metre."""
+    given = data.pressure_pa > 0.0
     if not given.any():
         return absent("lift: pressure", "the vehicle sends none")
-    before, after = _ends(recording.imu_arrival_s[given], recording.pressure_pa[given, None])
+    before, after = _ends(data.imu_arrival_s[given], data.pressure_pa[given, None])
     change = float(after[0] - before[0])
     low, high = -12.0 * 1.5 * config.lift_max_m, -12.0 * 0.5 * config.lift_min_m
-    hint = "pressure rises when lifted: sign" if change > 2.0 else "unit (hPa), or not lifted by a metre"
+    hint = "pressure increases when lifted: sign" if change > 2.0 else "unit (hPa), or not lifted by a metre"
     return judged("lift: pressure", low <= change <= high, f"{change:+.1f} Pa", f"{low:.0f} to {high:.0f} Pa", hint)
 
 
-def _check_pose_height(recording: StepData, config: PreflightConfig) -> Check:
-    """The pose's down falls as the vehicle rises, and its zero is the floor."""
-    if len(recording.pose_s) < 10:
-        return judged("lift: pose", False, f"{len(recording.pose_s)} poses", "poses", "motion capture lost the vehicle")
-    before, after = _ends(recording.pose_s, recording.poses)
+def _check_pose_height(data: StepData, config: PreflightConfig) -> Check:
+    """The pose's d decreases as the vehicle rises, and its zero is the floor."""
+    if len(data.pose_s) < 10:
+        return judged("lift: pose", False, f"{len(data.pose_s)} poses", "poses", LOST)
+    before, after = _ends(data.pose_s, data.poses)
     rise_m = -float(after[2] - before[2])
-    end_s = recording.imu_arrival_s[-1]
-    late = recording.range_m[recording.range_arrival_s > end_s - 2.0 * WINDOW_S]
+    end_s = data.imu_arrival_s[-1]
+    late = data.range_m[data.range_arrival_s > end_s - 2.0 * WINDOW_S]
     off_m = abs(-float(after[2]) - float(np.median(late))) if len(late) else 0.0
     rises = config.lift_min_m <= rise_m <= config.lift_max_m
     good = rises and off_m <= config.height_tolerance_m
@@ -224,7 +224,7 @@ def _check_pose_height(recording: StepData, config: PreflightConfig) -> Check:
         if abs(rise_m) > 100.0:
             hint = "position seems to be in mm, not m"
     return judged(
-        "lift: pose", good, measured, f"d falls, zero on the floor within {config.height_tolerance_m} m", hint
+        "lift: pose", good, measured, f"d decreases, zero on the floor within {config.height_tolerance_m} m", hint
     )
 
 
@@ -237,27 +237,27 @@ def _ends(time_s: Array, values: Array) -> tuple[Array, Array]:
     return values[first].mean(axis=0), values[last].mean(axis=0)
 
 
-def _tilt(recording: StepData) -> float:
+def _tilt(data: StepData) -> float:
     """Angle between the specific forces before and after, rad."""
-    before, after = _ends(recording.imu_arrival_s, recording.accelerometer)
+    before, after = _ends(data.imu_arrival_s, data.accelerometer)
     length = float(np.linalg.norm(before) * np.linalg.norm(after))
     return float(np.arccos(np.clip(float(before @ after) / max(length, 1e-9), -1.0, 1.0)))
 
 
-def _turned(recording: StepData) -> Array:
-    """[3] rad: the gyroscope summed over the step, less its mean at the beginning."""
-    time_s = recording.imu_arrival_s
-    rates = recording.gyroscope - recording.gyroscope[time_s <= time_s[0] + WINDOW_S].mean(axis=0)
+def _turned(data: StepData) -> Array:
+    """[3] rad: the gyroscope integrated over the step, without its mean at the beginning."""
+    time_s = data.imu_arrival_s
+    rates = data.gyroscope - data.gyroscope[time_s <= time_s[0] + WINDOW_S].mean(axis=0)
     angles: Array = np.trapezoid(rates, time_s, axis=0)
     return angles
 
 
-def _pose_turn(recording: StepData, order: tuple[int, int, int, int] = (0, 1, 2, 3), inverse: bool = False) -> Array:
-    """[3] rad: rotation vector, in the body before, of the pose's turn.
+def _pose_turn(data: StepData, order: tuple[int, int, int, int] = (0, 1, 2, 3), inverse: bool = False) -> Array:
+    """[3] rad: rotation vector of the pose's turn, in the body axes before it.
 
-    `order` picks w, x, y, z from the wire, `inverse` takes them as world to body: to try what a bridge may have meant.
+    `order` picks w, x, y, z, `inverse` takes them as world to body: to find out which convention the bridge uses.
     """
-    before, after = (rotation(q[list(order)]) for q in _ends(recording.pose_s, recording.poses[:, 3:7]))
+    before, after = (rotation(q[list(order)]) for q in _ends(data.pose_s, data.poses[:, 3:7]))
     turn = before @ after.T if inverse else before.T @ after
     angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])

@@ -1,4 +1,4 @@
-"""What came from a vehicle (and a motion capture) during one step of the preflight check, as plain arrays."""
+"""Records the readings of a vehicle and a motion capture during one step of the preflight check, as arrays."""
 
 from collections import Counter
 from typing import Final, NamedTuple, TypeVar
@@ -15,9 +15,9 @@ RowT = TypeVar("RowT")
 
 IMU_MAX: Final = 20_000
 OTHERS_MAX: Final = 5_000
-"""Readings of a kind that are kept in one step."""
+"""Most readings of a kind in one step."""
 ANY_UNIT: Final = {"acceleration_max_m_s2": 40_000.0, "rate_max_rad_s": 3_000.0}
-"""Wide enough that milli-g and degrees per second come through, to be recognised."""
+"""Limits so wide that readings in milli-g or degrees per second are recorded and recognised."""
 
 
 class PoseSample(NamedTuple):
@@ -31,19 +31,19 @@ class PoseSample(NamedTuple):
 
 
 class StepData(NamedTuple):
-    """One step's readings. All times are our clock's, in seconds, unless the name says otherwise."""
+    """The readings of one step. Times are in seconds of our clock, except `imu_stamp_s`."""
 
     imu_arrival_s: Array
     imu_stamp_s: Array
-    """[n], the vehicle's own clock."""
+    """[n], the vehicle's clock."""
     imu_delay_s: Array
-    """[n], behind the quickest sample."""
+    """[n], delay beyond that of the fastest sample."""
     accelerometer: Array
     """[n, 3]."""
     gyroscope: Array
     """[n, 3]."""
     pressure_pa: Array
-    """[n], 0 where the sample carried none."""
+    """[n], 0 in samples without pressure."""
     flow: Array
     """[m, 6]: flow x, y, rotation x, y [rad], integration time [s], quality."""
     flow_arrival_s: Array
@@ -61,7 +61,7 @@ class StepData(NamedTuple):
 
 
 class StepRecorder:
-    """A vehicle link that remembers. `begin` starts a step, `end` gives what came in it."""
+    """A vehicle link that records. `begin` starts a step, `end` returns its readings."""
 
     def __init__(
         self, config: VehicleLinkConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
@@ -70,7 +70,7 @@ class StepRecorder:
         self.begin()
 
     def begin(self) -> None:
-        """Starts a step with nothing recorded."""
+        """Start a step with nothing recorded."""
         self._imu: list[tuple[float, ...]] = []
         self._flow: list[tuple[float, ...]] = []
         self._range: list[tuple[float, ...]] = []
@@ -82,15 +82,15 @@ class StepRecorder:
 
     @property
     def last_received_ns(self) -> int:
-        """When the vehicle was last heard."""
+        """Arrival of the newest frame of the vehicle."""
         return self._link.last_received_ns
 
-    def motors(self, fractions: tuple[float, float, float, float], armed: bool, now_ns: int) -> bytes:
-        """A motor command to send."""
+    def encode_motors(self, fractions: tuple[float, float, float, float], armed: bool, now_ns: int) -> bytes:
+        """The datagram of a motor command."""
         return self._link.encode_motors(fractions, armed, now_ns)
 
     def receive(self, datagram: bytes, now_ns: int) -> None:
-        """One datagram of the vehicle."""
+        """Record a datagram of the vehicle."""
         now_s = now_ns * 1e-9
         heartbeat_ns = self._link.last_heartbeat_ns
         for reading in self._link.receive(datagram, now_ns):
@@ -98,26 +98,26 @@ class StepRecorder:
                 delay_s = (now_ns - reading.time_ns) * 1e-9
                 stamp_s = self._link.newest_stamp_ns * 1e-9
                 row = (now_s, stamp_s, delay_s, *reading.accelerometer, *reading.gyroscope, reading.pressure_pa or 0.0)
-                _keep(self._imu, row, IMU_MAX)
+                _append(self._imu, row, IMU_MAX)
             elif isinstance(reading, FlowReading):
-                _keep(self._flow, (*reading[2:6], reading.integration_s, reading.quality, now_s), OTHERS_MAX)
+                _append(self._flow, (*reading[2:6], reading.integration_s, reading.quality, now_s), OTHERS_MAX)
             elif isinstance(reading, RangeReading):
-                _keep(self._range, (reading.distance_m, now_s), OTHERS_MAX)
+                _append(self._range, (reading.distance_m, now_s), OTHERS_MAX)
             elif isinstance(reading, BatteryReading):
-                _keep(self._battery, reading.voltage_v, OTHERS_MAX)
+                _append(self._battery, reading.voltage_v, OTHERS_MAX)
         self._heartbeats += self._link.last_heartbeat_ns != heartbeat_ns
 
     def receive_pose(self, pose: PoseSample) -> None:
-        """One pose of the motion capture."""
-        _keep(self._poses, (*pose.position, *pose.quaternion, pose.time_ns * 1e-9), OTHERS_MAX)
+        """Record a pose of the motion capture."""
+        _append(self._poses, (*pose.position, *pose.quaternion, pose.time_ns * 1e-9), OTHERS_MAX)
 
     def end(self) -> StepData:
-        """What came since `begin`."""
+        """The readings since `begin`."""
         imu = np.array(self._imu, dtype=np.float64).reshape(-1, 10)
         flow = np.array(self._flow, dtype=np.float64).reshape(-1, 7)
         ranges = np.array(self._range, dtype=np.float64).reshape(-1, 2)
         poses = np.array(self._poses, dtype=np.float64).reshape(-1, 8)
-        if len(poses):  # q and -q are one rotation; a mean needs them on one side
+        if len(poses):  # q and -q are the same rotation; a mean needs one sign
             poses[:, 3:7] *= np.where(poses[:, 3:7] @ poses[0, 3:7] < 0.0, -1.0, 1.0)[:, None]
         return StepData(
             imu_arrival_s=imu[:, 0],
@@ -140,6 +140,6 @@ class StepRecorder:
         )
 
 
-def _keep(rows: list[RowT], row: RowT, most: int) -> None:
+def _append(rows: list[RowT], row: RowT, most: int) -> None:
     if len(rows) < most:
         rows.append(row)

@@ -1,12 +1,11 @@
 """Motion capture of the room, which reports to the offboard host."""
 
-from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from protocol.geometry import Quaternion, Vector3, quaternion_multiply
+from protocol.geometry import Quaternion, Vector3, normalised, quaternion_multiply
 from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import MotionCaptureConfig
 from sim_vehicle.records import Array
@@ -41,7 +40,7 @@ class MotionCapture:
         noise = config.position_noise_m
         position = (n + noise * n1, e + noise * n2, d + noise * n3)
         noise = 0.5 * config.attitude_noise_rad
-        quaternion = _normalised(quaternion_multiply((w, x, y, z), (1.0, noise * n4, noise * n5, noise * n6)))
+        quaternion = normalised(quaternion_multiply((w, x, y, z), (1.0, noise * n4, noise * n5, noise * n6)))
         now_s = now_ns * 1e-9
         if lost or (config.outages and any(outage.start_s <= now_s < outage.end_s for outage in config.outages)):
             return None
@@ -52,11 +51,6 @@ class MotionCapture:
             velocity = _to_body(quaternion, ((n - last_n) / dt, (e - last_e) / dt, (d - last_d) / dt))
         self._last = (now_ns, position)
         return PoseSample(position, quaternion, velocity)
-
-
-def _normalised(q: Quaternion) -> Quaternion:
-    s = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    return (q[0] * s, q[1] * s, q[2] * s, q[3] * s)
 
 
 def _to_body(q: Quaternion, v: Vector3) -> Vector3:

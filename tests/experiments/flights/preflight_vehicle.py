@@ -1,6 +1,6 @@
-"""A vehicle in somebody's hands: scripted motions, genuine MAVLink frames, and the mistakes a bridge can make.
+"""A vehicle in a person's hands: scripted motions, genuine MAVLink frames, and mistakes that a bridge can make.
 
-`mistakes` are words; each spoils one thing. Time is virtual: it passes while the session waits.
+`mistakes` are words; each changes one thing. Time is virtual: it passes while the session waits.
 """
 
 import numpy as np
@@ -76,7 +76,7 @@ class HeldVehicle:
         seen = MOTORS[motor]
         if "motors in the Mambo's order" in self.mistakes:
             seen = MotorAnswer(MAMBO_PLACES[motor - 1], "cw" if motor % 2 else "ccw")
-        if "two motors exchanged" in self.mistakes:
+        if "two motors swapped" in self.mistakes:
             seen = MOTORS[{1: 1, 2: 2, 3: 4, 4: 3}[motor]]
         if "propeller turns the other way" in self.mistakes and motor == 2:
             seen = MotorAnswer(seen.place, "cw")
@@ -147,11 +147,11 @@ class HeldVehicle:
         if "turned by 45 degrees" in bad:
             turn = Rotation.from_euler("z", 45, degrees=True)
             force, rates = turn.apply(force), turn.apply(rates)
-        if "accelerometer x turned round" in bad:
+        if "accelerometer x reversed" in bad:
             force = force * [-1, 1, 1]
         if "gyro in degrees" in bad:
             rates = np.degrees(rates)
-        if "gyro z turned round" in bad:
+        if "gyro z reversed" in bad:
             rates = rates * [1, 1, -1]
         if "gyro stuck" in bad:
             rates = rates * [1, 0, 1]
@@ -163,7 +163,7 @@ class HeldVehicle:
 
     def flow(self, rates):
         turned = rates * 0.015
-        if "flow's gyro turned round" in self.mistakes:
+        if "flow's gyro reversed" in self.mistakes:
             turned = -turned
         x, y, z = map(float, turned)
         return self.pack(

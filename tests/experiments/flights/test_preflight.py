@@ -1,4 +1,4 @@
-"""The preflight check, a vehicle in a person's hands: a sound one passes, and each mistake is found and named."""
+"""The preflight check, a simulated vehicle in a person's hands: a good one passes, each mistake is found and named."""
 
 import pytest
 
@@ -43,7 +43,7 @@ def failures(checks):
     return {check.name: check.hint for check in checks if check.result is Result.FAIL}
 
 
-def test_a_sound_vehicle_passes_everything():
+def test_a_good_vehicle_passes_everything():
     checks, vehicle = checked()
     assert failures(checks) == {}
     assert {check.result for check in checks} == {Result.PASS}
@@ -75,24 +75,24 @@ def test_without_motion_capture_its_rows_are_left_out():
         ("battery low", "battery", "charge"),
         ("battery in centivolts", "battery", "mV"),
         ("no motion capture", "pose rate", "no ODOMETRY"),
-        ("accelerometer x turned round", "nose down: accelerometer", "sign of accelerometer x"),
-        ("x is to the right", "nose down: accelerometer", "exchanged"),
-        ("x is to the right", "right side down: gyroscope", "exchanged"),
+        ("accelerometer x reversed", "nose down: accelerometer", "sign of accelerometer x"),
+        ("x is to the right", "nose down: accelerometer", "swapped"),
+        ("x is to the right", "right side down: gyroscope", "swapped"),
         ("turned by 45 degrees", "nose down: accelerometer", "45 deg about z"),
         ("nobody moves it", "right side down: accelerometer", "hardly tilted"),
         ("gyro in degrees", "nose down: gyroscope", "degrees per second"),
-        ("gyro z turned round", "turn right: gyroscope", "sign of gyroscope z"),
-        ("flow's gyro turned round", "nose down: flow's gyro", "sign"),
+        ("gyro z reversed", "turn right: gyroscope", "sign of gyroscope z"),
+        ("flow's gyro reversed", "nose down: flow's gyro", "sign"),
         ("range in millimetres", "lift: range", "cm"),
         ("range looks forward", "lift: range", "25"),
         ("position in millimetres", "lift: pose", "mm"),
         ("pose in ENU", "lift: pose", "third axis is up"),
-        ("pose in ENU", "nose down: pose", "turned round"),
+        ("pose in ENU", "nose down: pose", "reversed"),
         ("quaternion world to body", "right side down: pose", "world to body"),
         ("quaternion x y z w", "nose down: pose", "x, y, z, w"),
         ("position turned by 90 degrees", "forward: pose", "not in one frame"),
         ("motors in the Mambo's order", "motor 1", "Mambo's own order"),
-        ("two motors exchanged", "motor 3", "motor order"),
+        ("two motors swapped", "motor 3", "motor order"),
         ("propeller turns the other way", "motor 2", "other way"),
         ("motor dead", "motor 4", "did not turn"),
         ("motors do not stop", "motors stop by themselves", "100 ms"),
@@ -122,18 +122,18 @@ def test_motors_turn_one_at_a_time_weakly_and_stop():
     assert vehicle.last_command == ((0.0,) * 4, False)
 
 
-def test_a_vehicle_that_falls_silent_while_a_motor_turns_is_told_to_stop():
+def test_a_vehicle_that_is_silent_while_a_motor_turns_gets_stop_commands():
     vehicle = HeldVehicle()
     frames = vehicle.frames
     vehicle.frames = lambda: [] if vehicle.commands[-1][1] else frames()
     session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     checks = session.run(motion=False, motors=True)
-    assert "fell silent" in checks[-1].hint
+    assert "was silent" in checks[-1].hint
     assert sum(armed for _, armed in vehicle.commands) < 60
     assert vehicle.last_command == ((0.0,) * 4, False)
 
 
-def test_whatever_fails_while_a_motor_turns_stops_it():
+def test_an_exception_while_a_motor_turns_stops_it():
     vehicle = HeldVehicle()
 
     def broken():
@@ -149,17 +149,17 @@ def test_whatever_fails_while_a_motor_turns_stops_it():
     assert vehicle.last_command == ((0.0,) * 4, False)
 
 
-def test_a_silent_vehicle_ends_it_at_once():
+def test_a_silent_vehicle_ends_the_check_at_once():
     vehicle = HeldVehicle()
     vehicle.frames = list
     session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     checks = session.run(True, True)
-    assert [check.name for check in checks] == ["vehicle heard"]
+    assert [check.name for check in checks] == ["vehicle received"]
     assert "wrong address" in checks[0].hint
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--vehicle", "http://a:1"), "serial:///dev/DEVICE"),
         (("--vehicle", "udp://127.0.0.1:24099"), "reserved by the Mambo"),
@@ -176,10 +176,10 @@ def test_a_silent_vehicle_ends_it_at_once():
         (("--vehicle", "udp://127.0.0.1:1", "--certificate", "nowhere/x.json"), "there is no folder nowhere"),
     ],
 )
-def test_bad_addresses_are_usage(options, said, capsys, tmp_path, monkeypatch):
+def test_bad_addresses_are_usage_errors(options, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert command_line.main(["preflight", *options, "--listen-only"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -205,7 +205,7 @@ def test_only_the_typed_word_is_consent(typed, consent):
     assert PersonAtTerminal(Typist(typed)).consents() is consent
 
 
-def test_an_answer_is_asked_for_until_it_is_understood():
+def test_a_question_is_repeated_until_the_answer_is_valid():
     assert PersonAtTerminal(Typist("left", "FR", "?", "ccw")).saw(1) == MotorAnswer("front right", "ccw")
     assert PersonAtTerminal(Typist("none")).saw(2) == MotorAnswer("none", "")
     assert PersonAtTerminal(Typist("yes")).saw_it_stop()
@@ -214,43 +214,43 @@ def test_an_answer_is_asked_for_until_it_is_understood():
     assert "LIFT" in typist.printed[0]
 
 
-def test_without_a_terminal_nothing_is_taken_for_an_answer():
+def test_without_a_terminal_there_is_no_answer():
     with pytest.raises(StartError, match="needs a terminal"):
         PersonAtTerminal(Typist()).consents()
 
 
-# -- the record -------------------------------------------------------------------------------------------------------
+# -- the certificate ---------------------------------------------------------------------------------------------------
 
 
-def kept(path, checks, partly=False):
-    said = write_certificate_file(path, "192.168.3.1:14560", True, checks, partly)
-    record = read_certificate(path.read_bytes(), str(path))
-    return said, arming_refusal(record, "192.168.3.1:14560", True, record.utc_s)
+def written(path, checks, partly=False):
+    text = write_certificate_file(path, "192.168.3.1:14560", True, checks, partly)
+    certificate = read_certificate(path.read_bytes(), str(path))
+    return text, arming_refusal(certificate, "192.168.3.1:14560", True, certificate.utc_s)
 
 
-def test_what_was_found_is_kept_for_onboard(tmp_path):
+def test_the_results_are_written_for_onboard(tmp_path):
     path = tmp_path / "preflight.json"
     checks, _ = checked()
-    said, bar = kept(path, checks)
-    assert said == f"{path}: written; dmrac onboard will arm on it"
-    assert bar == ""
+    text, refusal = written(path, checks)
+    assert text == f"{path}: written; dmrac onboard will arm"
+    assert refusal == ""
     assert [row.name for row in read_certificate(path.read_bytes(), "").checks] == [check.name for check in checks]
-    checks, _ = checked("gyro z turned round")
-    said, bar = kept(path, checks)
-    assert bar == "preflight failed: turn right: gyroscope"
-    assert said == f"{path}: written; not enough to be armed on: {bar}"
+    checks, _ = checked("gyro z reversed")
+    text, refusal = written(path, checks)
+    assert refusal == "preflight failed: turn right: gyroscope"
+    assert text == f"{path}: written; dmrac onboard will not arm: {refusal}"
 
 
-def test_a_look_at_the_stream_alone_does_not_undo_a_complete_check_unless_it_fails(tmp_path):
+def test_a_partial_check_does_not_replace_a_complete_one_unless_it_fails(tmp_path):
     path = tmp_path / "preflight.json"
     partial, _ = checked(motion=False, motors=False)
-    assert kept(path, partial, partly=True)[1].startswith("preflight is not complete: nose down")
+    assert written(path, partial, partly=True)[1].startswith("preflight is not complete: nose down")
     complete, _ = checked()
-    assert kept(path, complete)[1] == ""
-    said, bar = kept(path, partial, partly=True)
-    assert ("left as it is" in said, bar) == (True, "")
+    assert written(path, complete)[1] == ""
+    text, refusal = written(path, partial, partly=True)
+    assert ("not changed" in text, refusal) == (True, "")
     failing, _ = checked("half rate", motion=False, motors=False)
-    assert "preflight failed: IMU rate" in kept(path, failing, partly=True)[1]
+    assert "preflight failed: IMU rate" in written(path, failing, partly=True)[1]
 
 
 def test_a_vehicle_without_a_pressure_sensor_can_pass():
@@ -259,6 +259,6 @@ def test_a_vehicle_without_a_pressure_sensor_can_pass():
     assert verdict(rows) == "All checks passed."
 
 
-def test_a_place_where_nothing_can_be_written_is_named(tmp_path):
+def test_a_path_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(StartError, match=r"--certificate .*none/x\.json: cannot be written: No such file"):
-        kept(tmp_path / "none" / "x.json", [])
+        written(tmp_path / "none" / "x.json", [])

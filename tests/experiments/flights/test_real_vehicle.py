@@ -189,4 +189,4 @@ def test_preflight_listens_to_the_simulated_vehicle(tmp_path):
         assert f"pass {row}" in result.stdout
     assert "not ready to fly" in result.stdout or failed
     assert (tmp_path / certificate_name(PORTS["vehicle"])).is_file()
-    assert "not enough to be armed on" in result.stdout
+    assert "will not arm" in result.stdout

@@ -1,4 +1,4 @@
-"""The pose of a vehicle that stands on the floor: what is good enough to be armed on, and what mistakes are called."""
+"""Pose checks before arming: which poses are good enough, and the text for each fault."""
 
 import numpy as np
 import pytest
@@ -39,13 +39,13 @@ def test_a_pose_is_judged(poses, fault):
     assert bool(found) == bool(fault)
 
 
-def test_a_tilted_vehicle_whose_pose_says_so_is_fine():
+def test_a_tilted_vehicle_with_the_same_tilt_in_its_pose_is_good():
     attitude = Rotation.from_euler("ZYX", (0.3, 0.25, -0.2))
     assert judged(attitude=attitude, force=attitude.inv().apply([0.0, 0.0, -9.8])) == ""
     assert "apart" in judged(attitude=attitude, force=attitude.apply([0.0, 0.0, -9.8])), "world to body"
 
 
-def test_a_pause_counts_until_it_is_forgotten():
+def test_a_pause_counts_until_it_is_old():
     health = PoseHealth(PoseHealthConfig())
     for k in range(200):
         now_ns = k * 10**7 + (3 * 10**9 if k >= 100 else 0)
