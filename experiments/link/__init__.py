@@ -1,1 +1,1 @@
-"""What the link may do: dropouts flown by name, transfers across loss, and docs/link.md."""
+"""Experiments on the link: flights with dropouts, transfers across loss, and the tables of docs/link.md."""

@@ -1,19 +1,19 @@
-"""Traces of a link's dropouts, by name in configs/dropouts: recorded deliveries (.csv) or patterns (.yaml).
+"""Reads traces of a link's dropouts, by name in configs/dropouts: recorded deliveries (.csv) or patterns (.yaml).
 
-A .csv file holds what became of each datagram of a flight, one a line:
+A .csv file contains the delivery of each datagram of a flight, one per line:
 
-    # a line or more of description
+    # one line of description or more
     direction,sent_ms,outcome,delay_ms,copy_delay_ms,flipped_bit
     down,2015.004,delivered,8.317,,
     up,2020.011,burst,,,
 
-`direction` is up (onboard to offboard) or down; `sent_ms` counts from the start of the flight and grows within a
-direction; `outcome` is delivered, loss, burst, blackout or queue; the delays, to microseconds, are empty where no such
-copy arrived; `flipped_bit` is the bit that was inverted, if any. Another flight's datagrams meet these deliveries by
-time (sim_vehicle.link.radio.RecordedDeliveries); past the end the `perfect` radio takes over.
+`direction` is up (onboard to offboard) or down; `sent_ms` counts from the start of the flight and does not decrease
+within a direction; `outcome` is delivered, loss, burst, blackout or queue; a delay, to microseconds, is empty if that
+copy did not arrive; `flipped_bit` is the inverted bit, if any. The datagrams of another flight get these deliveries by
+time (sim_vehicle.link.radio.RecordedDeliveries); after the end they get those of the `perfect` radio.
 
-A .yaml file holds a `description`, a profile of configs/radio by name (`radio`, perfect unless given) and what is laid
-over it (`radio_values`), as a scenario does. configs/parts.py says how one file holds several patterns.
+A .yaml file contains a `description`, the name of a profile in configs/radio (`radio`, default perfect) and changes of
+it (`radio_values`), as in a scenario. configs/parts.py describes files with several patterns.
 """
 
 import csv
@@ -36,7 +36,7 @@ DELAY_MAX_MS: Final = 3_600_000.0
 
 
 class PatternFile(ConfigRecord):
-    """A .yaml trace as written."""
+    """The content of a .yaml trace."""
 
     description: str
     radio: str = "perfect"
@@ -45,7 +45,7 @@ class PatternFile(ConfigRecord):
 
 @dataclass(frozen=True)
 class DropoutTrace:
-    """What the link is to do."""
+    """The behaviour of the link in a flight."""
 
     name: str
     description: str
@@ -55,17 +55,17 @@ class DropoutTrace:
 
 
 def trace_names() -> list[str]:
-    """The traces that are shipped, by name."""
+    """Return the names of the shipped traces."""
     return sorted([*part_names("dropouts"), *(path.stem for path in FOLDER.glob("*.csv"))])
 
 
 def load_trace(name: str) -> DropoutTrace:
-    """A trace by its name in configs/dropouts, or by its file.
+    """Load a trace by its name in configs/dropouts, or by its file.
 
     Raises
     ------
     ConfigError
-        Naming the file, the line and what is allowed.
+        Names the file, the line and what is allowed.
     """
     path = Path(name) if name.endswith(".csv") else FOLDER / f"{name}.csv"
     if path.is_file():
@@ -79,7 +79,7 @@ def load_trace(name: str) -> DropoutTrace:
 
 
 def write_csv(path: Path, deliveries: Deliveries, description: str) -> None:
-    """Writes recorded deliveries. Raises ConfigError if the file cannot be written."""
+    """Write recorded deliveries. Raises ConfigError if the file cannot be written."""
     rows = sorted(
         ((delivery, direction) for direction in DIRECTIONS for delivery in deliveries.get(direction, ())), key=_by_time
     )
@@ -117,7 +117,7 @@ def _load_csv(path: Path) -> DropoutTrace:
     for direction, delivery in _rows(path, numbered[1:]):
         before = deliveries[direction]
         if before and delivery.sent_ns < before[-1].sent_ns:
-            raise ConfigError(f"{path}: {direction} at {delivery.sent_ns * 1e-6:.3f} ms: sent_ms does not grow")
+            raise ConfigError(f"{path}: {direction} at {delivery.sent_ns * 1e-6:.3f} ms: sent_ms decreases")
         before.append(delivery)
     return DropoutTrace(path.stem, " ".join(comments), RadioConfig(), deliveries)
 
@@ -140,7 +140,7 @@ def _row(cells: list[str]) -> tuple[Direction, Delivery]:
     if outcome not in OUTCOMES:
         raise ValueError(f"outcome {outcome!r}, allowed are {', '.join(OUTCOMES)}")
     if (outcome == "delivered") != bool(delay):
-        raise ValueError("a delay_ms belongs to what was delivered, and to nothing else")
+        raise ValueError("a delivered datagram needs a delay_ms, any other must have none")
     delivery = Delivery(_read(sent), SIZE_UNKNOWN, outcome, _read(delay), _read(copy_delay), int(bit) if bit else -1)
     return direction, delivery
 

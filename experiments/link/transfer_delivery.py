@@ -1,8 +1,8 @@
-"""How long a feature set takes across a lossy link: `python -m experiments.link.transfer_delivery --out DIR`.
+"""Measures how long a feature set takes across a lossy link: `python -m experiments.link.transfer_delivery --out DIR`.
 
-A pair of 6-32-32-20 networks goes through the real sender, endpoints, radio and receiver in virtual time, with the
-same independent loss in both directions, and is compared with an ideal erasure code: any k different chunks
-suffice, whatever was lost, and nothing is sent twice. No real code can do better than that at the same pace.
+A pair of 6-32-32-20 networks goes through the real sender, endpoints, radio and receiver in virtual time, with the same
+independent loss in both directions. The result is compared with an ideal erasure code: any k different chunks suffice,
+and nothing is sent twice. No real code is faster at the same pace.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.results.figure_style import finish, new_figure
 from protocol.config import TransferConfig
 from protocol.endpoint import Endpoint
 from protocol.feature_set import ChannelFeatures, FeatureSet
@@ -33,17 +34,17 @@ LIMIT_NS: Final = 120_000_000_000
 FloatName = Literal["float16", "float32"]
 
 
-class Delivery(NamedTuple):
-    """One transfer."""
+class TransferTime(NamedTuple):
+    """The cost of one transfer."""
 
     seconds: float
-    """From the offer to the whole and verified set on board."""
+    """From the offer to the complete and verified set on board."""
     chunks: int
-    """Chunks sent until the sender knew."""
+    """Chunks sent until the sender received the confirmation."""
 
 
 def network_pair(rng: np.random.Generator) -> FeatureSet:
-    """Two networks with random parameters."""
+    """Return two networks with random parameters."""
 
     def channel() -> ChannelFeatures:
         weights = tuple(rng.normal(size=(out, into)) / into**0.5 for into, out in pairwise(WIDTHS))
@@ -53,8 +54,8 @@ def network_pair(rng: np.random.Generator) -> FeatureSet:
     return FeatureSet(1, 0, 1000, channel(), channel())
 
 
-def deliver(loss: float, dtype: FloatName, seed: int) -> Delivery:
-    """One transfer with bitmap repair at the default pace."""
+def transfer(loss: float, dtype: FloatName, seed: int) -> TransferTime:
+    """Make one transfer with bitmap repair at the default pace."""
     rng = np.random.default_rng([seed, 0])
     way = DirectionConfig(loss=loss, delay_s=DELAY_S)
     radio = Radio(RadioConfig(up=way, down=way), np.random.default_rng([seed, 1]))
@@ -80,38 +81,38 @@ def deliver(loss: float, dtype: FloatName, seed: int) -> Delivery:
             radio.send("up", onboard.encode(status, now_ns), now_ns)
         for chunk in sender.poll(now_ns):
             radio.send("down", offboard.encode(chunk, now_ns), now_ns)
-    return Delivery(whole_ns * 1e-9, sender.chunks_sent)
+    return TransferTime(whole_ns * 1e-9, sender.chunks_sent)
 
 
-def deliver_ideal_code(loss: float, chunk_count: int, seed: int) -> Delivery:
-    """The same with an ideal erasure code: the transfer ends with the k-th chunk that arrives."""
+def ideal_transfer(loss: float, chunk_count: int, seed: int) -> TransferTime:
+    """Make one transfer with an ideal erasure code: it ends when the k-th chunk arrives."""
     rng = np.random.default_rng([seed, 2])
     config = TransferConfig()
     arrived = np.cumsum(rng.random(100_000) >= loss)
     sent_when_whole = int(np.searchsorted(arrived, chunk_count)) + 1
-    paced = max(0, sent_when_whole - config.chunks_per_poll)  # the first poll gives out a burst
+    paced = max(0, sent_when_whole - config.chunks_per_poll)  # the first poll sends a burst
     whole_s = paced / config.chunks_per_second + DELAY_S
-    statuses = 1 + int(np.argmax(rng.random(10_000) >= loss))  # until one that says so gets through
+    statuses = 1 + int(np.argmax(rng.random(10_000) >= loss))  # until a confirmation arrives
     known_s = whole_s + (statuses - rng.random()) * STATUS_PERIOD_NS * 1e-9 + DELAY_S
-    return Delivery(whole_s, sent_when_whole + int((known_s - whole_s + DELAY_S) * config.chunks_per_second))
+    return TransferTime(whole_s, sent_when_whole + int((known_s - whole_s + DELAY_S) * config.chunks_per_second))
 
 
 def measure(seeds: int) -> dict[str, NDArray[np.float64]]:
-    """By name [losses, seeds, 2]: seconds and chunks."""
+    """Return seconds and chunks by name, [losses, seeds, 2]."""
 
     def all_of(one: Any) -> NDArray[np.float64]:
         return np.array([[one(loss, seed) for seed in range(seeds)] for loss in LOSSES])
 
     return {
-        "float16, repair": all_of(lambda loss, seed: deliver(loss, "float16", seed)),
-        "float16, ideal code": all_of(lambda loss, seed: deliver_ideal_code(loss, 8, seed)),
-        "float32, repair": all_of(lambda loss, seed: deliver(loss, "float32", seed)),
-        "float32, ideal code": all_of(lambda loss, seed: deliver_ideal_code(loss, 15, seed)),
+        "float16, repair": all_of(lambda loss, seed: transfer(loss, "float16", seed)),
+        "float16, ideal code": all_of(lambda loss, seed: ideal_transfer(loss, 8, seed)),
+        "float32, repair": all_of(lambda loss, seed: transfer(loss, "float32", seed)),
+        "float32, ideal code": all_of(lambda loss, seed: ideal_transfer(loss, 15, seed)),
     }
 
 
 def table(results: dict[str, NDArray[np.float64]]) -> str:
-    """Markdown: median / 95th percentile of the seconds, and mean chunks sent."""
+    """Return a Markdown table: median / 95th percentile of the seconds, and mean number of chunks."""
     lines = ["| loss each way | " + " | ".join(results) + " |", "|---" * (len(results) + 1) + "|"]
     for row, loss in enumerate(LOSSES):
         cells = []
@@ -123,12 +124,8 @@ def table(results: dict[str, NDArray[np.float64]]) -> str:
 
 
 def draw(results: dict[str, NDArray[np.float64]], path: Path) -> None:
-    """Median and 95th percentile of the delivery time against loss."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    """Draw median and 95th percentile of the transfer time against loss."""
+    figure = new_figure(4.2, 7.0)
     axes = figure.add_subplot()
     for index, (name, values) in enumerate(results.items()):
         colour, style = ("#0072b2", "#d55e00")[index // 2], ("-", "--")[index % 2]
@@ -138,18 +135,16 @@ def draw(results: dict[str, NDArray[np.float64]], path: Path) -> None:
             axes.fill_between(LOSSES, median, high, color=colour, alpha=0.15, linewidth=0)
     axes.set_yscale("log")
     axes.axhline(2.0, color="0.6", linewidth=0.8)
-    axes.set_xlabel("independent loss in each direction")
-    axes.set_ylabel("delivery time [s]\n(median; shaded up to the 95th percentile)")
-    axes.set_title("A pair of 6-32-32-20 networks at 40 chunks/s")
-    axes.grid(alpha=0.3, which="both")
+    y_label = "transfer time [s]\n(median; shaded up to the 95th percentile)"
+    finish(axes, "independent loss in each direction", y_label, "A pair of 6-32-32-20 networks at 40 chunks/s")
     axes.legend(fontsize=8)
     figure.savefig(path, dpi=110)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measures, prints the table, draws the figure."""
-    parser = argparse.ArgumentParser(description="Delivery time of a feature set against loss.")
-    parser.add_argument("--seeds", type=int, default=200, help="transfers a point (default 200)")
+    """Measure, print the table and draw the figure."""
+    parser = argparse.ArgumentParser(description="Transfer time of a feature set against loss.")
+    parser.add_argument("--seeds", type=int, default=200, help="transfers per point (default 200)")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures"), help="folder for transfer_delivery.png")
     options = parser.parse_args(arguments)
     results = measure(options.seeds)

@@ -69,13 +69,13 @@ def test_deliveries_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
         (HEAD + "up,1,loss\n", "line 2: 'up,1,loss': 3 cells, expected 6"),
         (HEAD + "sideways,1,loss,,,\n", "direction 'sideways', allowed are up, down"),
         (HEAD + "up,1,eaten,,,\n", "outcome 'eaten', allowed are delivered, loss"),
-        (HEAD + "up,1,delivered,,,\n", "a delay_ms belongs to what was delivered"),
-        (HEAD + "up,1,loss,3,,\n", "a delay_ms belongs to what was delivered"),
+        (HEAD + "up,1,delivered,,,\n", "a delivered datagram needs a delay_ms"),
+        (HEAD + "up,1,loss,3,,\n", "a delivered datagram needs a delay_ms"),
         (HEAD + "up,one,loss,,,\n", "could not convert string to float: 'one'"),
         (HEAD + "up,nan,loss,,,\n", "nan ms, allowed are 0 to"),
         (HEAD + "up,-3,loss,,,\n", "-3 ms, allowed are 0 to"),
         (HEAD + "up,1,delivered,3,,x\n", "invalid literal for int"),
-        (HEAD + "up,2,loss,,,\ndown,1,loss,,,\nup,1,loss,,,\n", "up at 1.000 ms: sent_ms does not grow"),
+        (HEAD + "up,2,loss,,,\ndown,1,loss,,,\nup,1,loss,,,\n", "up at 1.000 ms: sent_ms decreases"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named(text: str, said: str, tmp_path: Path) -> None:

@@ -3,19 +3,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.link.transfer_delivery import LOSSES, deliver, deliver_ideal_code, draw, table
+from experiments.link.transfer_delivery import LOSSES, draw, ideal_transfer, table, transfer
 
 
 def test_the_promise_holds_over_the_real_parts() -> None:
     """At 50 % loss each way a pair of 6-32-32-20 networks is on board within 2 s at the default pace."""
-    assert max(deliver(0.5, "float16", seed).seconds for seed in range(25)) < 2.0
-    assert deliver(0.0, "float16", 0).seconds == pytest.approx(0.11, abs=0.02)
-    assert 8 <= deliver(0.0, "float16", 0).chunks <= 12
+    assert max(transfer(0.5, "float16", seed).seconds for seed in range(25)) < 2.0
+    assert transfer(0.0, "float16", 0).seconds == pytest.approx(0.11, abs=0.02)
+    assert 8 <= transfer(0.0, "float16", 0).chunks <= 12
 
 
 def test_the_ideal_code_is_a_bound() -> None:
-    repair = np.median([deliver(0.7, "float32", seed).seconds for seed in range(25)])
-    ideal = np.median([deliver_ideal_code(0.7, 15, seed).seconds for seed in range(25)])
+    repair = np.median([transfer(0.7, "float32", seed).seconds for seed in range(25)])
+    ideal = np.median([ideal_transfer(0.7, 15, seed).seconds for seed in range(25)])
     assert ideal < repair
 
 
