@@ -16,7 +16,7 @@ ONBOARD_VEHICLE_PORT: Final = 14561
 ONBOARD_LINK_PORT: Final = 14571
 OFFBOARD_LINK_PORT: Final = 14573
 MOTION_CAPTURE_PORT: Final = 14574
-"""Own ports when nothing else is said, as in network.yaml."""
+"""Default ports of the sockets that a process of ours opens towards a real vehicle and towards its peer."""
 
 
 WITHOUT_RADIO: Final = ({"radio_onboard", "offboard_link"}, {"radio_offboard", "onboard_link"})
@@ -90,18 +90,35 @@ def is_loopback(address: str) -> bool:
 
 
 class Addresses(ConfigRecord):
-    """Who binds what. Each process binds its own addresses and sends from there to its peer's."""
+    """Who binds what. Each process binds its own addresses and sends from there to its peer's.
+
+    By default all three processes are on this machine. For three machines give each address by the name or number of
+    the machine that binds it, and a key_file.
+    """
 
     vehicle: VehicleAddress = Field(
-        description="the vehicle's MAVLink socket, or the serial line it is on: motor commands go there"
+        default="127.0.0.1:14560",
+        description="the vehicle's MAVLink socket, or the serial line it is on: motor commands go there",
     )
-    onboard_vehicle: Address = Field(description="onboard's socket towards the vehicle: sensors arrive here")
-    radio_onboard: Address = Field(description="the vehicle radio's side towards onboard; without radio, offboard")
-    onboard_link: Address = Field(description="onboard's socket towards the radio")
-    radio_offboard: Address = Field(description="the vehicle radio's side towards offboard; without radio, onboard")
-    offboard_link: Address = Field(description="offboard's socket towards the radio")
-    motion_capture: Address = Field(description="offboard's socket for the motion capture's ODOMETRY")
-    ground: Address = Field(description="the ground station onboard reports to")
+    onboard_vehicle: Address = Field(
+        default=f"127.0.0.1:{ONBOARD_VEHICLE_PORT}", description="onboard's socket towards the vehicle, for its sensors"
+    )
+    radio_onboard: Address = Field(
+        default="127.0.0.1:14570", description="the vehicle radio's side towards onboard; without radio, offboard"
+    )
+    onboard_link: Address = Field(
+        default=f"127.0.0.1:{ONBOARD_LINK_PORT}", description="onboard's socket towards the radio"
+    )
+    radio_offboard: Address = Field(
+        default="127.0.0.1:14572", description="the vehicle radio's side towards offboard; without radio, onboard"
+    )
+    offboard_link: Address = Field(
+        default=f"127.0.0.1:{OFFBOARD_LINK_PORT}", description="offboard's socket towards the radio"
+    )
+    motion_capture: Address = Field(
+        default=f"127.0.0.1:{MOTION_CAPTURE_PORT}", description="offboard's socket for the motion capture's ODOMETRY"
+    )
+    ground: Address = Field(default="127.0.0.1:14550", description="the ground station onboard reports to")
     key_file: str | None = Field(
         default=None,
         description="file with the key shared by onboard and offboard, made by dmrac keygen, not in the log",

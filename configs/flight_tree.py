@@ -1,8 +1,8 @@
-"""How a flight's whole configuration comes together: plain trees of the YAML files, laid over one another.
+"""Composes a flight's whole configuration: the plain trees of the YAML files, laid over one another.
 
 A scenario file names the parts (configs/vehicles, configs/controllers, configs/radio) and lays its own values over
-their defaults. Nothing is checked here but the scenario file itself: each process fills its own records from its
-section (experiments.flights.scenario from all of them), so that none needs the others' code.
+theirs. Only the scenario file is checked here. Each process checks its own section when it fills its records with it
+(experiments.flights.scenario checks all sections), so no process needs the code of another.
 """
 
 import re
@@ -12,31 +12,28 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, ValidationError
 
+from configs.addresses import Addresses
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, merge, read_tree, set_path
 from configs.parts import named_file, read_part
-from configs.vehicle import read_vehicle
+from configs.vehicle import read_vehicle, value_at
 
 DEFAULT_SCENARIO: Final = "figure8_wind"
-
-
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
-
-
 VehicleNumber = Annotated[int, Field(ge=1, le=100)]
 PORTS_EACH: Final = 100
-"""The ports of vehicle n lie so many times n - 1 above those of network.yaml."""
+"""Vehicle n has the default ports plus n - 1 times this."""
 FORMER_PATHS: Final = {
     "offboard.network.features": "features.trained.count",
     "offboard.network": "features.trained",
 }
-"""Where a value was when the flights of docs/data were flown, and where it is now: their assignments still work."""
+"""Paths that had another name when the flights of docs/data were flown. Assignments to them still work."""
 REAL_PEERS: Final = ("vehicle", "ground")
 """Addresses that a real vehicle and its ground station bind themselves."""
 
 
 class _Options(ConfigRecord):
-    """What `--seed`, `--duration` and `--vehicle` may be."""
+    """The allowed values of `--seed`, `--duration` and `--vehicle`."""
 
     seed: Seed | None
     duration: Duration | None
@@ -44,7 +41,7 @@ class _Options(ConfigRecord):
 
 
 class ScenarioFile(ConfigRecord):
-    """A scenario as written: the parts by name, and what is laid over them."""
+    """A scenario file: the parts by name, and the values that are laid over them."""
 
     description: str
     duration_s: Duration
@@ -64,7 +61,7 @@ class ScenarioFile(ConfigRecord):
 
 @dataclass(frozen=True)
 class Choices:
-    """What the command line may lay over a scenario."""
+    """What the command line may change of a scenario."""
 
     controller: str | None = None
     seed: int | None = None
@@ -72,13 +69,13 @@ class Choices:
     assignments: Sequence[str] = ()
     """`path.to.key=value`, on the resolved tree."""
     real: bool = False
-    """For a real vehicle: nothing happens by itself, and every limit is tight (configs/real_vehicle.yaml)."""
+    """For a real vehicle: configs/real_vehicle.yaml instead of configs/simulated_vehicle.yaml."""
     vehicle: int = 1
-    """Its number, where several fly at once: its id on the link, and ports of its own."""
+    """Its number where several fly at once: its id on the link, and which ports it has."""
 
 
 def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
-    """The plain tree of a flight, and what it was made of, for messages.
+    """The plain tree of a flight, and the file and options that it was made of, for messages.
 
     Raises
     ------
@@ -102,7 +99,7 @@ def read_scenario(name: str) -> ScenarioFile:
 
 
 def _present_path(assignment: str) -> str:
-    """The same assignment with the path that the value has now."""
+    """The assignment, with the present path of its value."""
     for former, present in FORMER_PATHS.items():
         if re.match(rf"\s*{re.escape(former)}[.=\s]", assignment):
             return assignment.replace(former, present, 1)
@@ -110,7 +107,7 @@ def _present_path(assignment: str) -> str:
 
 
 def _check_choices(choices: Choices) -> None:
-    """An option out of range is named as what was typed, not as the keys of the file that it would have changed."""
+    """Raises ConfigError that names the option as it was typed, not the keys that it would have changed."""
     try:
         _Options(seed=choices.seed, duration=choices.duration_s, vehicle=choices.vehicle)
     except ValidationError as error:
@@ -119,9 +116,9 @@ def _check_choices(choices: Choices) -> None:
 
 
 def numbered(tree: Mapping[str, Any], vehicle: int, real: bool = False) -> dict[str, Any]:
-    """A flight's plain tree for one of several vehicles: with its id, and beside the others' ports.
+    """A flight's plain tree for one of several vehicles: with its id, and with ports that no other vehicle has.
 
-    real: the ports of vehicle and ground station are theirs and stay.
+    real: the ports of the vehicle and of the ground station stay, because these bind them.
     """
     by = PORTS_EACH * (vehicle - 1)
     stay = REAL_PEERS if real else ()
@@ -131,26 +128,21 @@ def numbered(tree: Mapping[str, Any], vehicle: int, real: bool = False) -> dict[
 
 
 def _port_above(value: Any, by: int) -> Any:
-    """An address with a higher port; what has none (a serial line, a key file, nothing) stays as it is."""
+    """An address with a higher port. A value without a port (serial line, key file, None) is returned unchanged."""
     host, _, port = str(value).rpartition(":")
     return f"{host}:{int(port) + by}" if port.isdecimal() else value
 
 
 def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
-    """The plain tree of a flight: defaults of the parts, then the scenario's values, then the choices."""
+    """The plain tree of a flight: the parts, then the scenario's values, then the choices."""
     seed = file.seed if choices.seed is None else choices.seed
     duration = file.duration_s if choices.duration_s is None else choices.duration_s
     controller = choices.controller or file.controller
-    onboard = merge(read_tree(CONFIG_DIRECTORY / "onboard.yaml"), {"guidance": _guidance(file, duration)})
-    onboard = merge(onboard, _simulated_pilot(onboard))
-    careful = read_tree(CONFIG_DIRECTORY / "real_vehicle.yaml") if choices.real else {}
-    law = read_part("controllers", controller)
-    onboard = merge(onboard, {"guidance": law.pop("guidance", {})})  # leads that were tuned with the controller
-    features = read_tree(CONFIG_DIRECTORY / "features.yaml")
-    onboard = merge(onboard, {"seed": seed, "controller": law})
     vehicle = read_vehicle(file.vehicle)
-    onboard["airframe"] = vehicle.airframe
-    simulated = merge(vehicle.simulated, {"disturbances": list(file.disturbances)})
+    law = read_part("controllers", controller)
+    features = merge(read_tree(CONFIG_DIRECTORY / "features.yaml"), law.pop("features", {}))
+    guidance = merge(_guidance(file, duration), law.pop("guidance", {}))  # leads that were tuned with the controller
+    onboard = {"seed": seed, "airframe": vehicle.airframe, "controller": law, "guidance": guidance}
     return {
         "scenario": name,
         "description": file.description,
@@ -159,47 +151,30 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "duration_s": duration,
         "training_time_s": file.training_time_s,
         "experience": file.experience,
-        "features": merge(features, law.pop("features", {})),
-        "onboard": merge(merge(onboard, file.onboard), careful),
-        "offboard": merge(merge(read_tree(CONFIG_DIRECTORY / "offboard.yaml"), {"seed": seed}), file.offboard),
-        "vehicle": merge(simulated, file.vehicle_values),
+        "features": features,
+        "onboard": _onboard(onboard, file, choices.real),
+        "offboard": merge({"seed": seed}, file.offboard),
+        "vehicle": merge(merge(vehicle.simulated, {"disturbances": list(file.disturbances)}), file.vehicle_values),
         "radio": merge(read_part("radio", file.radio), file.radio_values),
-        "network": read_tree(CONFIG_DIRECTORY / "network.yaml"),
+        "network": Addresses().model_dump(exclude_none=True),
     }
 
 
-def _simulated_pilot(onboard: Mapping[str, Any]) -> dict[str, Any]:
-    """In simulation the vehicle arms and takes off by itself, and flies on by optical flow when the pose is lost.
-
-    Its sensors may come as irregularly as a shared machine runs it.
-    """
-    altitude = onboard["guidance"]["trajectory"].get("altitude_m", 1.0)
-    return {
-        "supervisor": {
-            "auto_arm": True,
-            "arm_needs_pose": False,
-            "on_pose_stale": "continue",
-            "take_off_height_m": altitude,
-        },
-        "vehicle_link": {
-            "health": {
-                "imu_rate_min_hz": 50.0,
-                "late_s": 0.1,
-                "late_share_max": 0.5,
-                "gap_max_s": 0.5,
-                "clock_rate_tolerance": 0.5,
-            }
-        },
-    }
+def _onboard(onboard: Mapping[str, Any], file: ScenarioFile, real: bool) -> dict[str, Any]:
+    """Onboard's section for a simulated or a real vehicle. A scenario cannot overrule the limits for a real one."""
+    altitude_m = value_at(onboard, "guidance.trajectory.altitude_m") or 1.0
+    onboard = merge(onboard, {"supervisor": {"take_off_height_m": altitude_m}})
+    if real:
+        return merge(merge(onboard, file.onboard), read_tree(CONFIG_DIRECTORY / "real_vehicle.yaml"))
+    return merge(merge(onboard, read_tree(CONFIG_DIRECTORY / "simulated_vehicle.yaml")), file.onboard)
 
 
 def _guidance(file: ScenarioFile, duration_s: float) -> dict[str, Any]:
-    """Guidance with the landing placed so that the vehicle is down when the flight's time is over."""
-    defaults = read_tree(CONFIG_DIRECTORY / "guidance.yaml")
-    guidance = merge(defaults, file.guidance)
-    trajectory = guidance["trajectory"]
+    """Guidance whose landing begins early enough for the vehicle to be down when the flight's time is over."""
+    guidance = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), file.guidance)
+    height, speed = (value_at(guidance, f"trajectory.{key}") for key in ("altitude_m", "landing_speed_m_s"))
     try:
-        landing_s = float(trajectory["altitude_m"]) / float(trajectory["landing_speed_m_s"]) + 3.0
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
-        landing_s = 4.0  # the record's own check names the fault
+        landing_s = float(height) / float(speed) + 3.0
+    except (TypeError, ValueError, ZeroDivisionError):
+        landing_s = 4.0  # the check of the record names the fault
     return merge(guidance, {"land_after_s": max(duration_s - landing_s, 1.0)})

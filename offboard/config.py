@@ -1,4 +1,4 @@
-"""What the offboard side needs to know, as frozen records that configs/offboard.yaml fills."""
+"""Settings of the offboard side with their units and default values; configs/features.yaml holds its `features`."""
 
 from typing import Literal, Self
 
@@ -11,38 +11,44 @@ from protocol.signals import input_indices
 
 
 class LabelConfig(ConfigRecord):
-    """What the networks are asked to reproduce (control.md, section 5)."""
+    """The labels: what the networks are trained to give (docs/learning.md)."""
 
     kind: Literal["residual", "mrgen"] = Field(
-        description="residual: the measured uncertainty; mrgen: nu_ad as it flew (the paper)"
+        default="residual", description="residual: the measured uncertainty; mrgen: nu_ad as it was flown (the paper)"
     )
-    position_window_s: float = Field(gt=0.0, le=2.0, description="s, length of the smoothing window")
-    attitude_window_s: float = Field(gt=0.0, le=2.0, description="s, length of the smoothing window")
-    order: int = Field(ge=0, le=4, description="degree of the smoothing polynomial")
-    reorder_s: float = Field(ge=0.0, le=2.0, description="s, how long a missing sample is waited for")
-    minimum_height_m: float = Field(ge=0.0, description="m above the floor; samples from below are not used")
-    position_limit_m_s2: float = Field(gt=0.0, description="m/s^2, larger labels are not believed")
-    attitude_limit_rad_s2: float = Field(gt=0.0, description="rad/s^2, larger labels are not believed")
+    position_window_s: float = Field(default=0.12, gt=0.0, le=2.0, description="s, length of the smoothing window")
+    attitude_window_s: float = Field(default=0.12, gt=0.0, le=2.0, description="s, length of the smoothing window")
+    order: int = Field(default=1, ge=0, le=4, description="degree of the smoothing polynomial")
+    reorder_s: float = Field(default=0.3, ge=0.0, le=2.0, description="s, longest wait for a missing sample")
+    minimum_height_m: float = Field(default=0.15, ge=0.0, description="m above the floor; lower samples are not used")
+    position_limit_m_s2: float = Field(default=20.0, gt=0.0, description="m/s^2, larger labels are not used")
+    attitude_limit_rad_s2: float = Field(default=400.0, gt=0.0, description="rad/s^2, larger labels are not used")
 
 
 class BufferConfig(ConfigRecord):
-    """Which samples are kept (control.md, section 6)."""
+    """Which samples are stored (docs/learning.md)."""
 
-    capacity: int = Field(ge=8, le=4000, description="samples, p_max")
-    admission: Literal["kernel", "history"] = Field(description="kernel: GP novelty; history: Chowdhary and Johnson")
-    deletion: Literal["svd", "fifo"] = Field(description="what a full buffer gives up")
-    novelty_inputs: tuple[str, ...] = Field(min_length=1, description="signals the kernel compares")
-    kernel_width: float = Field(gt=0.0, description="width of the Gaussian kernel, in scaled inputs")
-    kernel_tolerance: float = Field(gt=0.0, lt=1.0, description="zeta_tol, smallest gamma that is new")
-    history_tolerance: float = Field(gt=0.0, description="smallest norm(dPhi)^2 / norm(Phi) that is new")
-    refresh_age_s: float = Field(gt=0.0, description="s; an older entry is replaced by a sample it resembles")
-    newest: int = Field(ge=16, le=4000, description="samples, store of the newest, new or not")
-    newest_scale: float = Field(gt=0.0, description="samples of age over which the draw of the newest fades by 1/e")
-    newest_fraction: float = Field(ge=0.0, le=1.0, description="share of each mini-batch drawn from the newest")
-    block_s: float = Field(gt=0.0, le=10.0, description="s, length of a block that goes to one split as a whole")
-    blocks_per_group: int = Field(ge=3, description="one block in each group of so many is held out for validation")
-    release_s: float = Field(gt=0.0, description="s after which validation samples are trained on, newer ones held out")
-    groups_per_test: int = Field(ge=1, description="one block in every so many groups is held out for testing")
+    capacity: int = Field(default=1000, ge=8, le=4000, description="samples, p_max")
+    admission: Literal["kernel", "history"] = Field(
+        default="kernel", description="kernel: GP novelty; history: Chowdhary and Johnson"
+    )
+    deletion: Literal["svd", "fifo"] = Field(default="svd", description="which sample a full buffer deletes")
+    novelty_inputs: tuple[str, ...] = Field(
+        default=("position_n", "position_e", "position_d", "velocity_n", "velocity_e", "velocity_d"),
+        min_length=1,
+        description="signals that the kernel compares",
+    )
+    kernel_width: float = Field(default=0.3, gt=0.0, description="width of the Gaussian kernel, in scaled inputs")
+    kernel_tolerance: float = Field(default=0.01, gt=0.0, lt=1.0, description="zeta_tol, smallest gamma that is new")
+    history_tolerance: float = Field(default=0.02, gt=0.0, description="smallest norm(dPhi)^2 / norm(Phi) that is new")
+    refresh_age_s: float = Field(default=4.0, gt=0.0, description="s; a similar sample replaces an older entry")
+    newest: int = Field(default=400, ge=16, le=4000, description="samples, store of the newest, new or not")
+    newest_scale: float = Field(default=150.0, gt=0.0, description="samples of age that make a draw 1/e as likely")
+    newest_fraction: float = Field(default=0.3, ge=0.0, le=1.0, description="share of the newest in each mini-batch")
+    block_s: float = Field(default=0.3, gt=0.0, le=10.0, description="s, length of a block; a block is in one split")
+    blocks_per_group: int = Field(default=5, ge=3, description="blocks of a group; one of them is for validation")
+    release_s: float = Field(default=5.0, gt=0.0, description="s; older validation samples are trained on")
+    groups_per_test: int = Field(default=4, ge=1, description="groups of which one has a block for testing")
 
     @model_validator(mode="after")
     def _inputs_known(self) -> Self:
@@ -51,64 +57,67 @@ class BufferConfig(ConfigRecord):
 
 
 class TrainerConfig(ConfigRecord):
-    """How the networks are trained (control.md, section 7)."""
+    """How the networks are trained (docs/learning.md)."""
 
-    optimiser: Literal["adam", "sgd"]
-    learning_rate: float = Field(gt=0.0)
-    momentum: float = Field(ge=0.0, lt=1.0, description="of sgd")
-    weight_decay: float = Field(ge=0.0, description="l2 on all weights")
-    batch_size: int = Field(ge=1, le=4096, description="M, samples per mini-batch")
-    batches: int = Field(ge=1, le=10000, description="mini-batches per round")
-    epochs: int = Field(ge=1, le=100, description="parts of a round after each of which the losses are recorded")
-    projection_every: int = Field(ge=1, description="mini-batches between projections of the spectral norms")
-    period_s: float = Field(ge=0.0, description="s, least time between starts of rounds")
-    minimum_samples: int = Field(ge=8, description="training samples before the first round")
-    refit_last_layer: bool = Field(description="end each round with a ridge regression of the last layer")
+    optimiser: Literal["adam", "sgd"] = "adam"
+    learning_rate: float = Field(default=0.003, gt=0.0)
+    momentum: float = Field(default=0.9, ge=0.0, lt=1.0, description="of sgd")
+    weight_decay: float = Field(default=3e-4, ge=0.0, description="l2 on all weights")
+    batch_size: int = Field(default=128, ge=1, le=4096, description="M, samples per mini-batch")
+    batches: int = Field(default=200, ge=1, le=10000, description="mini-batches per round")
+    epochs: int = Field(default=4, ge=1, le=100, description="parts of a round; the losses are recorded after each")
+    projection_every: int = Field(default=10, ge=1, description="mini-batches between two spectral projections")
+    period_s: float = Field(default=0.5, ge=0.0, description="s, least time between starts of rounds")
+    minimum_samples: int = Field(default=60, ge=8, description="training samples before the first round")
+    refit_last_layer: bool = Field(default=True, description="end each round with a ridge regression of the last layer")
     ridges: tuple[float, ...] = Field(
+        default=(0.03, 0.1, 0.3, 1.0, 10.0),
         min_length=1,
         description="of that regression, in standardised labels; each channel takes the one that does best"
         " on held-out samples, the first while there are too few",
     )
-    position_label_floor_m_s2: float = Field(gt=0.0, description="m/s^2, least scale of position labels")
-    attitude_label_floor_rad_s2: float = Field(gt=0.0, description="rad/s^2, least scale of attitude labels")
+    position_label_floor_m_s2: float = Field(default=0.2, gt=0.0, description="m/s^2, least scale of the labels")
+    attitude_label_floor_rad_s2: float = Field(default=2.0, gt=0.0, description="rad/s^2, least scale of the labels")
 
 
 class GateConfig(ConfigRecord):
-    """When a trained version is worth sending (control.md, section 7)."""
+    """When a trained version is sent (docs/learning.md)."""
 
     trigger_unexplained: float = Field(
-        ge=0.0, description="held-out loss of the flying version over the power of the labels, above which it may go"
+        default=0.01, ge=0.0, description="least held-out loss of the flying version, per power of the labels"
     )
-    margin: float = Field(ge=0.0, lt=1.0, description="by which the new version's held-out loss must be smaller")
-    significance: float = Field(ge=0.0, description="standard errors by which it must be smaller")
-    minimum_validation: int = Field(ge=2, description="held-out samples without which nothing is sent")
-    interval_s: float = Field(ge=0.0, description="s, least time between two versions")
+    margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which the new loss must be smaller")
+    significance: float = Field(default=1.0, ge=0.0, description="standard errors by which it must be smaller")
+    minimum_validation: int = Field(default=20, ge=2, description="least held-out samples")
+    interval_s: float = Field(default=1.0, ge=0.0, description="s, least time between two versions")
 
 
 class ExperienceConfig(ConfigRecord):
-    """What becomes of what was learnt."""
+    """Whether the offboard side learns, and how often it saves what it has learnt."""
 
-    mode: Literal["learn", "frozen"] = Field(description="frozen: fly what was loaded, learn nothing")
-    checkpoint_period_s: float = Field(gt=0.0, description="s between checkpoints")
+    mode: Literal["learn", "frozen"] = Field(default="learn", description="frozen: fly what was loaded, learn nothing")
+    checkpoint_period_s: float = Field(default=5.0, gt=0.0, description="s between checkpoints")
 
 
 class PoseRelayConfig(ConfigRecord):
     """The motion capture and its clock."""
 
-    latency_s: float = Field(ge=0.0, le=0.2, description="s, least time from capture to arrival here")
-    position_limit_m: float = Field(gt=0.0, description="m, farther poses are not believed")
+    latency_s: float = Field(
+        default=0.010, ge=0.0, le=0.2, description="s, least time from capture to arrival here, as in the simulation"
+    )
+    position_limit_m: float = Field(default=50.0, gt=0.0, description="m, farther poses are refused")
 
 
 class OffboardConfig(ConfigRecord):
-    """All of the offboard side."""
+    """Settings of the offboard side."""
 
-    vehicle_id: int = Field(ge=1, le=255)
-    seed: int = Field(ge=0, description="of initial weights and mini-batches")
-    labels: LabelConfig
+    vehicle_id: int = Field(default=1, ge=1, le=255)
+    seed: int = Field(default=1, ge=0, description="of initial weights and mini-batches")
+    labels: LabelConfig = LabelConfig()
     features: FeaturesConfig
-    buffer: BufferConfig
-    trainer: TrainerConfig
-    gate: GateConfig
-    experience: ExperienceConfig
-    pose_relay: PoseRelayConfig
-    transfer: TransferConfig
+    buffer: BufferConfig = BufferConfig()
+    trainer: TrainerConfig = TrainerConfig()
+    gate: GateConfig = GateConfig()
+    experience: ExperienceConfig = ExperienceConfig()
+    pose_relay: PoseRelayConfig = PoseRelayConfig()
+    transfer: TransferConfig = TransferConfig()

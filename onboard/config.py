@@ -34,16 +34,16 @@ class OnboardConfig(ConfigRecord):
     time_sync_period_s: Annotated[float, Field(ge=0.1, le=60, description="s between two requests")] = 1.0
     pose_wait_s: Annotated[float, Field(ge=0, le=600, description="s, arming waits so long for a first pose")] = 4.0
     airframe: AirframeConfig
-    estimator: EstimatorConfig
-    supervisor: SupervisorConfig
-    vehicle_link: VehicleLinkConfig
-    ground_link: GroundLinkConfig
+    estimator: EstimatorConfig = EstimatorConfig()
+    supervisor: SupervisorConfig = SupervisorConfig()
+    vehicle_link: VehicleLinkConfig = VehicleLinkConfig()
+    ground_link: GroundLinkConfig = GroundLinkConfig()
     pose_health: PoseHealthConfig = PoseHealthConfig()
     guidance: GuidanceConfig
     controller: ControllerConfig
     features: FeaturesConfig
-    samples: SamplerConfig
-    realtime: RealtimeConfig
+    samples: SamplerConfig = SamplerConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
 
     @model_validator(mode="after")
     def _budget_holds_the_talk(self) -> Self:

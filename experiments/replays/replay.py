@@ -89,7 +89,7 @@ def with_choices(config: FlightConfig, controller: str | None, seed: int | None)
     tree["onboard"]["guidance"] = merge(merge(tree["onboard"]["guidance"], _former_leads(config)), leads)
     recorded = config.onboard.controller.build(config.onboard.airframe, config.features, config.seed)
     if not learns(recorded):  # it trained nothing, so its configuration of the experience means nothing
-        tree["offboard"]["experience"] = read_tree(CONFIG_DIRECTORY / "offboard.yaml")["experience"]
+        tree["offboard"].pop("experience")
     return complete(tree, str(named_file("controllers", controller)))
 
 

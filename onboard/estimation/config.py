@@ -32,7 +32,7 @@ class EstimatorConfig(ConfigRecord):
     )
 
     pose_position_sigma_m: float = Field(default=0.0007, gt=0, description="m, per axis")
-    pose_attitude_sigma_rad: float = Field(default=0.012, gt=0, description="rad, per axis")
+    pose_attitude_sigma_rad: float = Field(default=0.01, gt=0, description="rad, per axis")
     pose_time_sigma_s: float = Field(default=0.0005, ge=0, description="s, error of the capture time")
     pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
     pose_turn_time_sigma_s: float = Field(default=0.003, ge=0, description="s, the same for the attitude")

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def offboard_config(**over: object) -> OffboardConfig:
-    tree = read_tree(ROOT / "configs" / "offboard.yaml") | {"features": read_tree(ROOT / "configs" / "features.yaml")}
+    tree = {"features": read_tree(ROOT / "configs" / "features.yaml")}
     return fill(OffboardConfig, merge(tree, over), "test")
 
 
