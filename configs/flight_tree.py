@@ -18,6 +18,8 @@ from configs.parts import named_file, read_part
 from configs.vehicle import read_vehicle, value_at
 
 DEFAULT_SCENARIO: Final = "figure8_wind"
+FEATURES_FILE: Final = CONFIG_DIRECTORY / "features.yaml"
+GUIDANCE_FILE: Final = CONFIG_DIRECTORY / "guidance.yaml"
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 Duration = Annotated[float, Field(ge=5, le=3600, description="whole flight, boot to touch-down")]
 VehicleNumber = Annotated[int, Field(ge=1, le=100)]
@@ -140,7 +142,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     controller = choices.controller or file.controller
     vehicle = read_vehicle(file.vehicle)
     law = read_part("controllers", controller)
-    features = merge(read_tree(CONFIG_DIRECTORY / "features.yaml"), law.pop("features", {}))
+    features = merge(read_tree(FEATURES_FILE), law.pop("features", {}))
     guidance = merge(_guidance(file, duration), law.pop("guidance", {}))  # leads that were tuned with the controller
     onboard = {"seed": seed, "airframe": vehicle.airframe, "controller": law, "guidance": guidance}
     return {
@@ -171,7 +173,7 @@ def _onboard(onboard: Mapping[str, Any], file: ScenarioFile, real: bool) -> dict
 
 def _guidance(file: ScenarioFile, duration_s: float) -> dict[str, Any]:
     """Guidance whose landing begins early enough for the vehicle to be down when the flight's time is over."""
-    guidance = merge(read_tree(CONFIG_DIRECTORY / "guidance.yaml"), file.guidance)
+    guidance = merge(read_tree(GUIDANCE_FILE), file.guidance)
     height, speed = (value_at(guidance, f"trajectory.{key}") for key in ("altitude_m", "landing_speed_m_s"))
     try:
         landing_s = float(height) / float(speed) + 3.0

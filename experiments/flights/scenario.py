@@ -1,16 +1,25 @@
-"""The resolved record of a flight: every value, checked; it goes into the flight folder, and each process reads its own
-section of it. configs/flight_tree.py lays the files over one another.
+"""The resolved record of a flight: every value, checked. configs/flight_tree.py composes its plain tree.
+
+The record is written into the flight folder, and each process reads its own section of it.
 """
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final
 
-import yaml
 from pydantic import Field
 
 from configs.addresses import Addresses
-from configs.flight_tree import DEFAULT_SCENARIO, Choices, Duration, Seed, flight_tree
-from configs.loader import ConfigRecord, fill
+from configs.flight_tree import (
+    DEFAULT_SCENARIO,
+    FEATURES_FILE,
+    GUIDANCE_FILE,
+    Choices,
+    Duration,
+    Seed,
+    flight_tree,
+)
+from configs.loader import ConfigRecord, fill, read_tree
+from configs.marked_yaml import default_paths, equal_paths, marked_yaml
 from configs.parts import named_file
 from offboard.config import OffboardConfig
 from onboard.config import OnboardConfig
@@ -20,12 +29,12 @@ from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.radio import RadioConfig
 
 COPIES: Final = {"onboard": {"features"}, "offboard": {"features"}}
-"""What the records of both processes repeat of the flight's."""
+"""The copies of `features` that both processes hold; they are not written."""
 __all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "fill_flight", "resolve"]
 
 
 class FlightConfig(ConfigRecord):
-    """Everything about one flight, resolved."""
+    """All settings of one flight, resolved."""
 
     scenario: str
     description: str
@@ -44,13 +53,16 @@ class FlightConfig(ConfigRecord):
     network: Addresses
 
     def to_yaml(self) -> str:
-        """The record as YAML that the processes read back."""
+        """The record as YAML that the processes read back, with a comment behind every default value."""
         tree = self.model_dump(mode="json", by_alias=True, exclude=COPIES)
-        return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, width=110)
+        usual = {"features": read_tree(FEATURES_FILE), "onboard": {"guidance": read_tree(GUIDANCE_FILE)}}
+        settings = self.onboard.controller.filled_settings(self.features)
+        defaults = {*default_paths(self), *default_paths(settings, at="onboard.controller.settings.")}
+        return marked_yaml(tree, defaults | set(equal_paths(tree, usual)))
 
 
 def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> FlightConfig:
-    """The full record of a flight.
+    """The resolved record of a scenario with the choices of the command line.
 
     Raises
     ------
@@ -61,7 +73,7 @@ def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) ->
 
 
 def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
-    """The record of a flight's plain tree; an offboard side that nobody would learn from only relays the pose.
+    """The resolved record of a flight's plain tree. If the controller cannot use features, offboard learns nothing.
 
     Raises
     ------
@@ -71,7 +83,9 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
     flight = fill_flight(tree, source)
     _, and_set, assignments = source.partition(" --set ")
     law = f"{named_file('controllers', flight.controller)}{and_set}{assignments}"
-    controller = flight.onboard.controller.build(flight.onboard.airframe, flight.features, flight.seed, law)
+    completed = flight.onboard.controller.completed(flight.features, law)
+    flight = flight.model_copy(update={"onboard": flight.onboard.model_copy(update={"controller": completed})})
+    controller = completed.build(flight.onboard.airframe, flight.features, flight.seed, law)
     learns = isinstance(controller, LearningController) and controller.accepts_features
     return flight if learns else _without_training(flight)
 
@@ -82,6 +96,6 @@ def fill_flight(tree: Mapping[str, Any], source: str) -> FlightConfig:
 
 
 def _without_training(flight: FlightConfig) -> FlightConfig:
-    """The same flight with an offboard side that relays the pose and learns nothing: no one would use it."""
+    """The same flight with an offboard side that relays the pose and learns nothing."""
     experience = flight.offboard.experience.model_copy(update={"mode": "frozen"})
     return flight.model_copy(update={"offboard": flight.offboard.model_copy(update={"experience": experience})})

@@ -73,6 +73,11 @@ class ControllerConfig(ConfigRecord):
         settings: BaseModel = fill(record, self.settings | given, source, "controller.settings.")
         return settings
 
+    def completed(self, features: FeaturesConfig, source: str = "controller") -> "ControllerConfig":
+        """Return the same controller with all settings written out. Raises ConfigError as `build` does."""
+        settings = self.filled_settings(features, source).model_dump(mode="json", by_alias=True, exclude={"features"})
+        return self.model_copy(update={"settings": settings})
+
     def controller_class(self, source: str = "controller") -> Any:
         """The class named by `class_path`. Raises ConfigError."""
         module_name, _, class_name = self.class_path.partition(":")

@@ -7,7 +7,7 @@ import pytest
 
 from configs.addresses import seen_from_offboard, seen_from_onboard
 from configs.loader import ConfigError, parse_mapping
-from experiments.flights.scenario import Choices, fill_flight, resolve
+from experiments.flights.scenario import Choices, complete, fill_flight, resolve
 from offboard import command as offboard_command
 from onboard import command as onboard_command
 from onboard.config import OnboardConfig
@@ -32,9 +32,11 @@ def offboard(*words: str) -> FlightOptions:
 
 def test_addresses_alone_make_a_flight_with_the_settings_for_a_real_vehicle() -> None:
     flight = onboard("--vehicle", "udp://192.168.3.1:14560", "--offboard", "127.0.0.1:14573")
-    config = fill_flight(parse_mapping(flight.text.decode(), "log"), "log")
+    tree = parse_mapping(flight.text.decode(), "log")
+    config = complete(tree, "log")
     expected = resolve("hover", Choices("dmrac", real=True))
-    assert config.onboard == expected.onboard == fill_process(OnboardConfig, flight.tree, "", "onboard")
+    assert config.onboard == expected.onboard
+    assert fill_flight(tree, "log").onboard == fill_process(OnboardConfig, flight.tree, "", "onboard")
     assert config.onboard.supervisor.auto_arm is False
     assert config.network == flight.network
     assert flight.network.vehicle == "192.168.3.1:14560"
@@ -47,7 +49,7 @@ def test_controller_scenario_and_values_can_be_chosen() -> None:
     words = ("--controller", "pid", "--scenario", "figure8_calm", "--duration", "90")
     words += ("--set", "onboard.airframe.mass_kg=0.068", "--bind-link", "127.0.0.2:1234", "--ground", "127.0.0.1:9")
     flight = onboard("--vehicle", "serial:///dev/ttyS7", "--offboard", "127.0.0.1:14573", *words)
-    config = fill_process(OnboardConfig, flight.tree, "", "onboard")
+    config = complete(flight.tree, "").onboard
     chosen = Choices("pid", None, 90.0, ("onboard.airframe.mass_kg=0.068",), real=True)
     assert config == resolve("figure8_calm", chosen).onboard
     network = flight.network
