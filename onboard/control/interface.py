@@ -75,7 +75,7 @@ class ControllerConfig(ConfigRecord):
 
     def completed(self, features: FeaturesConfig, source: str = "controller") -> "ControllerConfig":
         """Return the same controller with all settings written out. Raises ConfigError as `build` does."""
-        settings = self.filled_settings(features, source).model_dump(mode="json", by_alias=True, exclude={"features"})
+        settings = self.filled_settings(features, source).model_dump(by_alias=True, exclude={"features"})
         return self.model_copy(update={"settings": settings})
 
     def controller_class(self, source: str = "controller") -> Any:
