@@ -1,4 +1,4 @@
-"""Vehicles for the tests, and a bench that drives the compiled step directly."""
+"""Fixtures: simulated vehicles, MAVLink frames, and the compiled step alone."""
 
 import re
 from collections.abc import Callable
@@ -27,12 +27,12 @@ IDEAL: dict[str, Any] = {
     "initial": {"position_ned_m": [0.0, 0.0, -3.0]},
     "box_m": 1000.0,
 }
-"""No air, a battery that never sags, high above the floor."""
+"""No air, constant battery voltage, high above the floor."""
 
 
 @dataclass
 class Bench:
-    """One vehicle's arrays, without world and sensors."""
+    """The arrays of one vehicle, without disturbances and sensors."""
 
     config: SimVehicleConfig
     step_s: float = 0.001
@@ -85,7 +85,7 @@ def motors() -> Callable[..., bytes]:
 
 @pytest.fixture
 def frames() -> Callable[..., list[Any]]:
-    """Every message in some datagrams, decoded by pymavlink's stream parser; a datagram that is none fails the test."""
+    """Decodes datagrams by pymavlink's stream parser. A datagram that is not exactly one message fails the test."""
 
     def decode(datagrams: list[bytes], kind: str = "") -> list[Any]:
         messages = []
@@ -101,7 +101,7 @@ def frames() -> Callable[..., list[Any]]:
 
 @pytest.fixture
 def tether(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Put the example of docs/vehicle.md on the Python path, in tmp_path; gives the tree of its disturbance."""
+    """Put the example of docs/vehicle.md on the Python path, in tmp_path. Returns the tree of its disturbance."""
     part = DOCUMENT.read_text(encoding="utf-8").split("<!-- example begins -->")[1].split("<!-- example ends -->")[0]
     [code], [scenario] = (re.findall(rf"```{kind}\n(.*?)```", part, re.DOTALL) for kind in ("python", "yaml"))
     assert sum(bool(line.strip()) for line in code.splitlines()) <= 25

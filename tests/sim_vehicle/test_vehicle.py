@@ -1,4 +1,4 @@
-"""The simulated vehicle as a whole: commands in, datagrams and truth out."""
+"""The simulated vehicle as a whole: from commands to datagrams and truth."""
 
 import hashlib
 import os
@@ -28,7 +28,7 @@ STORM = HIGH | {
 
 
 def fly(flying, motors, seconds, fractions=(0.5,) * 4, step_ns=TICK, armed=True):
-    """Fly open loop; gives the digest of all that came out, and the last truth."""
+    """Fly open loop. Returns the digest of the outputs, and the last truth."""
     digest, onboard, capture = hashlib.sha256(), [], []
     for k in range(round(seconds * 1e9 / TICK)):
         flying.receive(motors(fractions, armed), k * TICK)
@@ -54,7 +54,7 @@ def test_a_flight_does_not_depend_on_how_often_it_is_stepped(vehicle, motors):
     assert fly(vehicle(STORM), motors, 0.3)[0] == fly(vehicle(STORM), motors, 0.3, step_ns=1_000_000)[0]
 
 
-def test_a_stall_is_integrated_over(vehicle, frames):
+def test_after_a_stall_one_step_covers_the_missed_time(vehicle, frames):
     flying = vehicle(HIGH)
     assert len(frames(flying.step(47_300_000).to_onboard, "HIL_SENSOR")) == 9
     assert len(frames(flying.step(50_000_000).to_onboard, "HIL_SENSOR")) == 1
@@ -80,7 +80,7 @@ def test_command_delay(vehicle, motors):
     assert flying.step(9_000_000).truth[COLUMN["motor_thrust_1"]] > 0.0
 
 
-def test_motors_stop_when_commands_do(vehicle, motors):
+def test_motors_stop_without_commands(vehicle, motors):
     flying = vehicle(HIGH)
     fly(flying, motors, 0.2)
     held = flying.step(290_000_000).truth[COLUMN["motor_thrust_1"]]
@@ -114,7 +114,7 @@ def test_bad_commands_change_nothing(vehicle, motors):
 
 
 def test_take_off_and_landing_are_no_crash(vehicle, motors):
-    """A crude height control takes off, holds 0.3 m and lands softly."""
+    """A simple height control takes off, holds 0.3 m and lands softly."""
     flying = vehicle()
     truth = flying.step(0).truth
     heights = []
@@ -162,7 +162,7 @@ def test_a_tilted_touch_down_is_a_crash(vehicle):
     assert "touched the floor tilted by 40 deg" in flying.crash_reason
 
 
-def test_disturbance_is_nought_for_the_nominal_vehicle(vehicle, motors):
+def test_the_disturbance_is_zero_for_the_nominal_vehicle(vehicle, motors):
     ideal = HIGH | {
         "battery": {"full_v": 3.7, "empty_v": 3.7, "resistance_ohm": 0.0, "polarisation_ohm": 0.0},
         "drag": {"linear_n_s_m": 0.0, "quadratic_n_s2_m2": 0.0},
@@ -177,7 +177,7 @@ def test_disturbance_is_nought_for_the_nominal_vehicle(vehicle, motors):
 
 
 def test_disturbance_of_a_payload_drag_and_chip(vehicle, motors):
-    """Each is what it should be: weight, drag at the air speed, and the thrust and torque that the chip takes."""
+    """Weight of the payload, drag at the air speed, thrust and torque lost by the chip."""
     base = {
         "battery": {"full_v": 3.7, "empty_v": 3.7, "resistance_ohm": 0.0, "polarisation_ohm": 0.0},
         "floor": {"ground_effect": 0.0},
@@ -193,8 +193,8 @@ def test_disturbance_of_a_payload_drag_and_chip(vehicle, motors):
         return named(truth, "disturbance_force", "ned"), named(truth, "disturbance_torque", "xyz"), truth
 
     force, _, truth = flown({"kind": "payload", "mass_kg": 0.01, "offset_m": [0, 0, 0]}, still)
-    felt = truth[COLUMN["acceleration_d"]] - GRAVITY
-    np.testing.assert_allclose(force, [0, 0, -0.01 * felt], atol=1e-4)
+    specific_force = truth[COLUMN["acceleration_d"]] - GRAVITY
+    np.testing.assert_allclose(force, [0, 0, -0.01 * specific_force], atol=1e-4)
     force, torque, truth = flown({"kind": "wind", "velocity_ned_m_s": [3.0, 0, 0]}, {})
     u = 3.0 - truth[COLUMN["velocity_n"]]
     assert force[0] == pytest.approx((0.016 + 4.7e-3 * u) * u, rel=0.01)
@@ -218,7 +218,7 @@ def test_acceleration_is_the_velocity_gained(vehicle, motors):
 
 
 def test_battery_falls_as_in_the_flight_logs():
-    """From 4.135 V to 3.59 V after 18 s under load; thrust sags 5-12 % between take-off and the end of a flight."""
+    """From 4.135 V to 3.59 V after 18 s under load; thrust falls 5-12 % between take-off and the end of a flight."""
     from sim_vehicle.physics.batch import VehicleBatch
 
     batch = VehicleBatch(load_vehicle("mambo", {"initial": {"position_ned_m": [0, 0, -3]}, "box_m": 1e6}), [1])
@@ -232,7 +232,7 @@ def test_battery_falls_as_in_the_flight_logs():
     assert 0.05 < 1 - (volts[-1] / volts[60]) ** 2 < 0.12
 
 
-def test_the_real_one_is_weaker():
+def test_the_real_vehicle_is_weaker():
     ideal, real = load_vehicle("mambo"), load_vehicle("mambo_real")
     assert 1.4 < sum(real.motors.gain) * real.motors.max_thrust_n / (real.body.mass_kg * GRAVITY) < 1.8
     assert 2.1 < 4 * ideal.motors.max_thrust_n / (ideal.body.mass_kg * GRAVITY) < 2.13
@@ -242,8 +242,8 @@ def test_the_real_one_is_weaker():
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_whatever_happens_the_numbers_stay_sound(vehicle, motors, seed):
-    """Random motors and disturbances, on the floor and off it: finite, unit quaternion, not through the floor."""
+def test_the_state_stays_valid_under_random_inputs(vehicle, motors, seed):
+    """Random commands and disturbances, on the floor and in the air: finite, unit quaternion, above the floor."""
     rng = np.random.default_rng(seed)
     disturbances = [
         {
@@ -288,7 +288,7 @@ print(*(float(x).hex() for x in truth))
 
 
 def test_without_numba_it_flies_the_same(tether, tmp_path):
-    """The base install has no numba: the same source runs in CPython, with the same result up to rounding."""
+    """The base install has no numba: CPython runs the same source, with the same result up to rounding."""
     over = STORM | {"disturbances": [*STORM["disturbances"], tether | {"onset_s": 0.05}]}
     code = WITHOUT_NUMBA.format(path=[os.getcwd(), str(tmp_path)], over=over)
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

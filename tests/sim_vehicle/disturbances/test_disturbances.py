@@ -63,7 +63,7 @@ def test_gusts_have_a_first_order_spectrum():
 
 
 def test_gusts_do_not_depend_on_the_step():
-    """Correlation over one step of any speed is exp(-V dt/L), and still air decorrelates too."""
+    """The correlation over one step is exp(-V dt/L) at any speed, and gusts decorrelate in still air too."""
     series = gust_series(1.0, 0.05, 10.0, 100_000)
     assert np.mean(series[1:] * series[:-1]) == pytest.approx(exp(-10.0 * DT / 0.05), abs=0.03)
     still = gust_series(1.0, 0.01, 0.0, 50_000)
@@ -88,14 +88,14 @@ def test_jet_profile():
 
     assert speed(-0.01, 0.0) == 0.0
     assert speed(0.5, 0.0) == 6.0  # potential core
-    assert speed(0.5, 0.2) == pytest.approx(3.0)  # half of it at the nozzle's rim
+    assert speed(0.5, 0.2) == pytest.approx(3.0)  # half of it at the rim of the nozzle
     for x in (3.0, 5.0, 9.0):
         assert speed(x, 0.0) == pytest.approx(6.0 * 6.2 * 0.4 / x)
         assert speed(x, 0.11 * x) == pytest.approx(0.5 * speed(x, 0.0))
     r = np.linspace(0.0, 3.0, 3000)
     flux = [np.trapezoid(2 * pi * r * np.array([speed(x, ri) ** 2 for ri in r]), r) for x in (4.0, 8.0)]
-    assert flux[0] == pytest.approx(flux[1], rel=1e-3)  # a free jet keeps its momentum
-    assert flux[0] == pytest.approx(36.0 * pi * 0.04, rel=0.4)  # about what left the nozzle
+    assert flux[0] == pytest.approx(flux[1], rel=1e-3)  # the momentum of a free jet is constant
+    assert flux[0] == pytest.approx(36.0 * pi * 0.04, rel=0.4)  # about that at the nozzle
 
 
 class HangingCloth:
@@ -153,15 +153,15 @@ def test_cloth_pulls_back_on_a_vehicle_that_accelerates():
     assert cloth.memory[0] == pytest.approx(-2.0 / (GRAVITY / 0.075), rel=1e-3)
 
 
-def test_rotor_chip_comes_and_goes(vehicle, motors):
+def test_rotor_chip_begins_and_ends(vehicle, motors):
     chip = {"kind": "rotor_chip", "rotor": 3, "thrust_factor": 0.7, "onset_s": 0.25, "end_s": 0.5}
     heavy = {"initial": {"position_ned_m": [0, 0, -5]}, "body": {"inertia_kg_m2": [0.1, 0.1, 0.1]}}
-    chipped, sound = vehicle(heavy | {"disturbances": [chip]}), vehicle(heavy)
+    chipped, intact = vehicle(heavy | {"disturbances": [chip]}), vehicle(heavy)
     ratio = []
     for k in range(150):
-        for each in (chipped, sound):
+        for each in (chipped, intact):
             each.receive(motors([0.5] * 4), k * 5_000_000)
-        truth = [each.step((k + 1) * 5_000_000).truth for each in (chipped, sound)]
+        truth = [each.step((k + 1) * 5_000_000).truth for each in (chipped, intact)]
         ratio.append(truth[0][COLUMN["motor_thrust_3"]] / truth[1][COLUMN["motor_thrust_3"]])
         assert truth[0][COLUMN["motor_thrust_1"]] == pytest.approx(truth[1][COLUMN["motor_thrust_1"]], rel=0.02)
     np.testing.assert_allclose(ratio[:49], 1.0, rtol=1e-12)
@@ -199,7 +199,7 @@ def test_motor_gain():
     assert gains.std() == pytest.approx(0.75 * 0.1 / sqrt(3), rel=0.1)
 
 
-def test_payload_comes_and_goes():
+def test_payload_begins_and_ends():
     made = world({"kind": "payload", "mass_kg": 0.01, "offset_m": [0.02, 0, 0], "onset_s": 0.1, "end_s": 0.2})
     bare = made.condition.parameters.copy()
     assert made.next_event_ns == 100_000_000
@@ -211,7 +211,7 @@ def test_payload_comes_and_goes():
     assert made.next_event_ns == NEVER_NS
 
 
-def test_blocks_add_up(vehicle):
+def test_disturbances_add_up(vehicle):
     flying = vehicle(
         {
             "disturbances": [
@@ -234,24 +234,24 @@ def test_blocks_add_up(vehicle):
     np.testing.assert_allclose(winds[6], [1.0, -3.0, 0.0], atol=1e-3)
 
 
-def test_battery_sag_takes_thrust(vehicle, motors):
+def test_battery_sag_reduces_thrust(vehicle, motors):
     sag = {"kind": "battery_sag", "drop_v": 0.4, "time_constant_s": 0.2, "onset_s": 0.1}
     start = {"position_ned_m": [0, 0, -5]}
-    tired, fresh = vehicle({"disturbances": [sag], "initial": start}), vehicle({"initial": start})
+    weak, good = vehicle({"disturbances": [sag], "initial": start}), vehicle({"initial": start})
     for k in range(300):
-        for each in (tired, fresh):
+        for each in (weak, good):
             each.receive(motors([0.4] * 4), k * 5_000_000)
-        truth = [each.step((k + 1) * 5_000_000).truth for each in (tired, fresh)]
+        truth = [each.step((k + 1) * 5_000_000).truth for each in (weak, good)]
         if k == 19:
             assert truth[0][COLUMN["battery_voltage"]] == truth[1][COLUMN["battery_voltage"]]
     v0, v1 = (each[COLUMN["battery_voltage"]] for each in truth)
-    assert 0.3 < v1 - v0 < 0.4  # less current flows, so the cell's own resistance takes less
+    assert 0.3 < v1 - v0 < 0.4  # less current flows, so the drop over the resistance of the cell is smaller
     assert truth[0][COLUMN["motor_thrust_1"]] / truth[1][COLUMN["motor_thrust_1"]] == pytest.approx(
         (v0 / v1) ** 2, rel=1e-3
     )
 
 
-def test_blocks_do_not_disturb_each_others_draws():
+def test_a_disturbance_does_not_change_the_draws_of_another():
     chip, gain = {"kind": "rotor_chip", "thrust_factor": 0.8}, {"kind": "motor_gain"}
     alone = world(chip, seed=7)
     both = world(chip, gain, seed=7)
@@ -273,7 +273,7 @@ def test_blocks_do_not_disturb_each_others_draws():
         ({"kind": "gusts", "sigma_m_s": 0.1, "length_scale_m": 0.0}, "length_scale_m"),
     ],
 )
-def test_bad_blocks_are_named(block, fault):
+def test_bad_settings_are_named(block, fault):
     with pytest.raises(ConfigError, match=fault):
         load_vehicle("mambo", {"disturbances": [block]})
 
@@ -284,7 +284,7 @@ def test_kinds_with_defaults_only(kind):
 
 
 @pytest.mark.parametrize("kind", ["rotor_chip", "wind", "fan_jet", "gusts", "payload"])
-def test_kinds_that_need_values_say_so(kind):
+def test_missing_settings_are_named(kind):
     with pytest.raises(ValidationError) as caught:
         TypeAdapter(AnyDisturbance).validate_python({"kind": kind})
     assert {fault["type"] for fault in caught.value.errors()} == {"missing"}

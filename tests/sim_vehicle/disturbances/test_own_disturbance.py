@@ -1,4 +1,4 @@
-"""A disturbance outside the project: the example of docs/vehicle.md in flight, and what is refused."""
+"""A disturbance outside the project: the example of docs/vehicle.md flies, and bad input is refused."""
 
 import json
 
@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import yaml
 
+import sim_vehicle.disturbances
 from configs.loader import ConfigError
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, FlightConfig, complete, resolve
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.physics.batch import VehicleBatch
 from sim_vehicle.vehicle import SimVehicle
+from sim_vehicle.world.catalogue import kinds
 
 ANCHOR, LENGTH_M, STIFFNESS_N_M, ONSET_S = np.array([1.0, 0.0, -1.0]), 0.6, 0.1, 8.0
 BAD = """
@@ -56,13 +58,13 @@ def test_the_example_flies_and_the_truth_shows_it(tether):
     distance = np.linalg.norm(towards, axis=1, keepdims=True)
     pull = STIFFNESS_N_M * np.maximum(0.0, 1.0 - LENGTH_M / distance) * towards
     before, after = (time_s > ONSET_S - 0.5) & (time_s < ONSET_S), time_s > ONSET_S + 0.1
-    offset = np.mean(force[before], axis=0)  # the floor and the drag are not the tether's
+    offset = np.mean(force[before], axis=0)  # drag and motors, not the tether
     assert np.abs(force[before] - offset)[:, 0].max() < 5e-3
     np.testing.assert_allclose(force[after][:100, 0] - offset[0], pull[after][:100, 0], atol=5e-3)
     assert pull[after][:100, 0].min() > 0.03
 
 
-def test_a_batch_and_a_single_vehicle_feel_it_alike(tether, motors):
+def test_a_batch_and_a_single_vehicle_move_alike(tether, motors):
     start = {"position_ned_m": [0.0, 0.0, -1.0], "hovering": True}
     config = load_vehicle("mambo", {"disturbances": [tether | {"onset_s": 0.0}], "initial": start})
     batch, single = VehicleBatch(config, [5]), SimVehicle(config, 5)
@@ -118,3 +120,14 @@ def test_an_index_out_of_range_is_an_error(bad):
     vehicle = SimVehicle(load_vehicle("mambo", {"disturbances": [{"kind": "bad:Outside"}]}), 1)
     with pytest.raises(IndexError):
         vehicle.step(5_000_000)
+
+
+def test_a_new_file_in_the_package_is_found_by_its_name(tether, tmp_path, monkeypatch):
+    monkeypatch.setattr(sim_vehicle.disturbances, "__path__", [*sim_vehicle.disturbances.__path__, str(tmp_path)])
+    (tmp_path / "my_tether.py").rename(tmp_path / "tether.py")
+    kinds.cache_clear()
+    try:
+        [found] = load_vehicle("mambo", {"disturbances": [tether | {"kind": "tether"}]}).disturbances
+    finally:
+        kinds.cache_clear()
+    assert type(found).__module__ == "sim_vehicle.disturbances.tether"

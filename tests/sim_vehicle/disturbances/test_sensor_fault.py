@@ -1,4 +1,4 @@
-"""Faults of sensors, clock and the vehicle's own link."""
+"""Faults of the sensors, the clock and the link of the vehicle."""
 
 from math import isnan
 
@@ -30,7 +30,7 @@ def flown(flying, frames, seconds=0.5, motors=None):
 
 
 @pytest.mark.parametrize("sensor", ["imu", "flow", "ultrasonic", "battery", "motion_capture"])
-def test_a_silent_sensor_is_missing_and_no_other(vehicle, frames, sensor):
+def test_only_the_silent_sensor_is_missing(vehicle, frames, sensor):
     fault = {"kind": "sensor_fault", "sensor": sensor, "fault": "silent", "onset_s": 0.0}
     seen = {message.get_type() for message in flown(vehicle(HIGH | {"disturbances": [fault]}), frames, 1.01)}
     assert {*KINDS.values(), "HEARTBEAT"} - seen == {KINDS[sensor]}
@@ -44,7 +44,7 @@ def test_silence_ends(vehicle, frames):
     assert not ((times >= 100_000) & (times < 200_000)).any()
 
 
-def test_a_frozen_sensor_repeats_itself_with_fresh_times(vehicle, frames):
+def test_a_frozen_sensor_repeats_its_sample_with_fresh_times(vehicle, frames):
     fault = {"kind": "sensor_fault", "sensor": "imu", "fault": "frozen", "onset_s": 0.1}
     imu = [m for m in flown(vehicle(HIGH | {"disturbances": [fault]}), frames) if m.get_type() == "HIL_SENSOR"]
     assert [m.time_usec for m in imu] == [5000 * (k + 1) for k in range(100)]
@@ -56,12 +56,12 @@ def test_a_frozen_sensor_repeats_itself_with_fresh_times(vehicle, frames):
     ("sensor", "fields"),
     [("imu", ("xacc", "zgyro")), ("flow", ("integrated_x",)), ("motion_capture", ("x", "z"))],
 )
-def test_a_mad_sensor_sends_nan(vehicle, frames, sensor, fields):
+def test_a_not_finite_sensor_sends_nan(vehicle, frames, sensor, fields):
     fault = {"kind": "sensor_fault", "sensor": sensor, "fault": "not_finite"}
     messages = flown(vehicle(HIGH | {"disturbances": [fault]}), frames, 0.1)
-    mad = [m for m in messages if m.get_type() == KINDS[sensor]]
-    assert mad
-    assert all(isnan(getattr(m, name)) for m in mad for name in fields)
+    bad = [m for m in messages if m.get_type() == KINDS[sensor]]
+    assert bad
+    assert all(isnan(getattr(m, name)) for m in bad for name in fields)
 
 
 def test_whole_numbers_cannot_be_nan():
@@ -70,7 +70,7 @@ def test_whole_numbers_cannot_be_nan():
         load_vehicle("mambo", {"disturbances": [fault]})
 
 
-def test_a_restarted_clock_counts_from_nought(vehicle, frames):
+def test_a_restarted_clock_counts_from_zero(vehicle, frames):
     jump = {"kind": "clock_jump", "jump_s": -0.25, "onset_s": 0.25}
     messages = flown(vehicle(HIGH | {"disturbances": [jump]}), frames)
     imu = [m.time_usec for m in messages if m.get_type() == "HIL_SENSOR"]
@@ -80,7 +80,7 @@ def test_a_restarted_clock_counts_from_nought(vehicle, frames):
     assert capture == [10_000 * (k + 1) for k in range(len(capture))]
 
 
-def test_an_impaired_vehicle_link_delays_both_ways(vehicle, frames, motors):
+def test_an_impaired_vehicle_link_delays_both_directions(vehicle, frames, motors):
     wire = {"up": {"delay_s": 0.0035}, "down": {"delay_s": 0.0065}}
     flying = vehicle(HIGH | {"impairment": wire})
     flying.receive(motors([0.5] * 4), 0)
@@ -94,7 +94,7 @@ def test_an_impaired_vehicle_link_delays_both_ways(vehicle, frames, motors):
     assert arrivals == [4000] * 5
 
 
-def test_an_impaired_vehicle_link_loses_and_spoils(vehicle, motors):
+def test_an_impaired_vehicle_link_loses_and_corrupts(vehicle, motors):
     wire = {"up": {"loss": 0.3}, "down": {"loss": 0.2, "corruption": 0.2}}
     flying = vehicle(HIGH | {"impairment": wire}, seed=4)
     received = 0

@@ -40,7 +40,7 @@ def radio_of(seed: int = 0, direction: Direction = "down", **settings: Any) -> R
 def carry(
     radio: Radio, count: int, period_ns: int = 10 * MS, size: int = 100, direction: Direction = "down"
 ) -> Arrivals:
-    """Sends numbered datagrams at a pace and takes them out as they arrive, in steps of 1 ms; (time, datagram)."""
+    """Send numbered datagrams periodically, in steps of 1 ms. Returns the arrivals: (time, datagram)."""
     arrivals: Arrivals = []
     now = sent = 0
     while sent < count or radio.next_due_ns(direction) is not None:
@@ -97,7 +97,7 @@ def test_independent_loss() -> None:
 
 def test_delay_jitter_and_tail() -> None:
     radio = radio_of(delay_s=0.008, jitter_s=0.005, tail_probability=0.01)
-    carry(radio, 4000, 300 * MS)  # far apart, so that none waits behind another
+    carry(radio, 4000, 300 * MS)  # far apart, so that none delays another
     delays_s = np.array([delivery.delay_ns for delivery in radio.deliveries["down"]]) * 1e-9
     assert delays_s.min() == pytest.approx(0.008, abs=1e-4)
     assert np.median(delays_s) == pytest.approx(0.008 + 0.005 * np.log(2), rel=0.05)
@@ -113,7 +113,7 @@ def test_jitter_keeps_the_order_and_reordering_breaks_it() -> None:
     assert 20 < overtaken < 80
 
 
-def test_the_rate_limit_holds_and_its_queue_ends() -> None:
+def test_the_rate_and_the_queue_are_limited() -> None:
     radio = radio_of(rate_bit_s=80_000.0, queue_bytes=2000)  # 10 kB/s: a datagram of 100 bytes takes 10 ms
     arrivals = carry(radio, 500, 5 * MS)
     counts = radio.counts("down")
@@ -139,18 +139,18 @@ def test_duplication() -> None:
     assert radio.counts("down").delivered == 1000
 
 
-def test_corruption_flips_one_bit_and_no_endpoint_believes_it() -> None:
+def test_corruption_flips_one_bit_and_every_endpoint_rejects_it() -> None:
     radio = radio_of(corruption=0.1, direction="up")
     onboard, offboard = Endpoint("onboard", 1, b"k" * 32), Endpoint("offboard", 1, b"k" * 32)
     for index in range(500):
         radio.send("up", onboard.encode(TimeSyncRequest(index), index * 10 * MS), index * 10 * MS)
         for datagram in radio.due("up", index * 10 * MS):
             offboard.decode(datagram, index * 10 * MS)
-    spoilt = radio.counts("up").corrupted
-    assert 25 < spoilt < 80
-    assert offboard.statistics.rejected.total() == spoilt
-    assert offboard.statistics.received == 500 - spoilt
-    assert offboard.statistics.lost == spoilt
+    corrupted = radio.counts("up").corrupted
+    assert 25 < corrupted < 80
+    assert offboard.statistics.rejected.total() == corrupted
+    assert offboard.statistics.received == 500 - corrupted
+    assert offboard.statistics.lost == corrupted
 
 
 def trace(radio: Radio) -> str:
@@ -159,13 +159,13 @@ def trace(radio: Radio) -> str:
 
 
 @pytest.mark.parametrize("profile", ["bad", "bluetooth"])
-def test_the_same_seed_gives_the_same_luck(profile: str) -> None:
+def test_the_same_seed_gives_the_same_deliveries(profile: str) -> None:
     config = shipped(profile)
     one, same, other = (trace(Radio(config, np.random.default_rng(seed))) for seed in (5, 5, 6))
     assert one == same != other
 
 
-def test_the_directions_have_luck_of_their_own() -> None:
+def test_the_directions_have_their_own_draws() -> None:
     config = shipped("bad")
     alone, both = Radio(config, np.random.default_rng(5)), Radio(config, np.random.default_rng(5))
     down = carry(alone, 500)
@@ -174,7 +174,7 @@ def test_the_directions_have_luck_of_their_own() -> None:
     assert [f.outcome for f in both.deliveries["up"][:300]] != [f.outcome for f in both.deliveries["down"][:300]]
 
 
-def test_more_loss_loses_the_same_datagrams_and_others() -> None:
+def test_more_loss_loses_the_same_datagrams_and_more() -> None:
     few, many = (radio_of(loss=loss, jitter_s=0.01, duplication=0.1) for loss in (0.1, 0.3))
     arrived = [set(numbers(carry(radio, 500))) for radio in (few, many)]
     assert arrived[1] < arrived[0]
@@ -189,10 +189,10 @@ def test_recorded_deliveries_fly_again() -> None:
     assert again.deliveries == first.deliveries
     assert again.counts("up") == first.counts("up")
     again.send("up", b"one more", 100 * S)
-    assert again.due("up", 100 * S) == [b"one more"], "past the record the configuration decides"
+    assert again.due("up", 100 * S) == [b"one more"], "after the recording the configuration decides"
 
 
-def test_a_flight_that_sends_more_or_less_meets_the_same_silences() -> None:
+def test_a_flight_that_sends_more_or_less_gets_the_same_silences() -> None:
     window = {"blackouts": [{"start_s": 1.0, "end_s": 2.0}], "delay_s": 0.01}
     first = radio_of(**window)
     carry(first, 400, 10 * MS)
@@ -230,7 +230,7 @@ def test_a_delivery_survives_the_flight_log() -> None:
             assert delivery_from_vector(vector) == (direction, delivery)
 
 
-def test_what_is_on_its_way_is_bounded() -> None:
+def test_the_datagrams_on_their_way_are_limited() -> None:
     radio = radio_of(delay_s=10.0)
     for _ in range(IN_FLIGHT_MAX + 5):
         radio.send("down", b"x", 0)
@@ -258,7 +258,7 @@ def test_next_due() -> None:
         ({"rate_bit_s": 0.0}, "up.rate_bit_s"),
     ],
 )
-def test_settings_that_make_no_sense_are_named(settings: dict[str, Any], path: str) -> None:
+def test_bad_settings_are_named(settings: dict[str, Any], path: str) -> None:
     with pytest.raises(ConfigError, match=path):
         fill(RadioConfig, {"up": settings}, "test")
 

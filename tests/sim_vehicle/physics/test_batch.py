@@ -1,4 +1,4 @@
-"""The batch moves as single vehicles do."""
+"""A batch moves like single vehicles."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_batch_equals_single_vehicles(motors):
     assert not batch.crashed.any()
 
 
-def test_a_crashed_vehicle_stops_its_motors_and_no_others():
+def test_a_crashed_vehicle_stops_only_its_own_motors():
     batch = VehicleBatch(load_vehicle("mambo", OVER | {"disturbances": []}), range(2))
     commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.9, 0.2, 0.2, 0.9]])
     for _ in range(100):
@@ -42,7 +42,7 @@ def test_a_crashed_vehicle_stops_its_motors_and_no_others():
     assert batch.states[0, 13:17].min() > 0.1
 
 
-def test_a_batch_refuses_what_it_cannot_run():
+def test_a_batch_refuses_bad_commands():
     batch = VehicleBatch(load_vehicle("mambo"), range(2))
     with pytest.raises(ValueError, match="shape"):
         batch.step(np.zeros((3, 4)))

@@ -1,4 +1,4 @@
-"""The cache of machine code, and the uncompiled twins."""
+"""The cache of the machine code, and the uncompiled twins."""
 
 import os
 import shutil
@@ -16,7 +16,7 @@ CHECK = "from sim_vehicle.physics.motors import lag_motors as f; print(f._cache.
 
 
 def cache_path(root: Path, home: Path) -> str:
-    """Where a copy of the package would keep its cache."""
+    """Where a copy of the package stores its cache."""
     result = subprocess.run(
         [sys.executable, "-c", CHECK],
         capture_output=True,
@@ -31,7 +31,7 @@ def cache_path(root: Path, home: Path) -> str:
 
 @pytest.mark.full
 def test_the_cache_follows_the_source(tmp_path):
-    """A change in any compiled file leads to another cache; one in other files does not."""
+    """A change in a compiled file leads to another cache; a change in another file does not."""
     assert COMPILED
     package = Path(sim_vehicle.__file__).parent
     for name in ("sim_vehicle", "configs", "flight_log", "protocol"):
@@ -46,7 +46,7 @@ def test_the_cache_follows_the_source(tmp_path):
     assert cache_path(tmp_path, tmp_path) != first
 
 
-def test_twins_are_python_all_the_way_down():
+def test_twins_call_only_python():
     twin = python_twin(to_body)
     assert not hasattr(twin, "py_func")
     R = rotation(0.9, 0.1, -0.2, 0.3)

@@ -1,4 +1,4 @@
-"""Laws of mechanics that the compiled step must keep, and an independent integration that it must agree with."""
+"""Laws of mechanics that the compiled step obeys, and an independent integration for comparison."""
 
 from math import pi
 
@@ -25,38 +25,38 @@ def matrix(state):
 
 
 def test_hover_balances(bench):
-    rig = bench({"initial": {"hovering": True}})
+    sim = bench({"initial": {"hovering": True}})
     fraction = 0.063 * GRAVITY / 4 / 0.327
-    rig.run([fraction] * 4, 3.0)
-    np.testing.assert_allclose(rig.state[:13], [0, 0, -3, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], atol=1e-12)
+    sim.run([fraction] * 4, 3.0)
+    np.testing.assert_allclose(sim.state[:13], [0, 0, -3, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], atol=1e-12)
 
 
 def test_free_fall(bench):
-    rig = bench()
-    rig.run([0] * 4, 0.7)
-    assert rig.state[2] == pytest.approx(-3 + 0.5 * GRAVITY * 0.7**2, rel=1e-12)
-    assert rig.state[5] == pytest.approx(GRAVITY * 0.7, rel=1e-12)
+    sim = bench()
+    sim.run([0] * 4, 0.7)
+    assert sim.state[2] == pytest.approx(-3 + 0.5 * GRAVITY * 0.7**2, rel=1e-12)
+    assert sim.state[5] == pytest.approx(GRAVITY * 0.7, rel=1e-12)
 
 
 def test_momentum_and_energy_of_a_free_tumble_with_payload(bench):
-    rig = bench({"initial": {"velocity_ned_m_s": [0.5, -0.3, -4.0]}})
-    config = rig.config
-    set_mass(rig.P, config.body.mass_kg, config.body.inertia_kg_m2, (0.0, 0.0, 0.0), (PAYLOAD,))
-    rig.state[10:13] = 9.0, -7.0, 5.0
-    m, centre = rig.P[at.MASS], rig.P[at.CENTRE : at.CENTRE + 3].copy()
-    xx, yy, zz, xy, xz, yz = rig.P[at.INERTIA : at.INERTIA + 6]
+    sim = bench({"initial": {"velocity_ned_m_s": [0.5, -0.3, -4.0]}})
+    config = sim.config
+    set_mass(sim.P, config.body.mass_kg, config.body.inertia_kg_m2, (0.0, 0.0, 0.0), (PAYLOAD,))
+    sim.state[10:13] = 9.0, -7.0, 5.0
+    m, centre = sim.P[at.MASS], sim.P[at.CENTRE : at.CENTRE + 3].copy()
+    xx, yy, zz, xy, xz, yz = sim.P[at.INERTIA : at.INERTIA + 6]
     J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
     def conserved(time_s):
-        R, w = matrix(rig.state), rig.state[10:13]
-        v = rig.state[3:6] + R @ np.cross(w, centre)
+        R, w = matrix(sim.state), sim.state[10:13]
+        v = sim.state[3:6] + R @ np.cross(w, centre)
         thrown = v - np.array([0, 0, GRAVITY * time_s])
-        fall = rig.state[2] + (R @ centre)[2]
+        fall = sim.state[2] + (R @ centre)[2]
         energy = 0.5 * m * v @ v + 0.5 * w @ J @ w - m * GRAVITY * fall
         return np.concatenate([m * thrown, R @ J @ w, [energy]])
 
     before = conserved(0.0)
-    rig.run([0] * 4, 1.0)
+    sim.run([0] * 4, 1.0)
     np.testing.assert_allclose(conserved(1.0), before, rtol=1e-7, atol=1e-12)
 
 
@@ -69,30 +69,30 @@ def test_payload_inertia_is_that_of_two_bodies():
     np.testing.assert_allclose(P[at.INVERSE : at.INVERSE + 3] * P[at.INERTIA : at.INERTIA + 3], 1.0)
 
 
-def test_drag_only_takes_energy(bench):
-    rig = bench({"drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3}})
-    rig.state[3:6], rig.state[10:13] = (4.0, -2.0, -3.0), (6.0, 4.0, -8.0)
-    J = np.array(rig.config.body.inertia_kg_m2)
+def test_drag_only_removes_energy(bench):
+    sim = bench({"drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3}})
+    sim.state[3:6], sim.state[10:13] = (4.0, -2.0, -3.0), (6.0, 4.0, -8.0)
+    J = np.array(sim.config.body.inertia_kg_m2)
     last = np.inf
     for _ in range(60):
-        rig.run([0] * 4, 0.01)
-        w, v = rig.state[10:13], rig.state[3:6]
-        energy = 0.5 * 0.063 * v @ v + 0.5 * w @ (J * w) - 0.063 * GRAVITY * rig.state[2]
+        sim.run([0] * 4, 0.01)
+        w, v = sim.state[10:13], sim.state[3:6]
+        energy = 0.5 * 0.063 * v @ v + 0.5 * w @ (J * w) - 0.063 * GRAVITY * sim.state[2]
         assert energy < last
         last = energy
 
 
 def test_terminal_speed(bench):
-    rig = bench(
+    sim = bench(
         {"drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3}, "initial": {"position_ned_m": [0, 0, -300]}}
     )
-    rig.run([0] * 4, 12.0)
-    v = rig.state[5]
+    sim.run([0] * 4, 12.0)
+    v = sim.state[5]
     assert 0.016 * v + 4.7e-3 * v * v == pytest.approx(0.063 * GRAVITY, rel=1e-6)
 
 
 def test_mirror_symmetry(bench):
-    """Left and right exchanged, the flight is the mirror image."""
+    """With left and right exchanged, the flight is the mirror image."""
     right, left = bench({"drag": {"linear_n_s_m": 0.02}}), bench({"drag": {"linear_n_s_m": 0.02}})
     right.run([0.5, 0.45, 0.44, 0.52], 0.4)
     left.run([0.44, 0.52, 0.5, 0.45], 0.4)
@@ -109,19 +109,19 @@ def test_mirror_symmetry(bench):
     ],
 )
 def test_signs_of_the_torques(bench, commands, axis, sign):
-    rig = bench()
-    rig.run(commands, 0.1)
-    assert sign * rig.state[axis] > 0.05
+    sim = bench()
+    sim.run(commands, 0.1)
+    assert sign * sim.state[axis] > 0.05
     others = [i for i in (10, 11, 12) if i != axis]
-    np.testing.assert_allclose(rig.state[others], 0.0, atol=1e-9)
+    np.testing.assert_allclose(sim.state[others], 0.0, atol=1e-9)
 
 
-def independent_derivative(t, y, rig, fractions):
+def independent_derivative(t, y, sim, fractions):
     """Newton and Euler for the composite of frame and payload, by a 6 x 6 mass matrix, with a rotation matrix as state.
 
     y: position 3, velocity 3, R 9, rates 3, thrusts 4.
     """
-    config, m_frame, (m_load, r) = rig.config, rig.config.body.mass_kg, PAYLOAD
+    config, m_frame, (m_load, r) = sim.config, sim.config.body.mass_kg, PAYLOAD
     r, R, w = np.array(r), y[6:15].reshape(3, 3), y[15:18]
     T = y[18:22]
     target = np.array(fractions) * config.motors.max_thrust_n
@@ -150,70 +150,70 @@ def independent_derivative(t, y, rig, fractions):
 
 
 def test_agrees_with_an_independent_integration(bench):
-    rig = bench(
+    sim = bench(
         {
             "drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3},
             "floor": {"ground_effect": 11.4},
             "initial": {"position_ned_m": [0.0, 0.0, -0.5], "velocity_ned_m_s": [1.0, -0.6, 0.2]},
         }
     )
-    set_mass(rig.P, rig.config.body.mass_kg, rig.config.body.inertia_kg_m2, (0.0, 0.0, 0.0), (PAYLOAD,))
-    rig.state[10:13] = 0.5, -0.8, 0.3
-    y = np.concatenate([rig.state[:6], matrix(rig.state).ravel(), rig.state[10:13], rig.state[13:17]])
+    set_mass(sim.P, sim.config.body.mass_kg, sim.config.body.inertia_kg_m2, (0.0, 0.0, 0.0), (PAYLOAD,))
+    sim.state[10:13] = 0.5, -0.8, 0.3
+    y = np.concatenate([sim.state[:6], matrix(sim.state).ravel(), sim.state[10:13], sim.state[13:17]])
     for fractions in ((0.7, 0.72, 0.69, 0.66), (0.55, 0.5, 0.6, 0.52), (0.8, 0.7, 0.75, 0.78)):
-        rig.run(fractions, 0.15)
-        y = solve_ivp(independent_derivative, (0, 0.15), y, args=(rig, fractions), rtol=1e-10, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(rig.state[:6], y[:6], atol=2e-7)
-    np.testing.assert_allclose(matrix(rig.state), y[6:15].reshape(3, 3), atol=2e-6)
-    np.testing.assert_allclose(rig.state[10:13], y[15:18], atol=2e-5)
-    np.testing.assert_allclose(rig.state[13:17], y[18:22], rtol=1e-8)
-    assert np.linalg.norm(rig.state[10:13]) > 1.0
+        sim.run(fractions, 0.15)
+        y = solve_ivp(independent_derivative, (0, 0.15), y, args=(sim, fractions), rtol=1e-10, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(sim.state[:6], y[:6], atol=2e-7)
+    np.testing.assert_allclose(matrix(sim.state), y[6:15].reshape(3, 3), atol=2e-6)
+    np.testing.assert_allclose(sim.state[10:13], y[15:18], atol=2e-5)
+    np.testing.assert_allclose(sim.state[13:17], y[18:22], rtol=1e-8)
+    assert np.linalg.norm(sim.state[10:13]) > 1.0
 
 
 def test_the_step_is_of_fourth_order(bench):
     def end(step_s):
-        rig = bench({"drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3}}, step_s=step_s)
-        rig.state[10:13] = 40.0, -30.0, 20.0
-        rig.run([0.0] * 4, 0.32)
-        return rig.state[:13].copy()
+        sim = bench({"drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3}}, step_s=step_s)
+        sim.state[10:13] = 40.0, -30.0, 20.0
+        sim.run([0.0] * 4, 0.32)
+        return sim.state[:13].copy()
 
     exact = end(0.00025)
     coarse, fine = (np.linalg.norm(end(step) - exact) for step in (0.008, 0.004))
     assert 10 < coarse / fine < 25
 
 
-def test_rotation_is_scipys(bench):
+def test_rotation_equals_that_of_scipy(bench):
     q = np.array([0.3, -0.5, 0.1, 0.8])
     R = np.array(rotation(*q)).reshape(3, 3)
     np.testing.assert_allclose(R, Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-14)
 
 
 def test_rests_on_the_floor(bench):
-    rig = bench({"initial": {"position_ned_m": None, "yaw_rad": 0.7}})
-    start = rig.state[:13].copy()
-    rig.run([0] * 4, 5.0)
-    np.testing.assert_allclose(rig.state[:13], start, atol=1e-9)
-    assert rig.state[at.AIRBORNE] == 0
+    sim = bench({"initial": {"position_ned_m": None, "yaw_rad": 0.7}})
+    start = sim.state[:13].copy()
+    sim.run([0] * 4, 5.0)
+    np.testing.assert_allclose(sim.state[:13], start, atol=1e-9)
+    assert sim.state[at.AIRBORNE] == 0
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, pi - 0.2])
 def test_comes_to_rest_after_a_drop(bench, tilt):
-    """Also on its back: nothing sinks into the floor, jitters or slides for ever."""
-    rig = bench({"initial": {"position_ned_m": [0.0, 0.0, -0.2], "velocity_ned_m_s": [0.4, 0.0, 0.0]}})
-    rig.state[6:10] = np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0
-    rig.run([0] * 4, 4.0)
-    np.testing.assert_allclose(rig.state[3:6], 0.0, atol=1e-4)
-    np.testing.assert_allclose(rig.state[10:13], 0.0, atol=1e-3)
-    assert -0.03 < rig.state[2] < -0.01
-    assert rig.sums[at.TOUCH_SPEED] == pytest.approx(np.sqrt(2 * GRAVITY * 0.17), rel=0.1)
+    """Also on its back: it does not sink into the floor, jitter or slide for ever."""
+    sim = bench({"initial": {"position_ned_m": [0.0, 0.0, -0.2], "velocity_ned_m_s": [0.4, 0.0, 0.0]}})
+    sim.state[6:10] = np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0
+    sim.run([0] * 4, 4.0)
+    np.testing.assert_allclose(sim.state[3:6], 0.0, atol=1e-4)
+    np.testing.assert_allclose(sim.state[10:13], 0.0, atol=1e-3)
+    assert -0.03 < sim.state[2] < -0.01
+    assert sim.sums[at.TOUCH_SPEED] == pytest.approx(np.sqrt(2 * GRAVITY * 0.17), rel=0.1)
 
 
 def test_ground_effect(bench):
-    """At a height of 3 R the same motors give 1 + 11.4/144 of the thrust that they give high up."""
+    """At a height of 3 R the thrust is 1 + 11.4/144 times that far above the floor."""
     high, low = (bench({"floor": {"ground_effect": 11.4}, "initial": {"hovering": True}}) for _ in range(2))
     low.state[2] = -3 * 0.033 + 0.0159
-    for rig in (high, low):
-        rig.run([0.063 * GRAVITY / 4 / 0.327] * 4, 0.001)
+    for sim in (high, low):
+        sim.run([0.063 * GRAVITY / 4 / 0.327] * 4, 0.001)
     assert high.state[at.ACCELERATION + 2] == pytest.approx(0.0, abs=1e-2)
     assert low.state[at.ACCELERATION + 2] == pytest.approx(-GRAVITY * 11.4 / 144, rel=2e-3)
 
@@ -224,7 +224,7 @@ unit = st.floats(-1.0, 1.0)
 @settings(max_examples=15, deadline=None)
 @given(st.lists(unit, min_size=13, max_size=13), st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4))
 def test_compiled_equals_python(numbers, commands):
-    """The compiled step gives what CPython gives for the same source: over the floor and high up, with a full world."""
+    """The compiled step equals CPython on the same source: near the floor and above, with all disturbances."""
     from sim_vehicle.config import load_vehicle
     from sim_vehicle.vehicle import initial_state
     from sim_vehicle.world.world import World

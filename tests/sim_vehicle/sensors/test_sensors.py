@@ -1,4 +1,4 @@
-"""What the sensors report, against their specification; frames are read back by pymavlink."""
+"""The sensors against their specification; pymavlink reads the frames."""
 
 from math import cos, pi, sin
 
@@ -97,7 +97,7 @@ def test_gyro_lags_one_sample(vehicle, motors, frames):
 
 
 def test_accelerometer_integrates_to_the_velocity(vehicle, motors, frames):
-    """It is the mean specific force: turned and summed it gives the velocity gained, up to rotation within a tick."""
+    """It is the mean specific force: its sum is the velocity gained, up to the rotation within a tick."""
     flying = vehicle({"sensors": QUIET, "initial": {"position_ned_m": [0, 0, -3]}})
     velocity = np.zeros(3)
     for k in range(30):
@@ -161,7 +161,7 @@ def test_ultrasonic_and_tilt():
 
 @pytest.mark.parametrize(("velocity", "rates"), [((0.7, -0.4, 0.0), (0, 0, 0)), ((0.3, 0.5, 0.0), (0.4, -0.6, 0.2))])
 def test_flow_keeps_px4s_signs(vehicle, frames, velocity, rates):
-    """Flow less gyro gives back the velocity; turning alone gives no velocity."""
+    """Flow minus gyro gives the velocity; rotation alone gives no velocity."""
     start = {"position_ned_m": [0, 0, -2], "velocity_ned_m_s": list(velocity)}
     flying = vehicle({"sensors": QUIET, "initial": start, "drag": NO_AIR})
     flying._state[at.RATES : at.RATES + 3] = rates
