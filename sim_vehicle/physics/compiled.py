@@ -23,7 +23,7 @@ COMPILED: Final[bool] = numba is not None
 """Whether this process runs compiled code."""
 
 COMPILED_CODE: Final = b"sim_vehicle.physics.layout"
-"""Text by which files with compiled code are recognised."""
+"""Text by which files with compiled code are recognised; those in disturbances/ all count."""
 
 YOUNG_S: Final = 3600.0
 """s; younger caches of other sources are not removed."""
@@ -39,8 +39,9 @@ def _cache_directory() -> Path | None:
     stored only where this user alone writes: beside the source, or in the home directory.
     """
     here = Path(__file__).resolve().parent
-    sources = [path.read_bytes() for path in sorted(here.parent.rglob("*.py"))]
-    name = "numba-" + hashlib.sha256(b"".join(text for text in sources if COMPILED_CODE in text)).hexdigest()[:16]
+    files = [(path, path.read_bytes()) for path in sorted(here.parent.rglob("*.py"))]
+    sources = [text for path, text in files if COMPILED_CODE in text or path.parent.name == "disturbances"]
+    name = "numba-" + hashlib.sha256(b"".join(sources)).hexdigest()[:16]
     for base in (here / "__pycache__", Path("~/.cache/async-dmrac").expanduser()):
         try:
             (base / name).mkdir(parents=True, exist_ok=True)
