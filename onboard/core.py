@@ -38,7 +38,7 @@ from onboard.sampling.signal_vector import SignalVector
 from protocol.clock import ForwardClock
 from protocol.conventions import NEVER_NS, Array
 from protocol.mavlink.signing import SigningClock
-from protocol.mavlink.status import BatteryReading
+from protocol.mavlink.vehicle import BatteryReading
 from protocol.messages import FeatureChunk
 from protocol.session import session_start_ns
 

@@ -170,12 +170,7 @@ def quaternion_of(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 def unit_product(a: Quaternion, b: Quaternion) -> Quaternion:
     """Hamilton product, scaled to unit length to first order."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    w = aw * bw - ax * bx - ay * by - az * bz
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
+    w, x, y, z = quaternion_multiply(a, b)
     scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
     return (w * scale, x * scale, y * scale, z * scale)
 

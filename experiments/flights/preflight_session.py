@@ -20,7 +20,7 @@ from onboard.preflight.checks import (
 )
 from onboard.preflight.motion_checks import check_motion
 from onboard.preflight.recorder import PoseSample, StepData, StepRecorder
-from protocol.mavlink.motors import OFF
+from protocol.mavlink.vehicle import OFF
 
 STILL_S: Final = 6.0
 MOTION_S: Final = 8.0

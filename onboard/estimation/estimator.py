@@ -13,7 +13,6 @@ error_state_filter.py is the filter; this file decides which measurements it get
 """
 
 import math
-from collections import Counter
 from typing import Final
 
 import numpy as np
@@ -24,13 +23,10 @@ from onboard.estimation.error_state_filter import ATTITUDE, GYRO_BIAS, POSITION,
 from onboard.estimation.imu_conditioning import StillStart, VibrationMeter
 from onboard.estimation.pose_fusion import PoseFusion
 from onboard.estimation.state import VehicleState
-from onboard.estimation.state_output import publish, publish_sigmas
 from protocol.conventions import NEVER_NS, Array
 from protocol.geometry import quaternion_of
-from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading, SensorReading
+from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading, SensorReading
 from protocol.messages import Pose
-
-__all__ = ["Estimator", "EstimatorConfig"]
 
 AIR_PA_PER_M: Final = 11.6
 """Pressure per metre of height at 20 degrees C near sea level."""
@@ -52,6 +48,7 @@ class Estimator:
         self._config = config
         self._filter = ErrorStateFilter(config.covariance_every)
         self._corrections = Corrections(config, self._filter, self.state)
+        self.counts, self.scores = self._corrections.counts, self._corrections.scores
         self._poses = PoseFusion(config, self._filter, self.state, self._corrections)
         self._aid_fresh_ns = int(config.aid_fresh_s * 1e9)
         self._recovery_ns = int(config.recovery_s * 1e9)
@@ -62,16 +59,6 @@ class Estimator:
         self._turn = 0
         self._pressure_sum, self._pressure_count = 0.0, 0
         self._pressure_zero_pa = 0.0
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Aids used and refused: "pose_used", "flow_refused" and so on."""
-        return self._corrections.counts
-
-    @property
-    def scores(self) -> dict[str, float]:
-        """Newest score of each aid: the squared innovation over its variance."""
-        return self._corrections.scores
 
     @property
     def covariance(self) -> Array:
@@ -139,10 +126,10 @@ class Estimator:
             self._pressure_count += 1
         self._turn = (self._turn + 1) % SLOW_AIDS
         self._fuse_slow_aid(self._turn, reading)
-        publish(state, self._filter, reading)
+        state.publish(self._filter, reading)
         state.height_valid = reading.time_ns - state.last_height_ns < 2 * self._aid_fresh_ns
         if self._turn == 0:
-            publish_sigmas(state, self._filter)
+            state.publish_sigmas(self._filter)
 
     def _find_start(self, reading: ImuReading) -> None:
         """Wait for still samples in a row, then set attitude and gyro bias from their means."""
@@ -162,7 +149,7 @@ class Estimator:
         self.state.initialised = True
         angles = f"roll {math.degrees(roll):.1f}, pitch {math.degrees(pitch):.1f} deg"
         self._corrections.report(reading.time_ns, f"attitude found: {angles}")
-        publish(self.state, self._filter, reading)
+        self.state.publish(self._filter, reading)
 
     def _bridge_gap(self, time_ns: int, gap_s: float) -> float:
         """Increase the uncertainty after missing IMU samples; returns the time step to integrate over."""

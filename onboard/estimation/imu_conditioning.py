@@ -5,7 +5,7 @@ from typing import Final
 
 from protocol.conventions import GRAVITY
 from protocol.geometry import Vector3
-from protocol.mavlink.sensors import ImuReading
+from protocol.mavlink.vehicle import ImuReading
 
 _CORNER: Final = 0.2
 """Weight of a sample in the low-pass that the high-pass subtracts: corner at 8 Hz for 200 samples a second."""

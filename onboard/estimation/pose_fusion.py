@@ -14,7 +14,6 @@ from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.corrections import Corrections
 from onboard.estimation.error_state_filter import ATTITUDE, POSITION, VELOCITY, ErrorStateFilter
 from onboard.estimation.state import VehicleState
-from onboard.estimation.state_output import publish_attitude
 from protocol.conventions import NEVER_NS
 from protocol.geometry import ZERO, Vector3, rotation_between, squared_length, subtract, turned_about_vertical, vector
 from protocol.messages import Pose
@@ -151,7 +150,7 @@ class PoseFusion:
             f.forget_history()
         self._counts["pose_jump"] += 1
         self._accept(now_ns)
-        publish_attitude(self._state, f)
+        self._state.publish_attitude(f)
         self._corrections.announce_jump(before, "pose", now_ns, float(self._state.euler[2] - yaw), always=True)
 
 

@@ -111,10 +111,4 @@ SPINNING: Final = frozenset({M.ARMED, M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL
 """Modes in which the motors may turn."""
 AIRBORNE: Final = frozenset({M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
 
-COMMAND_EVENTS: Final[dict[Command, Event]] = {
-    Command.ARM: E.ARM,
-    Command.DISARM: E.DISARM,
-    Command.TAKE_OFF: E.TAKE_OFF,
-    Command.LAND: E.LAND,
-    Command.TERMINATE: E.TERMINATE,
-}
+COMMAND_EVENTS: Final = {command: Event[command.name] for command in Command}

@@ -21,7 +21,7 @@ from protocol.conventions import NEVER_NS
 from protocol.mavlink import ground as wire
 from protocol.mavlink.frames import Frame, FrameReader, FrameWriter, Message
 from protocol.mavlink.signing import SigningClock
-from protocol.mavlink.status import HEARTBEAT, BatteryReading, encode_heartbeat, encode_system_status
+from protocol.mavlink.vehicle import HEARTBEAT, BatteryReading, encode_heartbeat, encode_system_status
 
 ACCEPTED: Final[int] = mavlink.MAV_RESULT_ACCEPTED
 REFUSED: Final[int] = mavlink.MAV_RESULT_TEMPORARILY_REJECTED

@@ -22,27 +22,10 @@ from configs.loader import ConfigRecord
 from onboard.links.health import LinkHealth, LinkHealthConfig
 from onboard.links.vehicle_clock import VehicleClock
 from protocol.conventions import NEVER_NS, Array
+from protocol.mavlink import vehicle as wire
 from protocol.mavlink.frames import Frame, FrameReader, FrameWriter
-from protocol.mavlink.motors import OFF, clip, encode_motors
-from protocol.mavlink.sensors import (
-    FLOWS,
-    IMU,
-    RANGE,
-    ImuReading,
-    SensorReading,
-    decode_flow,
-    decode_imu,
-    decode_range,
-)
 from protocol.mavlink.signing import SigningClock
-from protocol.mavlink.status import (
-    BATTERY_STATUS,
-    HEARTBEAT,
-    SYSTEM_STATUS,
-    BatteryReading,
-    decode_battery,
-    decode_system_status,
-)
+from protocol.mavlink.vehicle import BatteryReading, ImuReading, SensorReading
 
 FROZEN: Final = {"imu": "IMU", "flow": "optical flow", "range": "ultrasonic", "pressure": "pressure"}
 """Name of each sensor in the event."""
@@ -107,13 +90,13 @@ class VehicleLink:
         self._config = config
         clock = signing_clock or SigningClock()
         self._decoders = {
-            IMU: self._imu,
-            FLOWS[0]: self._flow,
-            FLOWS[1]: self._flow,
-            RANGE: self._range,
-            BATTERY_STATUS: self._battery,
-            SYSTEM_STATUS: self._battery,
-            HEARTBEAT: self._heartbeat,
+            wire.IMU: self._imu,
+            wire.FLOWS[0]: self._flow,
+            wire.FLOWS[1]: self._flow,
+            wire.RANGE: self._range,
+            wire.BATTERY_STATUS: self._battery,
+            wire.SYSTEM_STATUS: self._battery,
+            wire.HEARTBEAT: self._heartbeat,
         }
         self._reader = FrameReader(self._decoders, key, clock, config.signing_tolerance_s)
         self._writer = FrameWriter(config.own_system, config.own_component, key, clock)
@@ -175,15 +158,15 @@ class VehicleLink:
 
         Fractions outside 0..1 are clipped. `rejected["motor_command"]` counts commands that are not finite.
         """
-        controls = OFF
+        controls = wire.OFF
         if armed:
             f1, f2, f3, f4 = map(float, fractions)
             if math.isfinite(f1 + f2 + f3 + f4):
-                controls = (clip(f1), clip(f2), clip(f3), clip(f4))
+                controls = (wire.clip(f1), wire.clip(f2), wire.clip(f3), wire.clip(f4))
             else:
                 self.rejected["motor_command"] += 1
                 armed = False
-        return self._writer.write(encode_motors(now_ns // 1000, controls, armed), now_ns)
+        return self._writer.write(wire.encode_motors(now_ns // 1000, controls, armed), now_ns)
 
     def _is_ours(self, frame: Frame, now_ns: int) -> bool:
         """Choose the vehicle: the first one that sends, until it is silent for long."""
@@ -199,7 +182,7 @@ class VehicleLink:
         return False
 
     def _imu(self, frame: Frame, now_ns: int) -> Reading | None:
-        reading = decode_imu(frame.fields)
+        reading = wire.decode_imu(frame.fields)
         if reading is None:
             return self._refuse("imu_fields")
         stamp_ns, accelerometer, gyroscope, pressure_pa = reading
@@ -249,7 +232,7 @@ class VehicleLink:
         return True
 
     def _flow(self, frame: Frame, now_ns: int) -> Reading | None:
-        reading = decode_flow(frame.fields)
+        reading = wire.decode_flow(frame.fields)
         if reading is None or not 1e-3 <= reading.integration_s <= 0.5:
             return self._refuse("flow_time")
         limit = self._config.flow_rate_max_rad_s * reading.integration_s
@@ -263,7 +246,7 @@ class VehicleLink:
         return reading._replace(time_ns=self._slow_time(reading.time_ns, now_ns))
 
     def _range(self, frame: Frame, now_ns: int) -> Reading | None:
-        reading = decode_range(frame.fields)
+        reading = wire.decode_range(frame.fields)
         if reading is None:
             return self._refuse("range_orientation")
         distance_m = reading.distance_m
@@ -274,7 +257,7 @@ class VehicleLink:
         return reading._replace(time_ns=self._slow_time(reading.time_ns, now_ns))
 
     def _battery(self, frame: Frame, now_ns: int) -> Reading | None:
-        decode = decode_battery if frame.message_id == BATTERY_STATUS else decode_system_status
+        decode = wire.decode_battery if frame.message_id == wire.BATTERY_STATUS else wire.decode_system_status
         reading = decode(frame.fields, now_ns)
         if not 0.0 < reading.voltage_v < BATTERY_MAX_V or reading.remaining > 1.0:
             return self._refuse("battery")

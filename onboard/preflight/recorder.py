@@ -7,9 +7,8 @@ import numpy as np
 
 from onboard.links.vehicle import VehicleLink, VehicleLinkConfig
 from protocol.conventions import Array
-from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading
 from protocol.mavlink.signing import SigningClock
-from protocol.mavlink.status import BatteryReading
+from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, RangeReading
 
 RowT = TypeVar("RowT")
 

@@ -10,12 +10,11 @@ from typing import Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from protocol.mavlink import vehicle as wire
 from protocol.mavlink.frames import Fields, FrameReader, FrameWriter
 from protocol.mavlink.motion_capture import encode_odometry, odometry_covariances
-from protocol.mavlink.motors import MOTORS, Fractions, clip, decode_motors
-from protocol.mavlink.sensors import encode_flow, encode_imu, encode_range
 from protocol.mavlink.signing import SigningClock
-from protocol.mavlink.status import encode_battery, encode_heartbeat
+from protocol.mavlink.vehicle import Fractions, clip
 from sim_vehicle.physics.parameters import LinkConfig, MotionCaptureConfig, UltrasonicConfig
 from sim_vehicle.sensors.battery import BatterySample
 from sim_vehicle.sensors.flow import FlowSample
@@ -42,8 +41,8 @@ class VehicleCodec:
         self._clocks = (SigningClock(), SigningClock())
         self._sensors = FrameWriter(config.system_id, config.component_id, key, self._clocks[0])
         self._capture = FrameWriter(config.system_id, MOTION_CAPTURE_COMPONENT, key, self._clocks[1])
-        self._reader = FrameReader([MOTORS], key, tolerance_s=None)
-        self._ultrasonic = ultrasonic
+        self._reader = FrameReader([wire.MOTORS], key, tolerance_s=None)
+        self._range = (ultrasonic.least_m, ultrasonic.greatest_m), ultrasonic.noise_m
         position, attitude = capture.position_noise_m**2, capture.attitude_noise_rad**2
         self._covariances = odometry_covariances(position, attitude, 2.0 * position * capture.rate_hz**2)
 
@@ -54,35 +53,30 @@ class VehicleCodec:
 
     def imu(self, sample: ImuSample, time_us: int) -> bytes:
         """HIL_SENSOR."""
-        message = encode_imu(time_us, sample.accelerometer_m_s2, sample.gyroscope_rad_s, sample.pressure_pa)
-        return self._sensors.write(message, 0)
+        return self._sensors.write(wire.encode_imu(time_us, *sample), 0)
 
     def flow(self, sample: FlowSample, time_us: int) -> bytes:
         """HIL_OPTICAL_FLOW."""
-        message = encode_flow(time_us, sample.time_s, sample.flow_rad, sample.gyroscope_rad, sample.quality)
-        return self._sensors.write(message, 0)
+        return self._sensors.write(wire.encode_flow(time_us, *sample), 0)
 
     def distance(self, distance_m: float, time_us: int) -> bytes:
         """DISTANCE_SENSOR."""
-        sensor = self._ultrasonic
-        message = encode_range(time_us, distance_m, (sensor.least_m, sensor.greatest_m), sensor.noise_m)
-        return self._sensors.write(message, 0)
+        return self._sensors.write(wire.encode_range(time_us, distance_m, *self._range), 0)
 
     def battery(self, sample: BatterySample) -> bytes:
         """BATTERY_STATUS."""
-        remaining = max(0.0, sample.remaining)
-        return self._sensors.write(encode_battery(sample.voltage_v, sample.current_a, sample.used_mah, remaining), 0)
+        sample = sample._replace(remaining=max(0.0, sample.remaining))
+        return self._sensors.write(wire.encode_battery(*sample), 0)
 
     def heartbeat(self, armed: bool) -> bytes:
         """HEARTBEAT of a quadrotor's hardware without an autopilot of its own."""
         state = mavlink.MAV_STATE_ACTIVE if armed else mavlink.MAV_STATE_STANDBY
         mode = mavlink.MAV_MODE_FLAG_HIL_ENABLED
-        return self._sensors.write(encode_heartbeat(0, mavlink.MAV_AUTOPILOT_INVALID, mode, armed, state), 0)
+        return self._sensors.write(wire.encode_heartbeat(0, mavlink.MAV_AUTOPILOT_INVALID, mode, armed, state), 0)
 
     def pose(self, sample: PoseSample, time_us: int) -> bytes:
         """ODOMETRY."""
-        motion = sample.position_m, sample.quaternion, sample.velocity_m_s
-        return self._capture.write(encode_odometry(time_us, *motion, self._covariances), 0)
+        return self._capture.write(encode_odometry(time_us, *sample, self._covariances), 0)
 
     def motor_command(self, datagram: bytes) -> tuple[Fractions, bool] | None:
         """The newest motor command in a datagram: fractions, and whether armed. None if there is none."""
@@ -97,7 +91,7 @@ class VehicleCodec:
         return command
 
     def _checked(self, fields: Fields) -> tuple[Fractions, bool] | None:
-        fractions, armed = decode_motors(fields)
+        fractions, armed = wire.decode_motors(fields)
         f1, f2, f3, f4 = fractions
         if 0.0 <= f1 <= 1.0 and 0.0 <= f2 <= 1.0 and 0.0 <= f3 <= 1.0 and 0.0 <= f4 <= 1.0:
             return fractions, armed

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
-from protocol.mavlink.sensors import FlowReading
+from protocol.mavlink.vehicle import FlowReading
 from protocol.session import session_number
 from sim_vehicle.link.radio import Radio
 from sim_vehicle.lockstep import Lockstep

@@ -8,7 +8,7 @@ import pytest
 
 from onboard.links.frame_stream import FrameStream
 from protocol.mavlink.frames import FrameWriter
-from protocol.mavlink.status import encode_heartbeat
+from protocol.mavlink.vehicle import encode_heartbeat
 from runtime.errors import StartError
 from runtime.serial_port import WAITING_MAX, SerialPort
 

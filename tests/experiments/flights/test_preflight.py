@@ -14,18 +14,19 @@ from runtime.errors import StartError
 from tests.experiments.flights.preflight_vehicle import HeldVehicle
 
 
+def session_with(vehicle, with_pose=False):
+    return PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), with_pose)
+
+
 def checked(*mistakes, with_pose=True, motion=True, motors=True, consent=True):
     vehicle = HeldVehicle(mistakes, consent)
-    recorder = StepRecorder(VehicleLinkConfig())
-    session = PreflightSession(vehicle, vehicle, recorder, PreflightConfig(), with_pose)
-    return session.run(motion, motors), vehicle
+    return session_with(vehicle, with_pose).run(motion, motors), vehicle
 
 
 def rows_of(step, *mistakes):
     """The rows of one step alone."""
-    vehicle, config = HeldVehicle(mistakes), PreflightConfig()
-    recording = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), config, True)._record(step, 6.0)
-    return check_still(recording, config, True) if step is Step.STILL else check_motion(step, recording, config, True)
+    data, config = session_with(HeldVehicle(mistakes), True)._record(step, 6.0), PreflightConfig()
+    return check_still(data, config, True) if step is Step.STILL else check_motion(step, data, config, True)
 
 
 def step_of(row):
@@ -34,9 +35,7 @@ def step_of(row):
 
 
 def motor_rows(*mistakes):
-    vehicle = HeldVehicle(mistakes)
-    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
-    return session._spin_motors()
+    return session_with(HeldVehicle(mistakes))._spin_motors()
 
 
 def failures(checks):
@@ -126,8 +125,7 @@ def test_a_vehicle_that_is_silent_while_a_motor_turns_gets_stop_commands():
     vehicle = HeldVehicle()
     frames = vehicle.frames
     vehicle.frames = lambda: [] if vehicle.commands[-1][1] else frames()
-    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
-    checks = session.run(motion=False, motors=True)
+    checks = session_with(vehicle).run(motion=False, motors=True)
     assert "was silent" in checks[-1].hint
     assert sum(armed for _, armed in vehicle.commands) < 60
     assert vehicle.last_command == ((0.0,) * 4, False)
@@ -142,18 +140,16 @@ def test_an_exception_while_a_motor_turns_stops_it():
             raise KeyboardInterrupt
         return []
 
-    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
     vehicle.frames = broken
     with pytest.raises(KeyboardInterrupt):
-        session._spin(1)
+        session_with(vehicle)._spin(1)
     assert vehicle.last_command == ((0.0,) * 4, False)
 
 
 def test_a_silent_vehicle_ends_the_check_at_once():
     vehicle = HeldVehicle()
     vehicle.frames = list
-    session = PreflightSession(vehicle, vehicle, StepRecorder(VehicleLinkConfig()), PreflightConfig(), False)
-    checks = session.run(True, True)
+    checks = session_with(vehicle).run(True, True)
     assert [check.name for check in checks] == ["vehicle received"]
     assert "wrong address" in checks[0].hint
 

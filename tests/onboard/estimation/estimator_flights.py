@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from onboard.estimation.estimator import Estimator, EstimatorConfig
-from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading
+from onboard.estimation.config import EstimatorConfig
+from onboard.estimation.estimator import Estimator
+from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading
 from protocol.messages import Pose
 
 RATE = 200

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from onboard.estimation.estimator import EstimatorConfig
-from protocol.mavlink.sensors import ImuReading
+from onboard.estimation.config import EstimatorConfig
+from protocol.mavlink.vehicle import ImuReading
 from protocol.messages import Pose
 from tests.onboard.estimation.estimator_flights import RATE, STEP_NS, Flight, Noise, Truth
 

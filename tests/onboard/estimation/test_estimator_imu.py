@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from onboard.estimation.estimator import Estimator, EstimatorConfig
-from protocol.mavlink.sensors import ImuReading
+from onboard.estimation.config import EstimatorConfig
+from onboard.estimation.estimator import Estimator
+from protocol.mavlink.vehicle import ImuReading
 from tests.onboard.estimation.estimator_flights import RATE, STEP_NS, Flight, Truth
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from onboard.links.frame_stream import FrameStream
 from protocol.mavlink.frames import FrameWriter
-from protocol.mavlink.motors import encode_motors
+from protocol.mavlink.vehicle import encode_motors
 
 
 def frames(count, key=None):

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from onboard.estimation.state import VehicleState
 from onboard.flight.modes import Command, FlightMode
 from onboard.links.ground import GroundLink, GroundLinkConfig
-from protocol.mavlink.status import BatteryReading
+from protocol.mavlink.vehicle import BatteryReading
 
 STEP_NS = 5_000_000
 KEY = bytes(range(32))

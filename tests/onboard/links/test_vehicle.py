@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink.sensors import FlowReading, ImuReading, RangeReading
-from protocol.mavlink.status import ARMED, BatteryReading
+from protocol.mavlink.vehicle import ARMED, BatteryReading, FlowReading, ImuReading, RangeReading
 from tests.onboard.links.pymavlink_vehicle import KEY, LATENCY_NS, STEP_NS, Link, Vehicle
 
 

@@ -1,7 +1,8 @@
-"""Vehicle to onboard: inertial sensors and pressure, optical flow, distance to the floor.
+"""Vehicle to onboard: inertial sensors, optical flow, distance, battery, heartbeat. Onboard to vehicle: motors.
 
-The simulated vehicle encodes; onboard/links/vehicle.py decodes. Both sides use the same axes (body FRD); only units and
-field order differ. Decoded readings carry the vehicle's clock, which VehicleLink replaces by the onboard clock.
+The simulated vehicle is one end, onboard/links/vehicle.py the other. Both use the axes (body FRD) and the motor order
+(PX4 quad-X) of the messages; only units and field order differ. Decoded readings carry the vehicle's clock, which
+VehicleLink replaces by the onboard clock. HEARTBEAT and SYS_STATUS are also sent to a ground station.
 """
 
 from typing import Final, NamedTuple
@@ -15,7 +16,11 @@ IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_SENSOR
 FLOWS: Final = (mavlink.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD)
 """Two messages with the same fields."""
 RANGE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
-
+HEARTBEAT: Final[int] = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+BATTERY_STATUS: Final[int] = mavlink.MAVLINK_MSG_ID_BATTERY_STATUS
+SYSTEM_STATUS: Final[int] = mavlink.MAVLINK_MSG_ID_SYS_STATUS
+MOTORS: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
+ARMED: Final[int] = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 _INERTIAL_FIELDS: Final = 0b111_111
 """Bits of HIL_SENSOR.fields_updated: three accelerometers, three gyroscopes."""
 _PRESSURE_FIELD: Final[int] = mavlink.HIL_SENSOR_UPDATED_ABS_PRESSURE
@@ -23,6 +28,8 @@ _SENT_FIELDS: Final[int] = _INERTIAL_FIELDS | _PRESSURE_FIELD | mavlink.HIL_SENS
 _TEMPERATURE_C: Final = 25.0
 _TEMPERATURE_CENTI_C: Final = 2500
 _DOWN: Final[int] = mavlink.MAV_SENSOR_ROTATION_PITCH_270
+_MAVLINK_VERSION: Final = 3
+_UNKNOWN_MV: Final = 0xFFFF
 _MICROSECONDS_MAX: Final = 2**63 // 1000
 
 
@@ -116,3 +123,87 @@ def decode_range(f: Fields) -> RangeReading | None:
 
 
 SensorReading = ImuReading | FlowReading | RangeReading
+
+
+# -- heartbeat and battery -------------------------------------------------------------------------------------------
+
+
+class BatteryReading(NamedTuple):
+    """BATTERY_STATUS or SYS_STATUS: the battery under load."""
+
+    time_ns: int
+    """Arrival: these messages carry no time."""
+    voltage_v: float
+    """0 if unknown."""
+    remaining: float
+    """Fraction 0..1; negative if unknown."""
+
+
+def encode_heartbeat(custom_mode: int, autopilot: int, base_mode: int, armed: bool, state: int) -> Message:
+    """HEARTBEAT of a quadrotor."""
+    mode = base_mode | ARMED if armed else base_mode
+    fields = (custom_mode, mavlink.MAV_TYPE_QUADROTOR, autopilot, mode, state, _MAVLINK_VERSION)
+    return Message(mavlink.MAVLink_heartbeat_message, fields)
+
+
+def encode_battery(voltage_v: float, current_a: float, used_mah: float, remaining: float) -> Message:
+    """BATTERY_STATUS of one lithium cell: mV, 10 mA, mAh, per cent."""
+    cells_mv = (_millivolts(voltage_v), *(_UNKNOWN_MV,) * 9)
+    kind = (0, mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_LIPO)
+    current_ca = min(32767, round(current_a * 100))
+    fields = (round(used_mah), -1, _TEMPERATURE_CENTI_C, *cells_mv, current_ca, *kind, _percent(remaining))
+    return Message(mavlink.MAVLink_battery_status_message, fields)
+
+
+def decode_battery(f: Fields, now_ns: int) -> BatteryReading:
+    """The sum of the cells whose voltage is known."""
+    # current_consumed, energy_consumed, temperature, voltages 10 (mV), current, id, function, type, remaining (%)
+    return _reading(now_ns, sum(cell for cell in f[3:13] if cell != _UNKNOWN_MV), f[17])
+
+
+def encode_system_status(present: int, healthy: int, voltage_v: float, remaining: float) -> Message:
+    """SYS_STATUS: sensors that are present (all enabled) and healthy, and the battery."""
+    fields = (present, present, healthy, 0, _millivolts(voltage_v), -1, 0, 0, 0, 0, 0, 0, _percent(remaining), 0, 0, 0)
+    return Message(mavlink.MAVLink_sys_status_message, fields)
+
+
+def decode_system_status(f: Fields, now_ns: int) -> BatteryReading:
+    """The battery's part of SYS_STATUS."""
+    # three sensor masks, load, voltage (mV), current, six counters, remaining (%)
+    return _reading(now_ns, 0 if f[4] == _UNKNOWN_MV else f[4], f[12])
+
+
+def _reading(now_ns: int, millivolts: int, percent: int) -> BatteryReading:
+    return BatteryReading(now_ns, millivolts * 1e-3, percent * 0.01 if percent >= 0 else -1.0)
+
+
+def _millivolts(voltage_v: float) -> int:
+    return min(round(voltage_v * 1000), _UNKNOWN_MV - 1) if voltage_v > 0.0 else _UNKNOWN_MV
+
+
+def _percent(remaining: float) -> int:
+    return round(100 * min(remaining, 1.0)) if remaining >= 0.0 else -1
+
+
+# -- motors -----------------------------------------------------------------------------------------------------------
+
+Fractions = tuple[float, float, float, float]
+OFF: Final[Fractions] = (0.0, 0.0, 0.0, 0.0)
+_UNUSED: Final = (0.0,) * 12
+
+
+def clip(fraction: float) -> float:
+    """The nearest value in 0..1."""
+    return min(max(fraction, 0.0), 1.0)
+
+
+def encode_motors(time_us: int, fractions: Fractions, armed: bool) -> Message:
+    """Motor command."""
+    fields = (time_us, 0, *fractions, *_UNUSED, ARMED if armed else 0)
+    return Message(mavlink.MAVLink_hil_actuator_controls_message, fields)
+
+
+def decode_motors(f: Fields) -> tuple[Fractions, bool]:
+    """Fractions as sent (they may be outside 0..1 or not finite), and whether armed."""
+    # time_usec, flags, controls 16, mode
+    return f[2:6], bool(f[18] & ARMED)
