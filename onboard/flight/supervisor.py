@@ -232,7 +232,7 @@ class Supervisor:
         silent = inputs.offboard_age_s > self._config.offboard_silent_s
         if silent != self._offboard_silent:
             self._offboard_silent = silent
-            self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard received"))
+            self._events.append((inputs.now_ns, "offboard silent" if silent else "offboard connected"))
 
     def _report_readiness(self, inputs: SupervisorInputs) -> None:
         """Report why the vehicle cannot be armed: each reason once (numbers apart), after it has lasted."""

@@ -1,4 +1,4 @@
-"""What docs/real_mambo.md promises: its command, its numbers, and real processes without the simulated radio."""
+"""docs/real_mambo.md: its command and numbers, and real processes without the simulated radio."""
 
 import contextlib
 import os
@@ -70,7 +70,7 @@ def test_the_pages_limits_are_those_of_the_configuration(name, words):
     assert value in numbers or value * 1000 in numbers
 
 
-def test_the_page_says_what_preflight_leaves_for_onboard():
+def test_the_page_names_the_certificate_and_its_validity():
     assert certificate_name("192.168.3.1:14560") in PAGE
     assert f"{AGE_MAX_S // 3600} hours" in PAGE
 

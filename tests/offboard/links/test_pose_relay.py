@@ -1,4 +1,4 @@
-"""Motion capture in, poses out; rubbish counted."""
+"""Pose relay: motion capture in, poses out; refused datagrams are counted."""
 
 import math
 
@@ -32,8 +32,8 @@ def odometry(time_us: int = 1000, x: float = 0.5, q: tuple[float, ...] = (1.0, 0
     )
 
 
-def texts(taker: PoseRelay) -> list[str]:
-    return [text for _, text in taker.take_events()]
+def texts(relay_: PoseRelay) -> list[str]:
+    return [text for _, text in relay_.take_events()]
 
 
 def test_three_kinds_of_messages_give_the_same_pose() -> None:
@@ -63,59 +63,59 @@ def test_three_kinds_of_messages_give_the_same_pose() -> None:
         (packed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3)), "message"),
     ],
 )
-def test_what_cannot_be_believed_is_counted_by_reason(datagram: bytes, reason: str) -> None:
-    taker = relay()
-    assert taker.receive(datagram, 5 * MS) is None
-    assert taker.rejected == {reason: 1}
-    assert texts(taker) == [f"motion capture: {REASONS[reason]}, pose ignored"]
-    assert taker.receive(odometry(), 6 * MS) is not None
+def test_refused_datagrams_are_counted_by_reason(datagram: bytes, reason: str) -> None:
+    relay_ = relay()
+    assert relay_.receive(datagram, 5 * MS) is None
+    assert relay_.rejected == {reason: 1}
+    assert texts(relay_) == [f"motion capture: {REASONS[reason]}, pose ignored"]
+    assert relay_.receive(odometry(), 6 * MS) is not None
 
 
-def test_a_capture_that_repeats_one_pose_is_not_relayed_until_it_sees_again() -> None:
-    taker = relay()
-    relayed = [taker.receive(odometry(10_000 * k, x=0.7), 10 * k * MS) is not None for k in range(1, 41)]
+def test_a_frozen_capture_is_not_relayed_until_it_moves_again() -> None:
+    relay_ = relay()
+    relayed = [relay_.receive(odometry(10_000 * k, x=0.7), 10 * k * MS) is not None for k in range(1, 41)]
     assert relayed == [True] * FROZEN_POSES + [False] * (40 - FROZEN_POSES)
-    assert taker.rejected == {"frozen": 40 - FROZEN_POSES}
-    assert texts(taker) == ["motion capture: repeats one pose (frozen), pose ignored"]
-    assert taker.receive(odometry(410_000, x=0.70001), 410 * MS) is not None
+    assert relay_.rejected == {"frozen": 40 - FROZEN_POSES}
+    assert texts(relay_) == ["motion capture: repeats one pose (frozen), pose ignored"]
+    assert relay_.receive(odometry(410_000, x=0.70001), 410 * MS) is not None
 
 
-def test_what_is_wrong_is_said_once_a_second() -> None:
-    taker = relay()
+def test_each_reason_is_reported_once_a_second() -> None:
+    relay_ = relay()
     for k in range(250):
-        assert taker.receive(odometry(10_000 * k, x=math.nan), 10 * k * MS) is None
-    assert [when // MS for when, _ in taker.take_events()] == [0, 1000, 2000]
+        assert relay_.receive(odometry(10_000 * k, x=math.nan), 10 * k * MS) is None
+    assert [when // MS for when, _ in relay_.take_events()] == [0, 1000, 2000]
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=300))
 def test_no_bytes_raise(datagram: bytes) -> None:
-    taker = relay()
-    taker.receive(datagram, MS)
+    relay_ = relay()
+    relay_.receive(datagram, MS)
     damaged = bytearray(odometry())
     for place, byte in enumerate(datagram[: len(damaged)]):
         damaged[place] ^= byte & 1
-    taker.receive(bytes(damaged), MS)
+    relay_.receive(bytes(damaged), MS)
 
 
-def test_a_late_datagram_keeps_the_time_at_which_its_pose_was_true() -> None:
-    taker = relay(latency_s=0.004)
+def test_a_late_datagram_keeps_the_time_of_its_pose() -> None:
+    relay_ = relay(latency_s=0.004)
     delays_ms = (3, 1, 9, 1, 14, 2)
     times = []
     for number, delay_ms in enumerate(delays_ms):
         capture_ms = 1000 + 20 * number
-        pose = taker.receive(odometry(capture_ms * 1000), (capture_ms + 500 + delay_ms) * MS)
+        pose = relay_.receive(odometry(capture_ms * 1000), (capture_ms + 500 + delay_ms) * MS)
         assert pose is not None
         times.append(pose.time_ns / MS - capture_ms - 500 + 4)
     assert times == pytest.approx([3, 1, 1, 1, 1, 1], abs=0.02)
 
 
 def test_old_poses_are_dropped_and_a_restarted_capture_is_followed() -> None:
-    taker = relay()
-    assert taker.receive(odometry(100_000), 1000 * MS) is not None
-    assert taker.receive(odometry(80_000), 1001 * MS) is None
-    assert taker.receive(odometry(100_000), 1002 * MS) is None
-    assert taker.rejected == {"old": 2}
-    pose = taker.receive(odometry(5_000), 2000 * MS)
+    relay_ = relay()
+    assert relay_.receive(odometry(100_000), 1000 * MS) is not None
+    assert relay_.receive(odometry(80_000), 1001 * MS) is None
+    assert relay_.receive(odometry(100_000), 1002 * MS) is None
+    assert relay_.rejected == {"old": 2}
+    pose = relay_.receive(odometry(5_000), 2000 * MS)
     assert pose is not None
     assert pose.time_ns == 2000 * MS

@@ -1,4 +1,4 @@
-"""Analytic flights for the estimator: a truth, sensors written from their definitions, noise, and the errors kept."""
+"""Analytic flights for the estimator: truth, sensors computed from their definitions, noise, and recorded errors."""
 
 import math
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ DEFAULTS = EstimatorConfig()
 
 @dataclass
 class Truth:
-    """Analytic flight: 1 s on the ground, then up to 1.2 m and round a tilted figure, yawing slowly."""
+    """Analytic flight: 1 s on the ground, then up to 1.2 m and along a tilted figure with slow yaw."""
 
     seconds: float = 20.0
     speed: float = 1.0
@@ -91,7 +91,7 @@ class Noise:
 
 @dataclass
 class Flight:
-    """Runs an estimator along a truth and keeps its errors."""
+    """Runs an estimator along a truth and records its errors."""
 
     truth: Truth = field(default_factory=Truth)
     noise: Noise = field(default_factory=Noise)
@@ -171,7 +171,7 @@ class Flight:
         return self
 
     def _note(self, aid, estimator):
-        """Keeps the newest score of an aid, once it has flown for a while."""
+        """Record the newest score of an aid, after the first 4 s."""
         score = estimator.scores.pop(aid, None)
         if score is not None and estimator.state.time_ns > 4e9:
             self.scores[aid].append(score)

@@ -1,4 +1,4 @@
-"""The filter's parts against independent computations: rotations, linearisation, delayed corrections."""
+"""The filter compared with independent computations: rotations, linearisation, delayed corrections."""
 
 import math
 
@@ -53,7 +53,7 @@ def test_half_a_turn_and_no_turn():
 
 
 def flown(rng, samples=40, every=1):
-    """A filter after a short wild flight, and the samples it was given."""
+    """A filter after a short random flight, and its samples."""
     f = ErrorStateFilter(every)
     f.start(quaternion_of(0.1, -0.2, 0.5), (0.02, 0.01, -0.03), (0.1,) * 15)
     forces = (rng.normal(0, 2, (samples, 3)) - np.array([0.0, 0.0, GRAVITY])).tolist()
@@ -65,7 +65,7 @@ def flown(rng, samples=40, every=1):
 
 
 def perturbed(f, error):
-    """The truth that an estimate with this error has."""
+    """The truth for an estimate with this error."""
     return (
         np.array(f.position) + error[0:3],
         np.array(f.velocity) + error[3:6],
@@ -76,7 +76,7 @@ def perturbed(f, error):
 
 
 def test_the_transition_matrix_is_the_derivative_of_the_equations():
-    """A small error, run through the nonlinear equations, comes out as Phi says."""
+    """A small error follows Phi in the nonlinear equations."""
     rng = np.random.default_rng(1)
     f, _ = flown(rng)
     small = 1e-5 * rng.standard_normal(15)
@@ -101,14 +101,14 @@ def test_the_transition_matrix_is_the_derivative_of_the_equations():
 
 
 def test_covariance_over_several_samples_is_that_of_single_samples():
-    """Gathering four samples before one covariance step changes standard deviations by less than two percent."""
+    """Collecting four samples before one covariance step changes standard deviations by less than two percent."""
     single, _ = flown(np.random.default_rng(2), every=1)
     gathered, _ = flown(np.random.default_rng(2), every=4)
     np.testing.assert_allclose(np.sqrt(np.diag(gathered.P)), np.sqrt(np.diag(single.P)), rtol=0.02)
 
 
 def test_covariance_of_a_hover_agrees_with_the_continuous_equations():
-    """P(t) of the linear system at hover, by the matrix quaternion_of_rotation_vector (Van Loan 1978)."""
+    """P(t) of the linear system at hover, by the matrix exponential (Van Loan 1978)."""
     f = ErrorStateFilter(2)
     f.start((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), tuple(np.linspace(0.01, 0.15, 15)))
     P0 = f.P.copy()
@@ -126,8 +126,8 @@ def test_covariance_of_a_hover_agrees_with_the_continuous_equations():
     np.testing.assert_allclose(np.sqrt(np.diag(f.P)), np.sqrt(np.diag(P)), rtol=0.03)
 
 
-def test_the_past_is_what_it_would_have_been_with_later_corrections():
-    """Position and velocity corrections made since reach back to a stored state as the equations of motion say."""
+def test_later_corrections_apply_to_past_states():
+    """Later corrections of position and velocity apply to a stored state by the equations of motion."""
     rng = np.random.default_rng(3)
     f, inputs = flown(rng)
     twin = ErrorStateFilter(1)
@@ -147,7 +147,7 @@ def test_the_past_is_what_it_would_have_been_with_later_corrections():
     np.testing.assert_allclose(np.reshape(past.rotation, (3, 3)), theirs, atol=1e-5)
 
 
-def test_between_samples_the_past_runs_on():
+def test_between_samples_the_past_state_moves_on():
     f, _ = flown(np.random.default_rng(4))
     at, between = f.at(20 * STEP_NS), f.at(20 * STEP_NS + 2_000_000)
     np.testing.assert_allclose(between.position, np.array(at.position) + 0.002 * np.array(at.velocity), atol=1e-12)
@@ -167,7 +167,7 @@ def test_history_is_bounded_and_can_be_forgotten():
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.08])
 def test_corrections_are_those_of_the_textbook(delay_s):
-    """Gain and covariance of each correction against the plain matrix formula."""
+    """Gain and covariance of each correction, compared with the matrix formula."""
     rng = np.random.default_rng(6)
     f, _ = flown(rng)
     y = np.array([0.02, -0.01, 0.03])
@@ -185,7 +185,7 @@ def test_corrections_are_those_of_the_textbook(delay_s):
     np.testing.assert_allclose(after - before, error, atol=1e-10)
 
 
-def test_what_the_gate_refuses_changes_nothing():
+def test_a_measurement_outside_the_gate_changes_nothing():
     f, _ = flown(np.random.default_rng(7))
     P, position = f.P.copy(), f.position
     assert f.correct_scalar(0, 50.0, 1e-4, 9.0) > 9.0
@@ -206,7 +206,7 @@ def test_scalar_corrections_by_index_and_by_row_agree():
 
 
 def test_a_velocity_that_may_have_been_wrong_for_a_while_is_found_by_a_position():
-    """Inflated along (T v, v), an innovation of 1 cm is explained by T s of a wrong velocity, up to the delay."""
+    """After inflation along (T v, v), a velocity that was wrong for T s explains an innovation of 1 cm."""
     f, _ = flown(np.random.default_rng(1))
     f.restart_error(0, 1e-4)
     f.restart_error(3, 1e-4)

@@ -1,4 +1,4 @@
-"""The estimator against an independent truth: consistency, with pose and without."""
+"""The estimator compared with an independent truth: consistency, with and without pose."""
 
 import math
 
@@ -21,7 +21,7 @@ MATCHED = EstimatorConfig(
     flow_scale_sigma=0.02,
     range_sigma_m=0.03,
 )
-"""What the sensors of Noise really are."""
+"""The true noise of Noise's sensors."""
 BLOCKS = {
     "position": slice(0, 3),
     "velocity": slice(3, 6),
@@ -38,11 +38,11 @@ SEEDS = [pytest.param(range(3), id="3 seeds"), pytest.param(range(50), id="50 se
 
 @pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("pose", [True, False], ids=["pose", "no pose"])
-def test_errors_are_what_the_covariance_says(seeds, pose):
-    """Mean NEES of each block against its dimension, for sensors that are what the filter believes they are.
+def test_errors_agree_with_the_covariance(seeds, pose):
+    """Mean NEES of each block against its dimension, for sensors with the noise that the filter assumes.
 
     The biases are constant here while the filter lets them walk, and the start is exact, so values below the
-    dimension are right; values above it would be the dangerous kind of wrong.
+    dimension are right; values above it would be dangerous.
     """
     windows = ((0.0, 1e9),) if pose else ()
     nees = {name: [] for name in BLOCKS}
@@ -61,8 +61,8 @@ def test_errors_are_what_the_covariance_says(seeds, pose):
 
 
 @pytest.mark.parametrize("seeds", SEEDS)
-def test_innovations_are_what_the_filter_expects(seeds):
-    """Mean NIS against the dimension, and the share beyond the 95 % quantile; range has outliers, hence its median."""
+def test_innovations_agree_with_the_filter(seeds):
+    """Mean NIS against the dimension, and the share above the 95 % quantile; for range, with outliers, the median."""
     scores = {"pose_position": [], "pose_attitude": [], "flow": []}
     ranges = []
     for seed in seeds:
@@ -95,15 +95,15 @@ def test_the_delay_of_a_pose_does_not_matter(delay_s):
     assert Flight(noise=noise, truth=Truth(12.0, speed=1.5)).run().position_rmse(4.0) < 0.012
 
 
-def test_a_delay_that_is_not_told_does_matter():
-    """The ablation: 100 ms old poses taken for present ones put the estimate 100 ms behind."""
+def test_an_unknown_delay_matters():
+    """Ablation: poses of 100 ms age without their time stamps put the estimate 100 ms behind."""
     noise = Noise(pose_delay_s=0.1, pose_rate=100)
     flight = Flight(noise=noise, truth=Truth(12.0, speed=1.5)).run(stamp_fault=lambda pose, now_ns: now_ns)
     assert flight.position_rmse(4.0) > 0.05
 
 
-def test_a_clock_that_may_be_wrong_does_not_upset_the_estimate():
-    """On a slow link: 50 ms wrong, and told that it may be. Not told, the estimate is worse by far."""
+def test_a_clock_error_within_its_sigma_does_not_disturb_the_estimate():
+    """A clock error of 50 ms on a slow link. Without its sigma the estimate is much worse."""
 
     def errors(time_sigma_s):
         noise = Noise(pose_m=0.0007, pose_delay_s=0.2, pose_rate=100)
@@ -131,7 +131,7 @@ def test_the_first_poses_make_one_announced_jump():
 
 
 def test_a_first_pose_in_flight_makes_one_announced_jump_and_keeps_the_velocity():
-    """Flown on flow alone in a frame of its own; then the room's frame comes, shifted and turned."""
+    """Flown on flow alone in its own frame; then poses in the room's frame, shifted and turned."""
     truth = Truth(14.0, start=(2.0, -1.0), yaw_start=0.8)
     flight = Flight(truth=truth, pose_windows=((8.0, 99.0),)).run()
     ((when, jump, yaw),) = flight.jumps
@@ -159,7 +159,7 @@ def test_outliers_among_poses_are_refused():
 
 
 def test_a_pose_with_a_swapped_attitude_is_refused():
-    """Markers mistaken for one another: right place, wrong way up. Its position counts, its attitude does not."""
+    """Swapped markers: right position, upside down. The position counts, the attitude does not."""
 
     def fault(t, position, quaternion):
         return position, np.array([0.0, 1.0, 0.0, 0.0]) if 5.0 < t < 5.05 else quaternion
@@ -170,7 +170,7 @@ def test_a_pose_with_a_swapped_attitude_is_refused():
 
 
 def chipped_rotor(t, imu):
-    """From 5 s on a rotor's imbalance, 25 m/s^2, folded by the sampling to a frequency that wanders from 40 Hz to 0."""
+    """From 5 s on a rotor's imbalance, 25 m/s^2, aliased to a frequency that varies from 40 Hz to 0."""
     if t < 5.0:
         return imu
     phase = 2.0 * math.pi * 20.0 * (t - 5.0) + 20.0 / 0.7 * (1.0 - math.cos(2.0 * math.pi * 0.7 * (t - 5.0)))
@@ -179,8 +179,8 @@ def chipped_rotor(t, imu):
     return ImuReading(imu.time_ns, shaken, imu.gyroscope, imu.pressure_pa)
 
 
-def test_a_chipped_rotor_does_not_carry_the_velocity_away():
-    """The poses, of motion capture, say what the velocity is; believing the accelerometer, the estimate would leave."""
+def test_the_velocity_does_not_drift_with_a_chipped_rotor():
+    """The poses determine the velocity; with the accelerometer alone the estimate would drift away."""
 
     def flight(config):
         noise = Noise(pose_m=0.0007, pose_delay_s=0.015, pose_rate=100)
@@ -196,8 +196,8 @@ def test_a_chipped_rotor_does_not_carry_the_velocity_away():
     assert velocity_m_s > 5.0
 
 
-def test_an_attitude_that_a_wrong_capture_time_explains_turns_nothing():
-    """In a fast turn a pose at the wrong time looks turned. It must not turn the estimate; one that is turned must."""
+def test_an_attitude_error_explained_by_the_capture_time_is_ignored():
+    """In a fast turn a pose with a wrong time looks turned and must not turn the estimate; a turned pose must."""
     truth = Truth(9.0)
     flight = Flight(truth=truth).run()
     state, estimator = flight.estimator.state, flight.estimator
@@ -221,7 +221,7 @@ def test_an_attitude_that_a_wrong_capture_time_explains_turns_nothing():
     assert poses((0.0, 0.0, 0.0), 0.6) > 0.5
 
 
-def test_a_room_that_moved_is_believed_after_some_poses_and_announced():
+def test_a_moved_frame_is_accepted_after_some_poses_and_announced():
     def fault(t, position, quaternion):
         return position + np.array([1.0, 0.5, 0.0]) * (t > 6.0), quaternion
 
@@ -261,7 +261,7 @@ def test_drift_in_an_outage_of_ten_seconds_is_bounded(seeds):
         assert flight.position_rmse(15.5) < 0.015
 
 
-def test_the_end_of_an_outage_is_announced_when_it_moves_the_position():
+def test_a_jump_at_the_end_of_an_outage_is_announced():
     windows = ((0.0, 5.0), (15.0, 99.0))
     jumped = 0
     for seed in range(4):
@@ -275,7 +275,7 @@ def test_the_end_of_an_outage_is_announced_when_it_moves_the_position():
     assert jumped > 0 or drift < 0.08
 
 
-def test_flow_and_range_carry_a_flight_that_never_sees_a_pose():
+def test_a_flight_without_pose_on_flow_and_range():
     flight = Flight(truth=Truth(speed=1.5), pose_windows=()).run()
     assert flight.position_rmse(4.0) < 0.15
     assert np.abs(flight.errors[800:, 2]).max() < 0.06
@@ -284,8 +284,8 @@ def test_flow_and_range_carry_a_flight_that_never_sees_a_pose():
     assert flight.jumps == []
 
 
-def test_without_flow_the_same_flight_is_lost():
-    """The ablation: range and pressure know nothing about horizontal motion."""
+def test_without_flow_the_same_flight_drifts_away():
+    """Ablation: range and pressure do not measure horizontal motion."""
     flight = Flight(truth=Truth(12.0, speed=1.5), pose_windows=(), flow_windows=()).run()
     assert np.abs(flight.errors[:, 0:2]).max() > 0.5
 
@@ -304,7 +304,7 @@ def test_the_covariance_stays_symmetric_and_positive():
     assert np.linalg.eigvalsh(0.5 * (P + P.T)).min() > 0.0
 
 
-def test_below_the_floor_of_the_ultrasonic_sensor_its_readings_do_not_count():
+def test_below_its_least_distance_the_ultrasonic_sensor_does_not_count():
     truth = Truth(4.0)
     flight = Flight(truth=truth, pose_windows=()).run()
     low = (-truth.position[:, 2] < 0.4) & (truth.time_ns > 1.2e9)
@@ -319,8 +319,8 @@ def test_outliers_of_the_range_are_refused():
     assert flight.estimator.counts["range_refused"] > 30
 
 
-def test_a_range_that_disagrees_for_long_is_believed_in_the_end_and_only_without_pose():
-    """A table under the vehicle: height over what is below. With a pose, the pose is right."""
+def test_a_range_that_disagrees_for_long_is_accepted_only_without_pose():
+    """A table under the vehicle: height above the table. With a pose, the pose counts."""
 
     def table(t, distance):
         return max(0.44, distance - 0.6) if t > 5.0 else distance

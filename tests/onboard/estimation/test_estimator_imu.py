@@ -1,4 +1,4 @@
-"""The estimator and its inertial sensors: the start, gaps and disorder, vibration, delay."""
+"""The estimator and its inertial sensors: start, gaps, wrong order, vibration, delay."""
 
 import math
 
@@ -13,7 +13,7 @@ from tests.onboard.estimation.estimator_flights import RATE, STEP_NS, Flight, Tr
 
 
 def still_imu(estimator, seconds, start_ns=0, roll=0.0, pitch=0.0, gyro=(0.05, -0.02, 0.01), rng=None):
-    """Feeds a vehicle at rest; returns the time after it."""
+    """Send samples of a vehicle at rest; returns the time of the last one."""
     rng = rng or np.random.default_rng(1)
     force = Rotation.from_euler("ZYX", (0.3, pitch, roll)).inv().apply((0.0, 0.0, -9.80665))
     for k in range(int(seconds * RATE)):
@@ -36,13 +36,13 @@ def test_the_start_finds_attitude_and_gyro_bias():
     np.testing.assert_allclose(estimator.state.velocity, 0.0, atol=0.05)
 
 
-def test_the_start_waits_for_stillness():
+def test_the_start_waits_for_a_still_vehicle():
     estimator = Estimator(EstimatorConfig())
     still_imu(estimator, 2.0, gyro=(0.5, 0.0, 0.0))
     assert not estimator.state.initialised
 
 
-def test_carrying_the_vehicle_about_does_not_spoil_the_gyro_bias():
+def test_carrying_the_vehicle_does_not_change_the_gyro_bias():
     estimator = Estimator(EstimatorConfig())
     now_ns = still_imu(estimator, 2.0)
     for k in range(RATE):  # lifted at one end, at 1 rad/s
@@ -64,7 +64,7 @@ def test_out_of_order_samples_change_nothing():
     np.testing.assert_array_equal(estimator.covariance, before[1])
 
 
-def test_a_gap_of_the_imu_is_survived_with_pose_and_said():
+def test_after_an_imu_gap_the_pose_corrects_and_the_gap_is_reported():
     def gap(t, imu):
         return None if 6.0 < t < 6.3 else imu
 
@@ -87,7 +87,7 @@ def test_vibration_measures_white_noise(sigma):
     assert np.mean(levels[200:]) == pytest.approx(1.596 * 0.843 * sigma, rel=0.05)
 
 
-def test_vibration_ignores_manoeuvres_and_hears_a_chipped_rotor():
+def test_vibration_ignores_manoeuvres_and_detects_a_chipped_rotor():
     def level(force):
         estimator = Estimator(EstimatorConfig())
         now_ns = still_imu(estimator, 0.5)
@@ -110,7 +110,7 @@ def test_vibration_ignores_manoeuvres_and_hears_a_chipped_rotor():
 
 
 def test_the_delay_of_the_gyro_counts_in_fast_turns():
-    """A roll oscillation of 8 rad/s: with the delay known, the attitude is right; ignored, it lags by a sample."""
+    """A roll oscillation of 8 rad/s: with the delay the attitude is right; without, it lags by a sample."""
 
     def error(delay_s):
         estimator = Estimator(EstimatorConfig(gyro_delay_s=delay_s))

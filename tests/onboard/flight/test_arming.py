@@ -1,6 +1,6 @@
-"""With the settings for a real vehicle: armed by a person only, and only when link, battery and pose are sound.
+"""With the settings for a real vehicle: only a person arms, and only if link, battery and pose are good.
 
-And what the limits are for: with one turned off, a flight is lost that with it ends safe.
+And the effect of the limits: without one, a flight crashes that ends safely with it.
 """
 
 from dataclasses import replace
@@ -23,19 +23,19 @@ from tests.onboard.loop import CLOCK_NS, PERIOD_NS, Peer
 REST = (0.0, 0.0, -9.81)
 
 
-# -- the judgement of the stream --------------------------------------------------------------------------------------
+# -- the check of the stream --------------------------------------------------------------------------------------
 
 
 def judged(samples=200, period_s=0.005, clock=1.0, force=REST, rates=(0.02, 0.0, -0.01), late=lambda k: 0.0, stuck=()):
-    """The fault after a stream of samples; `late(k)` is how much later than due sample k comes, s."""
+    """The fault after a stream of samples; `late(k)` is the delay of sample k, s."""
     health, rng = LinkHealth(LinkHealthConfig()), np.random.default_rng(1)
     noise = np.array([0.2, 0.2, 0.2, 0.01, 0.01, 0.01])
     noise[list(stuck)] = 0.0
     for k in range(samples):
         due_s = k * period_s
         arrival_ns = round((due_s + late(k)) * 1e9)
-        felt = tuple(np.array([*force, *rates]) + rng.normal(0.0, 1.0, 6) * noise)
-        health.add(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, felt)
+        inertial = tuple(np.array([*force, *rates]) + rng.normal(0.0, 1.0, 6) * noise)
+        health.add(round(due_s * clock * 1e9), round(late(k) * 1e9), arrival_ns, inertial)
     return health.fault
 
 
@@ -63,13 +63,13 @@ def judged(samples=200, period_s=0.005, clock=1.0, force=REST, rates=(0.02, 0.0,
         ({"force": (0.09, -0.06, -9.47)}, ""),
     ],
 )
-def test_a_stream_is_judged(stream, fault):
+def test_faults_of_a_stream(stream, fault):
     found = judged(**stream)
     assert found.startswith(fault)
     assert bool(found) == bool(fault)
 
 
-def test_a_fault_is_forgiven_after_a_second():
+def test_a_fault_ends_after_a_good_second():
     last = BLOCKS * BLOCK_SAMPLES
 
     def stall(k):
@@ -173,7 +173,7 @@ def every_other(t, frames):
 
 
 class InBatches:
-    """Holds frames back and lets five ticks' worth go at once."""
+    """Holds frames back and releases those of five ticks at once."""
 
     def __init__(self):
         self.held = []
@@ -187,7 +187,7 @@ class InBatches:
 
 
 def second_vehicle(behind_s):
-    """The same system id, another clock."""
+    """A vehicle with the same system id and another clock."""
 
     def fault(t, frames):
         if t < 1.0:
@@ -246,13 +246,13 @@ def test_arming_is_refused_and_the_reason_is_an_event_and_a_text(settings, reaso
     assert flight.answers == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
 
 
-def test_an_overridden_preflight_is_said_to_log_and_pilot():
+def test_an_overridden_preflight_is_reported_to_log_and_pilot():
     flight = RealFlight(clearance=Clearance(notice="PREFLIGHT OVERRIDDEN")).fly(0.2)
     assert flight.events.count("PREFLIGHT OVERRIDDEN") == 1
     assert flight.texts.count("PREFLIGHT OVERRIDDEN") == 1
 
 
-def test_a_sound_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_station_falls_silent():
+def test_a_good_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_station_is_silent():
     flight = RealFlight().fly(3.0)
     assert flight.modes[-1] is FlightMode.READY
     flight.arm().fly(0.5)
@@ -269,7 +269,7 @@ def test_a_sound_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_sta
     assert "not ready to arm: no ground station" in flight.events
 
 
-def test_flight_termination_stops_the_motors_in_the_air_for_good():
+def test_flight_termination_stops_the_motors_in_the_air_until_the_end():
     flight = RealFlight().take_off()
     flight.type(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, 1).fly(0.1)
     assert flight.modes[-1] is FlightMode.TERMINATED
@@ -279,7 +279,7 @@ def test_flight_termination_stops_the_motors_in_the_air_for_good():
     assert flight.modes[-1] is FlightMode.TERMINATED
 
 
-# -- what the limits are for ------------------------------------------------------------------------------------------
+# -- the effect of the limits ------------------------------------------------------------------------------------------
 
 
 def alone(seconds, *assignments):
@@ -321,7 +321,7 @@ def test_without_the_limit_on_tilt_a_weak_rotor_turns_the_vehicle_over_at_take_o
 
 
 def carried_along(t, frames):
-    """What the camera sees moves by 0.4 m/s, such as a cloth in the wind."""
+    """The floor that the camera sees moves by 0.4 m/s, like a cloth in the wind."""
 
     def shift(message):
         message.integrated_y += 0.4 * message.integration_time_us * 1e-6
@@ -360,7 +360,7 @@ def test_without_the_limit_on_the_age_of_the_battery_report_a_dying_battery_drop
     assert "hit the floor" in crash
 
 
-def test_without_the_limit_on_the_age_of_the_ground_station_a_vehicle_flies_on_that_nobody_can_end():
+def test_without_the_limit_on_the_age_of_the_ground_station_nobody_can_end_the_flight():
     flight = RealFlight(assignments=("onboard.supervisor.ground_silent_s=0",)).take_off()
     flight.heartbeats = False
     assert flight.fly(8.0).modes[-1] is FlightMode.FLYING

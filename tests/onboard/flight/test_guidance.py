@@ -1,4 +1,4 @@
-"""From flight mode to target: leads, holds, landing and shifts leave one continuous target."""
+"""Guidance: the target is continuous through leads, holds, landing and shifts."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_the_target_is_continuous_through_hold_and_landing():
     assert np.abs(np.diff(velocity, axis=0)).max() < 5.0 * DT
 
 
-def test_landing_sinks_at_its_speed_from_wherever_the_target_is():
+def test_landing_descends_at_its_speed_from_the_present_target():
     flight = started()
     top = fly(flight, (True, False, 9))[-1].now.position
     down = fly(flight, (False, True, 5))
@@ -57,7 +57,7 @@ def test_landing_sinks_at_its_speed_from_wherever_the_target_is():
     assert np.hypot(*(np.array(down[-1].now.position) - top)[:2]) < 0.7
 
 
-def test_a_landing_that_is_broken_off_comes_to_rest():
+def test_an_interrupted_landing_comes_to_rest():
     flight = started()
     fly(flight, (True, False, 9), (False, True, 2))
     rest = fly(flight, (False, False, 2))

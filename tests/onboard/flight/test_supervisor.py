@@ -34,7 +34,7 @@ QUIET = {
     M.HOLD: {"pose_age_s": 5.0},
     M.HOLD_LEVEL: {"velocity_aid_age_s": 5.0},
 }
-"""Inputs at which nothing happens in a mode, where they differ from GOOD."""
+"""Inputs without an event in a mode, where they differ from GOOD."""
 
 CAUSES = {
     E.IMU_SILENT: {"imu_age_s": 0.06},
@@ -64,7 +64,7 @@ ALL_LIMITS = {"ground_silent_s": 10.0, "battery_silent_s": 10.0, "level_max_s": 
 
 
 class Pilot:
-    """A supervisor with a clock, and the inputs it is given."""
+    """A supervisor with a clock and its inputs."""
 
     def __init__(self, mode=M.BOOT, **config):
         self.supervisor = Supervisor(SupervisorConfig(**config))
@@ -78,7 +78,7 @@ class Pilot:
         return self.supervisor.mode
 
     def step(self, seconds=0.0, **changes):
-        """One step, or as many as `seconds` hold, with inputs changed for good."""
+        """One step, or steps for `seconds`, with changed inputs that stay."""
         self.given.update(changes)
         for _ in range(max(1, round(seconds / 0.005))):
             self.now_ns += STEP_NS
@@ -294,13 +294,13 @@ def test_imu_silence_of_50_ms_stops_the_motors(mode):
     assert pilot.step(5.0, imu_age_s=0.0) is M.EMERGENCY
 
 
-def test_silence_of_offboard_is_a_message_and_nothing_else():
+def test_silence_of_offboard_is_a_message_only():
     pilot = Pilot(M.FLYING)
     pilot.texts()
     assert pilot.step(30.0, offboard_age_s=30.0) is M.FLYING
     assert pilot.texts() == ["offboard silent"]
     pilot.step(offboard_age_s=0.1)
-    assert pilot.texts() == ["offboard received"]
+    assert pilot.texts() == ["offboard connected"]
 
 
 def test_most_urgent_event_wins():
@@ -355,6 +355,6 @@ def test_commands_before_the_first_step():
         ("battery_silent_s", 0.0, {"battery_age_s": 20.0}),
     ],
 )
-def test_without_the_limit_the_fault_goes_unnoticed(limit, off, cause):
+def test_without_the_limit_the_fault_has_no_effect(limit, off, cause):
     assert Pilot(M.FLYING, **(ALL_LIMITS | {limit: off})).step(3.0, **cause) is M.FLYING
     assert Pilot(M.FLYING, **ALL_LIMITS).step(3.0, **cause) is not M.FLYING

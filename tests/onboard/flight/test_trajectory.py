@@ -1,4 +1,4 @@
-"""Paths against finite differences, the smooth step, and the clock that holds a path without a jump."""
+"""Paths compared with finite differences, the smooth step, and the path clock."""
 
 import math
 
@@ -88,7 +88,7 @@ def test_the_circle_keeps_its_radius():
         assert math.hypot(north - 0.8, east) == pytest.approx(0.8)
 
 
-def test_waypoints_are_visited_and_rested_at():
+def test_the_path_rests_at_each_waypoint():
     flown = path("waypoints")
     points = np.array([flown.at(flown.start_s + t).position for t in np.arange(0.0, 20.0, 0.01)])
     for target in PATHS["waypoints"]["points_m"]:
@@ -141,7 +141,7 @@ def test_a_held_path_has_no_jump_of_velocity_and_its_derivatives_are_those_of_re
     assert np.quantile(change, 0.99) < 0.02  # the acceleration itself may jump when the demand does
 
 
-def test_a_held_path_stands_still_and_goes_on_from_there():
+def test_a_held_path_stops_and_goes_on_from_there():
     flown = path("circle")
     clock, points = run_clock(flown, [(True, 9.0), (False, 3.0)])
     assert clock.rate == 0.0
@@ -157,7 +157,7 @@ def test_the_clock_runs_at_full_rate_without_holds():
     assert clock.time_s == pytest.approx(5.0)
 
 
-def test_bad_values_are_refused_with_their_place():
+def test_bad_values_are_refused_and_named():
     with pytest.raises(ConfigError, match=r"altitude_m"):
         path("hover", altitude_m=-1.0)
     with pytest.raises(ConfigError, match=r"path"):

@@ -1,4 +1,4 @@
-"""The vehicle's end of the wire, spoken by pymavlink, and a link that carries its own present."""
+"""The vehicle's end of the link, encoded by pymavlink, and a link with its own clock."""
 
 import math
 
@@ -13,7 +13,7 @@ LATENCY_NS = 300_000
 
 
 class Vehicle:
-    """The vehicle's end, spoken by pymavlink itself, so that our bytes are judged by somebody else's code."""
+    """The vehicle's end, encoded by pymavlink, as an independent check of our bytes."""
 
     def __init__(self, system=1, key=None, clock_ns=0, link_id=0):
         self.mav = mavlink.MAVLink(None, system, 1)
@@ -45,7 +45,7 @@ class Vehicle:
         return self.pack(mavlink.MAVLink_hil_sensor_message(stamp_us, *values, fields, sensor))
 
     def tick(self, link, ticks=1, **what):
-        """Lets the vehicle's clock run and sends one IMU sample a tick; returns all readings."""
+        """Advance the vehicle's clock and send one IMU sample a tick; returns all readings."""
         readings = []
         for _ in range(ticks):
             self.clock_ns += STEP_NS
@@ -55,7 +55,7 @@ class Vehicle:
 
 
 class Link(VehicleLink):
-    """A link that carries its own present."""
+    """A link with its own clock."""
 
     def __init__(self, key=None, now_ns=10**12, signing_clock=None, **config):
         super().__init__(VehicleLinkConfig(**config), key, signing_clock)

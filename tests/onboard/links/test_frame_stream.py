@@ -1,4 +1,4 @@
-"""Frames out of a byte stream: whatever the cuts and the noise, good frames come out whole and once."""
+"""Frame stream: with any cuts and any noise, each good frame is returned once and whole."""
 
 import numpy as np
 import pytest
@@ -28,21 +28,21 @@ def test_any_cut_of_the_stream_gives_the_frames(size, key):
 
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(st.lists(st.one_of(st.binary(max_size=40), st.just(b"\xfd"), st.just(b"\xfd\xff\x00")), min_size=3, max_size=3))
-def test_noise_between_frames_costs_no_frame(noise):
+def test_noise_between_frames_loses_no_frame(noise):
     sent, stream = frames(12), FrameStream()
     data = b"".join(sent[:4]) + noise[0] + b"".join(sent[4:8]) + noise[1] + b"".join(sent[8:]) + noise[2] + bytes(300)
     got = [frame for start in range(0, len(data), 33) for frame in stream.feed(data[start : start + 33])]
     assert got == sent
 
 
-def test_a_frame_cut_short_costs_itself_alone():
+def test_a_truncated_frame_loses_only_itself():
     sent, stream = frames(3), FrameStream()
     got = stream.feed(sent[0] + sent[1][:30] + sent[2] + bytes(300))
     assert got == [sent[0], sent[2]]
     assert stream.skipped["checksum"] == 1
 
 
-def test_what_waits_is_bounded():
+def test_the_waiting_bytes_are_bounded():
     stream = FrameStream()
     rng = np.random.default_rng(1)
     for _ in range(200):

@@ -1,4 +1,4 @@
-"""The ground station's wire, judged by pymavlink in the station's place."""
+"""The link to the ground station; pymavlink plays the station."""
 
 import math
 import time
@@ -20,22 +20,22 @@ BATTERY = BatteryReading(0, 3.87, 0.64)
 
 
 class Station:
-    """A ground station: sends with pymavlink, collects and decodes what comes."""
+    """A ground station: sends with pymavlink, collects and decodes what it receives."""
 
     def __init__(self, link, key=None):
         self.link = link
         self.mav = mavlink.MAVLink(None, 255, 190)
-        self.ears = mavlink.MAVLink(None)
+        self.decoder = mavlink.MAVLink(None)
         self.now_ns = 10**12
         if key is not None:
-            for one in (self.mav, self.ears):
+            for one in (self.mav, self.decoder):
                 one.signing.secret_key = key
                 one.signing.sign_outgoing = True
                 one.signing.timestamp = self.now_ns // 10_000
         self.state = VehicleState()
         self.state.initialised = True
         self.mode = FlightMode.READY
-        self.heard = []
+        self.received = []
 
     def send(self, message):
         frame = bytes(message.pack(self.mav))
@@ -47,15 +47,15 @@ class Station:
         return self.send(mavlink.MAVLink_command_long_message(target, 1, number, confirmation, *values))
 
     def listen(self, ticks=1):
-        """Lets ticks pass; returns the messages heard in them."""
+        """Advance some ticks; returns the messages received in them."""
         new = []
         for _ in range(ticks):
             self.now_ns += STEP_NS
             self.state.last_imu_ns = self.state.last_pose_ns = self.now_ns
             datagrams = self.link.poll(self.now_ns, self.mode, self.state, BATTERY)
             assert len(datagrams) <= 1
-            new += [self.ears.decode(bytearray(datagram)) for datagram in datagrams]
-        self.heard += new
+            new += [self.decoder.decode(bytearray(datagram)) for datagram in datagrams]
+        self.received += new
         return new
 
     def first(self, kind, ticks=400):
@@ -80,7 +80,7 @@ def test_rates_are_as_configured_and_at_most_one_message_a_tick(station):
     assert counts["NAMED_VALUE_FLOAT"] == pytest.approx(60, abs=2)
 
 
-def test_what_telemetry_says(station):
+def test_contents_of_the_telemetry(station):
     state = station.state
     state.position[:] = (1.0, -2.0, -1.5)
     state.velocity[:] = (0.1, 0.2, -0.3)
@@ -114,24 +114,24 @@ def test_health_bits(station):
     station.state.height_valid = True
     status = station.first("SYS_STATUS")
     assert status.onboard_control_sensors_health == status.onboard_control_sensors_present
-    assert status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_GEOFENCE  # or stations cry "fence breach"
+    assert status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_GEOFENCE  # or stations report a fence breach
     station.now_ns += 10**9
-    sick = [
-        station.ears.decode(bytearray(datagram))
+    unhealthy = [
+        station.decoder.decode(bytearray(datagram))
         for _ in range(600)
         for datagram in station.link.poll(station.now_ns + _ * STEP_NS, FlightMode.BOOT, station.state, BATTERY)
     ]
-    health = next(m for m in sick if m.get_type() == "SYS_STATUS").onboard_control_sensors_health
+    health = next(m for m in unhealthy if m.get_type() == "SYS_STATUS").onboard_control_sensors_health
     assert not health & mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
     assert not health & mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
     assert not health & mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 
-def test_an_unknown_battery_is_said_to_be_unknown(station):
+def test_an_unknown_battery_is_reported_as_unknown(station):
     nothing = BatteryReading(0, 0.0, -1.0)
     for tick in range(400):
         for datagram in station.link.poll(10**12 + tick * STEP_NS, FlightMode.READY, station.state, nothing):
-            message = station.ears.decode(bytearray(datagram))
+            message = station.decoder.decode(bytearray(datagram))
             if message.get_type() == "SYS_STATUS":
                 assert (message.voltage_battery, message.battery_remaining) == (0xFFFF, -1)
                 return
@@ -139,7 +139,7 @@ def test_an_unknown_battery_is_said_to_be_unknown(station):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e39])
-def test_numbers_that_are_not_finite_stay_on_board(station, bad):
+def test_numbers_that_are_not_finite_are_not_sent(station, bad):
     station.state.position[0] = bad
     station.link.values = {"wild": bad}
     kinds = {message.get_type() for message in station.listen(400)}
@@ -147,18 +147,18 @@ def test_numbers_that_are_not_finite_stay_on_board(station, bad):
     assert station.link.rejected["not_finite_telemetry"] > 20
 
 
-def test_texts_come_whole_and_in_chunks(station):
+def test_texts_are_sent_whole_or_in_chunks(station):
     station.link.send_text("short", mavlink.MAV_SEVERITY_WARNING)
     station.link.send_text("0123456789" * 12)
-    heard = station.listen(4)
-    assert [m.get_type() for m in heard] == ["STATUSTEXT"] * 4
-    assert (heard[0].text, heard[0].severity, heard[0].id) == ("short", mavlink.MAV_SEVERITY_WARNING, 0)
-    assert "".join(m.text for m in heard[1:]) == "0123456789" * 12
-    assert [m.chunk_seq for m in heard[1:]] == [0, 1, 2]
-    assert len({m.id for m in heard[1:]}) == 1
+    received = station.listen(4)
+    assert [m.get_type() for m in received] == ["STATUSTEXT"] * 4
+    assert (received[0].text, received[0].severity, received[0].id) == ("short", mavlink.MAV_SEVERITY_WARNING, 0)
+    assert "".join(m.text for m in received[1:]) == "0123456789" * 12
+    assert [m.chunk_seq for m in received[1:]] == [0, 1, 2]
+    assert len({m.id for m in received[1:]}) == 1
 
 
-def test_texts_that_pile_up_are_bounded(station):
+def test_waiting_texts_are_bounded(station):
     for _ in range(1000):
         station.link.send_text("ü" * 60)
     assert Counter(m.get_type() for m in station.listen(64))["STATUSTEXT"] == 32
@@ -181,7 +181,7 @@ def test_texts_that_pile_up_are_bounded(station):
 def test_commands_and_their_acknowledgement(station, number, parameters, command):
     (one,) = station.command(number, *parameters)
     assert one.command is command
-    assert [m for m in station.listen(50) if m.get_type() == "COMMAND_ACK"] == []  # not before the core has judged
+    assert [m for m in station.listen(50) if m.get_type() == "COMMAND_ACK"] == []  # not before the core has decided
     station.link.acknowledge(one, "", station.now_ns)
     (ack,) = station.listen()
     assert (ack.command, ack.result) == (number, mavlink.MAV_RESULT_ACCEPTED)
@@ -196,7 +196,7 @@ def test_a_refusal_is_acknowledged_and_explained(station):
     assert text.text == "refused to arm: no fresh pose"
 
 
-def test_a_repeated_command_is_answered_but_not_done_again(station):
+def test_a_repeated_command_is_answered_but_not_executed_again(station):
     (one,) = station.command(mavlink.MAV_CMD_NAV_LAND)
     station.link.acknowledge(one, "", station.now_ns)
     station.listen()
@@ -217,7 +217,7 @@ def test_a_repeated_command_is_answered_but_not_done_again(station):
         (60_000, ()),
     ],
 )
-def test_what_we_cannot_do_is_refused_at_once(station, number, parameters):
+def test_an_unsupported_command_is_refused_at_once(station, number, parameters):
     assert station.command(number, *parameters) == []
     (ack,) = station.listen()
     assert (ack.get_type(), ack.result) == ("COMMAND_ACK", mavlink.MAV_RESULT_UNSUPPORTED)
@@ -266,14 +266,14 @@ def test_parameter_and_mission_lists_have_an_end(station):
     assert (count.get_type(), count.count) == ("MISSION_COUNT", 0)
 
 
-def test_heartbeats_are_noted(station):
+def test_heartbeats_count_as_received(station):
     assert station.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
     assert station.link.last_received_ns == station.now_ns
 
 
 @given(st.binary(max_size=300))
 @settings(max_examples=200, deadline=None)
-def test_any_bytes_at_all(data):
+def test_no_bytes_raise(data):
     assert GroundLink(GroundLinkConfig()).receive(data, 10**12) == []
 
 

@@ -33,7 +33,7 @@ BY_HAND = (
 
 @pytest.fixture(scope="module")
 def mavproxy(request):
-    """Folder with MAVProxy in it."""
+    """Folder with MAVProxy."""
     folder = Path(request.config.cache.mkdir("mavproxy")) / "1.8.75"
     if not (folder / "MAVProxy").is_dir():
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), *PACKAGES]
@@ -45,7 +45,7 @@ def mavproxy(request):
 
 
 class GroundStation:
-    """MAVProxy as a child process, with its keyboard and its screen."""
+    """MAVProxy as a child process, with keyboard and screen."""
 
     def __init__(self, folder, directory):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -101,7 +101,7 @@ class GroundStation:
 
 
 class PacedFlight:
-    """The lockstep simulation without offboard, held to the pace of the clock on the wall."""
+    """The lockstep simulation without offboard, in real time."""
 
     def __init__(self, station):
         config = resolve("hover", Choices(controller="pid", seed=1, assignments=BY_HAND))
@@ -116,7 +116,7 @@ class PacedFlight:
         self.next_s = time.monotonic()
 
     def until(self, condition, seconds):
-        """Flies on until the condition holds; fails with MAVProxy's screen when it does not in time."""
+        """Fly until the condition is true; fails with MAVProxy's screen after the time limit."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             result = self.lockstep.step()

@@ -1,4 +1,4 @@
-"""The vehicle's wire: genuine bytes, every trap of MAVLink over UDP, and what each kind of bad input leads to."""
+"""The link to the vehicle: genuine MAVLink bytes, and the reaction to each kind of bad input."""
 
 import itertools
 import math
@@ -93,7 +93,7 @@ def test_motor_fractions_are_clipped(link):
 # -- datagrams --------------------------------------------------------------------------------------------------------
 
 
-def test_a_truncated_datagram_does_not_spoil_the_next_one(link):
+def test_a_truncated_datagram_does_not_affect_the_next_one(link):
     vehicle = Vehicle()
     vehicle.tick(link)
     for cut in range(len(vehicle.imu())):
@@ -121,7 +121,7 @@ def test_several_frames_in_one_datagram(link):
     assert link.rejected["too_many_frames"] == 1
 
 
-def test_every_wrong_bit_is_noticed(link):
+def test_every_wrong_bit_is_detected(link):
     vehicle = Vehicle()
     vehicle.tick(link)
     vehicle.clock_ns += STEP_NS
@@ -136,14 +136,14 @@ def test_every_wrong_bit_is_noticed(link):
 
 @given(st.binary(max_size=400))
 @settings(max_examples=300, deadline=None)
-def test_any_bytes_at_all(data):
+def test_no_bytes_raise(data):
     assert Link().receive(data, 10**12) == []
 
 
 @given(st.binary(min_size=1, max_size=65), st.sampled_from([107, 114, 106, 132, 147, 1, 0]))
 @settings(max_examples=300, deadline=None)
 def test_any_payload_with_a_good_checksum(payload, message_id):
-    """What a hostile or broken vehicle can say with valid frames: readings are finite, and nothing raises."""
+    """Valid frames with any payload: readings are finite, and nothing raises."""
     link = Link()
     seed = mavlink.mavlink_map[message_id].crc_extra
     body = bytes((len(payload), 0, 0, 0, 1, 1, message_id, 0, 0)) + payload
@@ -153,7 +153,7 @@ def test_any_payload_with_a_good_checksum(payload, message_id):
             assert all(math.isfinite(x) and abs(x) < 1e30 for x in (value if isinstance(value, tuple) else (value,)))
 
 
-def test_mavlink_1_and_messages_off_the_list_are_refused(link):
+def test_mavlink_1_and_messages_not_on_the_list_are_refused(link):
     vehicle = Vehicle()
     old = mavlink.MAVLink_heartbeat_message(2, 8, 0, 0, 4, 3).pack(vehicle.mav, force_mavlink1=True)
     assert link.receive(bytes(old), link.now_ns) == []
@@ -175,7 +175,7 @@ def test_unknown_flags_are_refused(link):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e6])
 @pytest.mark.parametrize("sensor", ["acc", "gyro"])
-def test_numbers_that_no_sensor_gives_are_refused_and_said(link, bad, sensor):
+def test_impossible_numbers_are_refused_and_reported(link, bad, sensor):
     vehicle = Vehicle()
     vehicle.tick(link)
     assert vehicle.tick(link, **{sensor: (bad, 0.0, -9.8)}) == []
@@ -185,7 +185,7 @@ def test_numbers_that_no_sensor_gives_are_refused_and_said(link, bad, sensor):
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0, 5000.0])
-def test_bad_pressure_costs_the_pressure_only(link, bad):
+def test_bad_pressure_is_dropped_alone(link, bad):
     (reading,) = Vehicle().tick(link, pressure_hpa=bad)
     assert reading.pressure_pa is None
     assert link.rejected["pressure"] == 1
@@ -208,7 +208,7 @@ def test_a_frozen_imu_goes_silent_and_comes_back(link):
     for _ in range(20):
         vehicle.count = 0
         stuck += vehicle.tick(link)
-    assert len(stuck) == 7  # what may still be chance
+    assert len(stuck) == 7  # may still be chance
     assert link.rejected["imu_frozen"] == 13
     assert "IMU frozen" in link.texts()
     assert len(vehicle.tick(link)) == 1
@@ -253,7 +253,7 @@ def test_a_frozen_flow_is_refused_and_one_that_sees_nothing_is_not(link):
     assert blind == [1] * 12
 
 
-def test_a_frozen_pressure_costs_the_pressure_only():
+def test_a_frozen_pressure_is_dropped_alone():
     link, vehicle = Link(frozen_pressures=3), Vehicle()
     given = [vehicle.tick(link)[0].pressure_pa is not None for _ in range(6)]
     assert given == [True] * 3 + [False] * 3
@@ -265,13 +265,13 @@ def test_a_frozen_pressure_costs_the_pressure_only():
     ("centimetres", "orientation", "reason"),
     [(0, 25, "range"), (5000, 25, "range"), (100, 0, "range_orientation")],
 )
-def test_ranges_that_are_none(link, centimetres, orientation, reason):
+def test_invalid_ranges_are_refused(link, centimetres, orientation, reason):
     message = mavlink.MAVLink_distance_sensor_message(5, 44, 400, centimetres, 1, 0, orientation, 4)
     assert link.receive(Vehicle().pack(message), link.now_ns) == []
     assert link.rejected[reason] == 1
 
 
-def test_flows_and_batteries_that_are_none(link):
+def test_invalid_flows_and_batteries_are_refused(link):
     vehicle = Vehicle()
     vehicle.tick(link)
     for duration, x in ((0, 0.1), (900_000, 0.1), (16_000, math.nan), (16_000, 5.0)):
@@ -314,12 +314,12 @@ def test_a_late_or_repeated_sample_is_dropped(link):
     assert link.restarts == 0
 
 
-def test_a_restarted_vehicle_is_taken_up_again_and_said(link):
+def test_a_restarted_vehicle_is_used_again_and_reported(link):
     Vehicle(clock_ns=500 * 10**9).tick(link, 100)
     before_ns = link.now_ns
     again = Vehicle()
     readings = again.tick(link, 10)
-    assert len(readings) == 8  # two samples to be sure
+    assert len(readings) == 8  # after two samples to be sure
     assert link.restarts == 1
     assert "vehicle restarted" in link.texts()
     assert not link.conflict
@@ -328,7 +328,7 @@ def test_a_restarted_vehicle_is_taken_up_again_and_said(link):
     assert times[0] > before_ns
 
 
-def test_one_wild_time_stamp_heals_itself(link):
+def test_one_wrong_time_stamp_is_recovered_from(link):
     vehicle = Vehicle(clock_ns=10**9)
     vehicle.tick(link, 50)
     link.receive(vehicle.imu(10**15), link.now_ns)
@@ -340,7 +340,7 @@ def test_one_wild_time_stamp_heals_itself(link):
 # -- two vehicles -----------------------------------------------------------------------------------------------------
 
 
-def test_only_the_first_vehicle_is_heard(link):
+def test_only_the_first_vehicle_counts(link):
     first, second = Vehicle(1), Vehicle(2)
     first.tick(link)
     for _ in range(50):
@@ -349,10 +349,10 @@ def test_only_the_first_vehicle_is_heard(link):
     assert link.system == 1
     assert link.rejected["other_vehicle"] == 50
     texts = link.texts()
-    assert texts.count("second vehicle (system id 2)") == 1  # said, but not 200 times a second
+    assert texts.count("second vehicle (system id 2)") == 1  # reported, but not 200 times a second
 
 
-def test_another_vehicle_is_heard_after_a_long_silence(link):
+def test_another_vehicle_counts_after_a_long_silence(link):
     Vehicle(1).tick(link)
     second = Vehicle(2)
     assert second.tick(link) == []
@@ -367,7 +367,7 @@ def test_a_configured_vehicle_is_the_only_one():
     assert len(Vehicle(9).tick(link)) == 1
 
 
-def test_two_vehicles_with_one_system_id_are_noticed(link):
+def test_two_vehicles_with_one_system_id_are_detected(link):
     one, two = Vehicle(1, clock_ns=900 * 10**9), Vehicle(1, clock_ns=10**9)
     for _ in range(400):
         one.tick(link)

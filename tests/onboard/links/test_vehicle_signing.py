@@ -1,4 +1,4 @@
-"""Signed MAVLink: forged, replayed, old and far-future frames, and what pymavlink itself would let past."""
+"""Signed MAVLink: forged, replayed, old and far-future frames, and cases that pymavlink itself accepts."""
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -20,15 +20,15 @@ def test_signed_frames_pass_and_unsigned_or_wrongly_signed_do_not():
     assert len(vehicle.tick(link)) == 1
     assert Vehicle(clock_ns=vehicle.clock_ns).tick(link) == []
     assert link.rejected["unsigned"] == 1
-    stranger = Vehicle(key=OTHER_KEY, clock_ns=vehicle.clock_ns)
-    stranger.mav.signing.timestamp = vehicle.mav.signing.timestamp + 100
-    assert stranger.tick(link) == []
+    unknown_sender = Vehicle(key=OTHER_KEY, clock_ns=vehicle.clock_ns)
+    unknown_sender.mav.signing.timestamp = vehicle.mav.signing.timestamp + 100
+    assert unknown_sender.tick(link) == []
     assert link.rejected["signature"] == 1
     assert len(vehicle.tick(link)) == 1
 
 
 def test_a_forged_future_frame_does_not_block_the_stream():
-    """Pymavlink stores a frame's time before it verifies the signature; the trap must not be ours."""
+    """Pymavlink stores a frame's time before it verifies the signature; we must not."""
     vehicle, link = signed_pair()
     vehicle.tick(link)
     forger = Vehicle(key=OTHER_KEY, clock_ns=vehicle.clock_ns)
@@ -40,7 +40,7 @@ def test_a_forged_future_frame_does_not_block_the_stream():
     naive.decode(bytearray(vehicle.imu()))
     with pytest.raises(mavlink.MAVError):
         naive.decode(bytearray(forger.imu()))
-    with pytest.raises(mavlink.MAVError):  # the library's defect, which is why it is not used
+    with pytest.raises(mavlink.MAVError):  # the library's defect, the reason not to use it
         naive.decode(bytearray(vehicle.imu()))
 
 
@@ -52,7 +52,7 @@ def test_a_replayed_frame_is_refused():
     assert link.rejected["signature_replayed"] == 1
 
 
-def test_a_far_future_time_is_refused_even_with_the_right_key_and_does_not_drag_ours():
+def test_a_far_future_time_is_refused_even_with_the_right_key_and_does_not_change_ours():
     vehicle, link = signed_pair()
     vehicle.tick(link)
     mine = int.from_bytes(link.encode_motors((0, 0, 0, 0), False, link.now_ns)[-12:-6], "little")
@@ -79,7 +79,7 @@ def test_an_old_new_stream_is_refused_and_streams_are_bounded():
     assert link.rejected["too_many_streams"] > 0
 
 
-def test_messages_that_pymavlink_would_let_past_the_signature_are_refused():
+def test_messages_that_pymavlink_accepts_without_signature_are_refused():
     """An unknown message id skips pymavlink's signature check; the allow-list stops it here."""
     _, link = signed_pair()
     frame = bytearray(Vehicle().imu())

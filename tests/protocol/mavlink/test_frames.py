@@ -22,14 +22,14 @@ KINDS = [
 
 
 def random_fields(kind, data):
-    """Any payload, as wire-order fields; NaN left out, which equals nothing."""
+    """Any payload, as wire-order fields, with 0 for NaN, which equals nothing."""
     size = kind.unpacker.size
     fields = kind.unpacker.unpack(data.draw(st.binary(min_size=size, max_size=size)))
     return tuple(0.0 if value != value else value for value in fields)
 
 
 def by_pymavlink(kind, fields):
-    """The same message, built the way pymavlink wants it: by name, arrays as lists."""
+    """The same message as pymavlink builds it: by name, arrays as lists."""
     values, at = {}, 0
     for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
         values[name] = fields[at] if length == 0 else list(fields[at : at + length])
