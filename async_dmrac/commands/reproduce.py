@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly and draw; return 0 (done), 1 (some flights failed) or 130 (interrupted; the same command continues)."""
-    from experiments.results.reproduction import CAMPAIGNS, Reproduction, draw, fly, take_up, write_results
+    from experiments.results.reproduction import CAMPAIGNS, Reproduction, copy_published, draw, fly, write_results
 
     unknown = [name for name in arguments.only or () if name not in CAMPAIGNS]
     if unknown:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     started, reports, failed = time.monotonic(), [], 0
     try:
         for name in plan.shown:
-            if plan.extend and (rows := take_up(plan, name)):
+            if plan.extend and (rows := copy_published(plan, name)):
                 console.print(f"{name}: {rows} published flights copied into {plan.folder / name}")
             if name in plan.only and not arguments.draw_only:
                 with progress_bar(name, console) as report:

@@ -1,4 +1,4 @@
-"""Every campaign from flights to docs/results.md: what `dmrac reproduce` does, step by step and resumable."""
+"""The steps of `dmrac reproduce`, from flights to docs/results.md; each can be resumed."""
 
 import math
 import shutil
@@ -33,29 +33,29 @@ HEAT_MAP: Final = "heat_map"
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What to fly, and where to write."""
+    """The campaigns to fly, and the files to write."""
 
     folder: Path
-    """Campaign folders go below it."""
+    """Parent of the campaigns' folders."""
     page: Path
-    """docs/results.md, or a page elsewhere; pictures go beside it into pictures/results."""
+    """docs/results.md, or another page; its pictures are in pictures/results beside it."""
     quick: bool
     seeds: int | None = None
-    """So many a point instead of the campaigns' own number."""
+    """Seeds per point; None: each campaign's number."""
     only: tuple[str, ...] = CAMPAIGNS
-    """What is flown."""
+    """Campaigns to fly."""
     extend: bool = False
-    """Go on from the rows beside the page, and keep on it what is not flown now."""
+    """Start from the rows beside the page, and keep its other campaigns."""
 
     @property
     def shown(self) -> tuple[str, ...]:
         """Campaigns on the page."""
-        kept = {name for name in CAMPAIGNS if self.extend and row_file(self, name).exists()}
-        return tuple(name for name in CAMPAIGNS if name in kept or name in self.only)
+        published = {name for name in CAMPAIGNS if self.extend and row_file(self, name).exists()}
+        return tuple(name for name in CAMPAIGNS if name in published or name in self.only)
 
     @property
     def command(self) -> str:
-        """The command that makes the page again."""
+        """The command that rebuilds the page."""
         words = ["dmrac reproduce"]
         words += ["--quick"] if self.quick else []
         words += ["--extend"] if self.extend else []
@@ -64,7 +64,7 @@ class Reproduction:
         return " ".join(words)
 
     def run(self, name: str) -> CampaignRun:
-        """One campaign of it."""
+        """Return one of the campaigns."""
         campaign, _ = load_campaign(name)
         seeds = campaign.quick_seeds if self.quick else self.seeds
         return CampaignRun(campaign, name, self.folder / name, seeds)
@@ -73,7 +73,7 @@ class Reproduction:
 def fly(
     plan: Reproduction, name: str, open_workers: Callable[[], Workers], report: Callable[[Progress], None]
 ) -> Progress:
-    """Flies what is missing of one campaign. Raises ConfigError if its folder holds flights of other settings."""
+    """Fly what is missing of one campaign. Raises ConfigError if its folder has flights with other settings."""
     run = plan.run(name)
     prepare_folder(run, resume=True)
     with open_store(run.folder) as store:
@@ -97,24 +97,24 @@ def _show(plan: Reproduction, files: Iterable[Path]) -> None:
 
 
 def picture_folder(plan: Reproduction) -> Path:
-    """Where the page's pictures lie."""
+    """Return the folder of the page's pictures."""
     return plan.page.parent / PICTURES
 
 
 def row_file(plan: Reproduction, name: str) -> Path:
-    """Where one campaign's rows lie beside the page, for those who want to look at the numbers in another way."""
+    """Return the file of one campaign's published rows, beside the page."""
     return plan.page.parent / "data" / f"{name}.parquet"
 
 
 def publish_rows(plan: Reproduction, name: str) -> Path:
-    """Writes one campaign's rows beside the page."""
+    """Write one campaign's rows beside the page."""
     file = row_file(plan, name)
     publish(plan.folder / name, file)
     return file
 
 
-def take_up(plan: Reproduction, name: str) -> int:
-    """Lays published rows and pictures into a campaign's folder that is not there yet; returns the number of rows.
+def copy_published(plan: Reproduction, name: str) -> int:
+    """Copy published rows and pictures into a new folder of a campaign; return the number of rows, 0 if it exists.
 
     Raises ConfigError if they were flown with other settings.
     """
@@ -122,7 +122,7 @@ def take_up(plan: Reproduction, name: str) -> int:
     if is_campaign(folder) or not file.exists():
         return 0
     campaign, _ = load_campaign(name)
-    advice = f"fly them anew without --extend: dmrac reproduce --only {name}"
+    advice = f"repeat them without --extend: dmrac reproduce --only {name}"
     read_about(file).check_settings(campaign, f"--extend {file}", advice)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     for path in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*"):

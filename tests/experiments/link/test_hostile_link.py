@@ -1,6 +1,6 @@
-"""What a bad peer, a bad network or an attacker may do to the link, and that it costs no tick and no vehicle.
+"""A bad peer, a flooded link and an attacker: no datagram costs a tick or the vehicle.
 
-Whole flights in lockstep with the real cores of both sides; the sockets' share is in tests/onboard/test_process.py.
+Lockstep flights with the real cores of both sides; tests/onboard/test_process.py tests the sockets.
 """
 
 import hashlib
@@ -16,237 +16,20 @@ import numpy as np
 import pytest
 
 from configs.loader import ConfigError
-from experiments.flights.lockstep_flight import build, build_offboard
-from experiments.flights.scenario import Choices, FlightConfig, resolve
+from experiments.flights.scenario import Choices, resolve
 from onboard.config import STATUS_BYTES, SYNC_REPLY_BYTES, SYNC_REQUEST_BYTES, OnboardConfig
 from onboard.control.features import random_channel
 from onboard.core import OnboardCore
-from onboard.flight.modes import Command, FlightMode
+from onboard.flight.modes import FlightMode
 from onboard.process import OnboardProcess
-from onboard.record.tick import OFFSET
 from onboard.sampling.sampler import NETWORK_BYTES
 from protocol.codec import HEADER
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX, Endpoint
 from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
-from protocol.session import session_number
 from protocol.transfer import split
-
-MS = 1_000_000
-S = 1_000_000_000
-KEY = bytes(range(32))
-UP_FOR_NS = 3_000 * S
-"""Offboard's clock is so much ahead of onboard's."""
-LEARNING = (
-    "offboard.trainer.minimum_samples=16",
-    "offboard.trainer.batches=20",
-    "offboard.gate.minimum_validation=2",
-    "offboard.gate.trigger_unexplained=0.0",
-    "offboard.gate.margin=0.0",
-    "offboard.gate.significance=0.0",
-    "features.trained.channels=[position]",
-    "onboard.guidance.trajectory.settle_s=0.0",
-    "onboard.guidance.land_after_s=60.0",
-)
-
-
-class Shifted:
-    """A core on a clock of its own, which jumps: (when, by how much), ns."""
-
-    def __init__(self, core: Any, ahead_ns: int, *jumps: tuple[int, int]) -> None:
-        self.core, self.ahead_ns, self.jumps = core, ahead_ns, jumps
-
-    def at(self, now_ns: int) -> int:
-        return now_ns + self.ahead_ns + sum(by for when, by in self.jumps if now_ns >= when)
-
-    def tick(self, now_ns: int, *datagrams: Any) -> Any:
-        return self.core.tick(self.at(now_ns), *datagrams)
-
-    def receive_onboard(self, datagram: bytes, now_ns: int) -> None:
-        self.core.receive_onboard(datagram, self.at(now_ns))
-
-    def receive_motion_capture(self, datagram: bytes, now_ns: int) -> None:
-        self.core.receive_motion_capture(datagram, self.at(now_ns))
-
-    def receive_training(self, result: Any, now_ns: int) -> None:
-        self.core.receive_training(result, self.at(now_ns))
-
-    def step(self, now_ns: int) -> Any:
-        return self.core.step(self.at(now_ns))
-
-
-class Flight:
-    """A lockstep flight whose parts a test may exchange in the air."""
-
-    def __init__(self, controller: str = "dmrac", seed: int = 11, assignments: tuple[str, ...] = LEARNING) -> None:
-        self.config: FlightConfig = resolve("figure8_wind", Choices(controller, seed, None, assignments))
-        self.lockstep, self.onboard, self.offboard, self.radio = build(self.config)
-        self.events: list[str] = []
-        self.rows: list[np.ndarray] = []
-        self.errors_m: list[float] = []
-        self.up: list[tuple[int, int]] = []
-
-    def with_key(self) -> "Flight":
-        """The same flight over a protected link; before its first tick."""
-        self.onboard = self.lockstep._onboard = OnboardCore(self.config.onboard, 1, KEY)
-        self.offboard = _Side(self.config, 2).core
-        self.lockstep.attach_offboard(self.offboard)
-        return self
-
-    def fly(self, seconds: float) -> "Flight":
-        for _ in range(round(seconds * 200)):
-            result = self.lockstep.step()
-            row = result.onboard.tick.copy()
-            self.rows.append(row)
-            self.events += [text for _, text in result.onboard.events]
-            if result.offboard is not None:
-                self.events += [text for _, text in result.offboard.events]
-            target = row[OFFSET["target_n"] : OFFSET["target_n"] + 3]
-            self.errors_m.append(float(np.linalg.norm(result.truth[:3] - target)))
-            self.up += [(result.now_ns, len(datagram) + NETWORK_BYTES) for datagram in result.onboard.to_offboard]
-            assert self.lockstep.crash_reason == ""
-        return self
-
-    def last(self, name: str) -> float:
-        return float(self.rows[-1][OFFSET[name]])
-
-    @property
-    def mode(self) -> FlightMode:
-        return FlightMode(int(self.last("mode")))
-
-    def said(self, words: str) -> list[str]:
-        return [event for event in self.events if words in event]
-
-
-# --- restarts and clocks ---------------------------------------------------------------------------------------------
-
-
-def test_a_trainer_killed_and_restarted_again_and_again_costs_nothing() -> None:
-    flight = Flight().fly(4.0)
-    checkpoint = None
-    for life in range(3):
-        checkpoint = flight.offboard.final_checkpoint() or checkpoint
-        flight.lockstep.remove_offboard()
-        flight.fly(0.3)
-        flight.offboard = build_offboard(flight.config, 10 + life)
-        if checkpoint is not None and life % 2:
-            flight.offboard.resume(checkpoint)
-        flight.lockstep.attach_offboard(flight.offboard)
-        flight.fly(0.7)
-    assert checkpoint is not None, "it is meant to have trained"
-    assert len(flight.said("offboard restarted")) == 3
-    assert flight.mode is FlightMode.FLYING
-    assert max(flight.errors_m[-200:]) < 0.3
-    assert flight.last("pose_age") < 0.1
-    assert flight.offboard.learner.samples >= 5, "the last one is heard and taught, too"
-
-
-def test_both_sides_restarted_with_the_wall_clock_set_back_find_each_other_again() -> None:
-    key = KEY
-    config = Flight("pid", assignments=()).config
-    today, yesterday = (session_number(day * 86_400 * S, 5) for day in (20_000, 19_999))
-    offboard = _Side(config, today)
-    first = _Wire(OnboardCore(config.onboard, today, key), offboard, key)
-    first.run(0, 1.0)
-    assert offboard.core.endpoint.peer_session == today
-    recording = list(first.heard_up)
-    second = _Wire(OnboardCore(config.onboard, yesterday, key), offboard, key)
-    second.run(1 * S, 0.9)
-    assert offboard.core.endpoint.peer_session == today, "the silence is still too short"
-    second.run(round(1.9 * S), 1.0)
-    assert offboard.core.endpoint.peer_session == yesterday
-    received = offboard.core.endpoint.statistics.received
-    for datagram in recording:  # and the old one does not come back
-        offboard.core.receive_onboard(datagram, UP_FOR_NS + 60 * S)
-    assert offboard.core.endpoint.statistics.received == received
-    assert offboard.core.endpoint.peer_session == yesterday
-
-
-class _Side:
-    """The offboard core, keyed, on its own clock."""
-
-    def __init__(self, config: FlightConfig, session: int) -> None:
-        from offboard.core import OffboardCore
-
-        self.core = OffboardCore(config.offboard, session, KEY)
-
-
-class _Wire:
-    """Onboard's core on the ground joined to offboard's by a wire that loses nothing and records all that goes up."""
-
-    def __init__(self, onboard: OnboardCore, offboard: _Side, key: bytes) -> None:
-        self.onboard, self.offboard = onboard, offboard
-        self.heard_up: list[bytes] = []
-        self.down: list[bytes] = []
-
-    def run(self, start_ns: int, seconds: float) -> None:
-        for now_ns in range(start_ns, start_ns + round(seconds * S), 5 * MS):
-            for datagram in self.onboard.tick(now_ns, from_offboard=self.down).to_offboard:
-                self.heard_up.append(datagram)
-                self.offboard.core.receive_onboard(datagram, now_ns + UP_FOR_NS)
-            self.down = self.offboard.core.step(now_ns + UP_FOR_NS).to_onboard
-
-
-@pytest.mark.parametrize("jump_s", [0.3, -3600, pytest.param(3600, marks=pytest.mark.full)])
-def test_offboards_clock_jumps(jump_s: float) -> None:
-    flight = Flight("mrac")
-    flight.lockstep.attach_offboard(Shifted(flight.offboard, UP_FOR_NS * 2, (4 * S, round(jump_s * S))))
-    flight.fly(4.0)
-    flight.errors_m.clear()
-    flight.fly(3.0)
-    assert flight.mode is FlightMode.FLYING
-    assert max(flight.errors_m) < 0.3
-    assert flight.last("pose_age") < 0.1, "poses are used again"
-
-
-def test_onboards_clock_is_set_back() -> None:
-    flight = Flight("mrac")
-    shifted: Any = Shifted(flight.onboard, UP_FOR_NS, (4 * S, -1000 * S))
-    flight.lockstep._onboard = shifted
-    flight.fly(4.0)
-    flight.errors_m.clear()
-    flight.fly(3.0)
-    assert flight.mode is FlightMode.FLYING
-    assert max(flight.errors_m) < 0.3
-    assert 0.0 <= flight.last("pose_age") < 0.1
-
-
-def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
-    """Over a link that loses nine of ten, a request a second would be answered after a hundred seconds."""
-    config = resolve("hover", Choices("pid", 3)).onboard
-    onboard, offboard = OnboardCore(config, 5, None), Endpoint("offboard", 7, None)
-    asked: list[int] = []
-    replies: list[bytes] = []
-    for now_ns in range(0, 6 * S, 5 * MS):
-        to_offboard = onboard.tick(now_ns, from_offboard=replies).to_offboard
-        replies = []
-        for datagram in to_offboard:
-            message = offboard.decode(datagram, now_ns)
-            if isinstance(message, TimeSyncRequest):
-                asked.append(now_ns)
-                if now_ns >= 2 * S:
-                    reply = TimeSyncReply(message.origin_ns, now_ns, now_ns)
-                    replies.append(offboard.encode(reply, now_ns))
-    unanswered = [now_ns for now_ns in asked if now_ns < 2 * S]
-    assert len(unanswered) == pytest.approx(2.0 / config.status_period_s, abs=2)
-    assert len(asked) - len(unanswered) == pytest.approx(4.0 / config.time_sync_period_s, abs=2)
-
-
-def test_an_onboard_that_starts_anew_in_the_air_leaves_the_motors_off() -> None:
-    """Nothing tells it a fall from a throw by hand; docs/link.md says why it does not try."""
-    flight = Flight("mrac").fly(4.0)
-    successor = flight.lockstep._onboard = OnboardCore(flight.config.onboard, 99, None)
-    ticks, refusals = 0, set()
-    while not flight.lockstep.crash_reason and ticks < 400:
-        refusals.add(successor._supervisor.command(Command.ARM, flight.lockstep.now_ns))
-        tick = flight.lockstep.step().onboard.tick
-        assert tick[OFFSET["mode"]] == FlightMode.BOOT
-        assert not tick[OFFSET["motor_1"] : OFFSET["motor_1"] + 4].any()
-        ticks += 1
-    assert 40 < ticks < 200, "it falls for as long as that"
-    assert "" not in refusals, "nor may a person arm it"
-
+from tests.experiments.link.link_flight import KEY, LEARNING, MS, UP_FOR_NS, Flight, Side, Wire
 
 # --- an attacker with and without the key ----------------------------------------------------------------------------
 
@@ -301,8 +84,8 @@ def put(index: int, value: Any) -> Callable[[list[Any]], None]:
 def test_who_has_the_key_and_lies_is_refused_and_offboard_is_told_why(data: bytes, reason: str) -> None:
     """The refusal travels: onboard's status, offboard's event, and the sender goes on to the next version."""
     config = resolve("hover", Choices("dmrac", 3))
-    offboard = _Side(config, 7)
-    wire = _Wire(OnboardCore(config.onboard, 5, KEY), offboard, KEY)
+    offboard = Side(config, 7)
+    wire = Wire(OnboardCore(config.onboard, 5, KEY), offboard)
     wire.run(0, 0.2)
     bodies = (msgpack.packb((c.version, c.index, c.count, c.digest, c.data)) for c in split(data, 1, 1000))
     waiting = [sealed(65, body, 7, sequence) for sequence, body in enumerate(bodies, 1_000)]

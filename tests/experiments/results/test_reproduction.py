@@ -17,7 +17,7 @@ from experiments.campaigns.worker import FlightResult
 from experiments.results.campaign_data import load_data
 from experiments.results.figure_plan import draw_all
 from experiments.results.figure_style import new_figure, save
-from experiments.results.reproduction import Reproduction, fly, publish_rows, take_up
+from experiments.results.reproduction import Reproduction, copy_published, fly, publish_rows
 from tests.experiments.inline_workers import InlineWorkers
 
 
@@ -57,8 +57,8 @@ def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
     """On another machine the campaign goes on behind the published rows, and says where each part was flown."""
     before = published(tmp_path)
     plan = replace(before, folder=tmp_path / "elsewhere", seeds=3)
-    assert take_up(plan, "features") == 2
-    assert take_up(plan, "features") == 0  # flights that are there already are not replaced
+    assert copy_published(plan, "features") == 2
+    assert copy_published(plan, "features") == 0  # flights that are there already are not replaced
     flown: list[str] = []
 
     def fly_nothing(job: FlightJob) -> FlightResult:
@@ -84,7 +84,7 @@ def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monke
     plan = replace(published(tmp_path), folder=tmp_path / "elsewhere")
     monkeypatch.setattr(flown, "fingerprint", lambda tree: "another")
     with pytest.raises(ConfigError, match=r"features.parquet: .* made with other settings.*--only features"):
-        take_up(plan, "features")
+        copy_published(plan, "features")
     assert not (plan.folder / "features").exists()
 
 
