@@ -7,6 +7,10 @@ import math
 from collections.abc import Iterable
 from typing import Final
 
+import numpy as np
+
+from protocol.conventions import Array
+
 Quaternion = tuple[float, float, float, float]
 Vector3 = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
@@ -215,3 +219,13 @@ def turned_about_vertical(turn: Vector3, v: Vector3) -> Vector3:
 def squared_length(v: Vector3) -> float:
     """Square of the length."""
     return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+
+
+def roll_pitch_yaw(q: Array) -> Array:
+    """Return roll, pitch and yaw, [n, 3], rad, of quaternions [n, 4]; on arrays, for the evaluation of logs."""
+    w, x, y, z = q.T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    angles: Array = np.stack([roll, pitch, yaw], axis=1)
+    return angles

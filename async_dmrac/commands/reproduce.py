@@ -4,13 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from async_dmrac.commands.worker_options import (
-    add_worker_options,
-    open_workers,
-    plain_console,
-    positive,
-    progress_bar,
-)
+from async_dmrac.commands.worker_options import add_worker_options, open_workers, plain_console, positive, progress_bar
 from configs.loader import ConfigError
 
 EXAMPLES = """examples:
@@ -29,9 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=positive, metavar="N", help="seeds per point (default: each campaign's)")
     parser.add_argument("--only", nargs="+", metavar="CAMPAIGN", help="only these campaigns")
     parser.add_argument(
-        "--extend",
-        action="store_true",
-        help="start from the rows published beside the page; keep its other campaigns",
+        "--extend", action="store_true", help="start from the rows published beside the page; keep its other campaigns"
     )
     add_worker_options(parser)
     parser.add_argument(

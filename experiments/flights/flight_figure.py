@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.flights.trace import FlightTrace
 from protocol.conventions import Array
+from protocol.geometry import roll_pitch_yaw
 
 AXES = ("north", "east", "down")
 STYLES = ("-", "--", ":")
@@ -88,8 +89,8 @@ def _draw_error(panel: Any, trace: FlightTrace) -> None:
 
 
 def _draw_attitude(panel: Any, trace: FlightTrace) -> None:
-    commanded = _roll_pitch(trace.tick.vector("commanded_quaternion", "wxyz"))
-    actual = _roll_pitch(trace.truth.vector("quaternion", "wxyz"))
+    commanded = np.degrees(roll_pitch_yaw(trace.tick.vector("commanded_quaternion", "wxyz")))
+    actual = np.degrees(roll_pitch_yaw(trace.truth.vector("quaternion", "wxyz")))
     for axis, name in enumerate(("roll", "pitch")):
         panel.plot(trace.time_s, commanded[:, axis], color="0.6", linewidth=1.6)
         panel.plot(
@@ -97,14 +98,6 @@ def _draw_attitude(panel: Any, trace: FlightTrace) -> None:
         )
     panel.set_ylabel("attitude [deg]")
     _legend_above(panel, "commanded grey")
-
-
-def _roll_pitch(q: Array) -> Array:
-    w, x, y, z = q.T
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    degrees: Array = np.degrees(np.stack([roll, pitch], axis=1))
-    return degrees
 
 
 def _draw_adaptive(panel: Any, trace: FlightTrace, channel: int, label: str) -> None:

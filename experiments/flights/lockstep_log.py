@@ -12,7 +12,7 @@ from flight_log.writer import FlightLogWriter
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, delivery_vector
-from sim_vehicle.lockstep import TickResult
+from sim_vehicle.lockstep import OnboardOutput, TickResult
 from sim_vehicle.records import TRUTH
 
 PROCESSES = ("sim_vehicle", "onboard", "offboard")
@@ -55,22 +55,11 @@ class LockstepLog:
         onboard.write(TICK, now, result.onboard.tick)
         if result.onboard.clock_offset is not None:
             onboard.write(CLOCK_OFFSET, now, result.onboard.clock_offset)
-        onboard.write_bytes(TOPIC, now, self._datagram_log(result))
+        inputs = result.from_vehicle, result.from_offboard
+        onboard.write_bytes(TOPIC, now, datagram_record(self._datagrams, now, *inputs, result.onboard))
         if result.offboard is not None:
             for record_type, when_ns, vector in result.offboard.records:
                 self._logs["offboard"].write(record_type, when_ns, vector)
-
-    def _datagram_log(self, result: TickResult) -> bytes:
-        out = result.onboard
-        for kind, datagrams in (
-            (Entry.FROM_VEHICLE, result.from_vehicle),
-            (Entry.FROM_OFFBOARD, result.from_offboard),
-            (Entry.TO_VEHICLE, out.to_vehicle),
-            (Entry.TO_OFFBOARD, out.to_offboard),
-            (Entry.TO_GROUND, out.to_ground),
-        ):
-            self._datagrams.put(kind, datagrams)
-        return self._datagrams.end_tick(result.now_ns, missed_ticks=0)
 
     def _record_deliveries(self, result: TickResult) -> None:
         for direction, deliveries in result.radio.deliveries.items():
@@ -90,6 +79,18 @@ class LockstepLog:
     ) -> None:
         for log in self._logs.values():
             log.close()
+
+
+def datagram_record(
+    log: DatagramLogWriter, now_ns: int, from_vehicle: list[bytes], from_offboard: list[bytes], output: OnboardOutput
+) -> bytes:
+    """Return the record of a tick's datagrams, as the onboard process writes it."""
+    log.put(Entry.FROM_VEHICLE, from_vehicle)
+    log.put(Entry.FROM_OFFBOARD, from_offboard)
+    log.put(Entry.TO_VEHICLE, output.to_vehicle)
+    log.put(Entry.TO_OFFBOARD, output.to_offboard)
+    log.put(Entry.TO_GROUND, output.to_ground)
+    return log.end_tick(now_ns, missed_ticks=0)
 
 
 def fly_and_log(

@@ -27,6 +27,7 @@ from protocol.conventions import Array
 from protocol.feature_codec import decode_feature_set
 from protocol.feature_config import FeatureInputs, FeaturesConfig
 from protocol.feature_set import ChannelFeatures, FeatureSet
+from protocol.geometry import roll_pitch_yaw
 from protocol.signals import CHANNELS, SIGNAL_NAMES
 
 SAMPLES_MAX: Final = 700
@@ -72,7 +73,8 @@ def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]], round_s: flo
 
 def signals_of(trace: Trace) -> Array:
     """Return the signal vectors of a trace, [n, SIGNAL_COUNT]."""
-    w, x, y, z = trace.vector("tick_quaternion", "wxyz").T
+    quaternion = trace.vector("tick_quaternion", "wxyz")
+    w, x, y, z = quaternion.T
     rotation = np.stack(
         [
             np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
@@ -84,11 +86,7 @@ def signals_of(trace: Trace) -> Array:
     velocity = trace.vector("tick_velocity", "ned")
     columns = {f"position_{axis}": trace[f"tick_position_{axis}"] for axis in "ned"}
     columns |= {f"velocity_{axis}": trace[f"tick_velocity_{axis}"] for axis in "ned"}
-    columns |= {
-        "roll": np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-        "pitch": np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
-        "yaw": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-    }
+    columns |= dict(zip(("roll", "pitch", "yaw"), roll_pitch_yaw(quaternion).T, strict=True))
     columns |= {f"rate_{axis}": trace[f"tick_rates_{axis}"] for axis in "pqr"}
     body = np.einsum("nij,ni->nj", rotation, velocity)
     columns |= {f"body_velocity_{axis}": body[:, place] for place, axis in enumerate("xyz")}

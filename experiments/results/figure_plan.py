@@ -31,19 +31,10 @@ KEPT: Final = "not redrawn, its traces are not in this folder"
 COMPARED: Final = "{metric}: median over survivors with 95 % bootstrap interval; dots: single flights."
 BAND: Final = "Mean and standard deviation over the seeds with traces; grey: onsets of the fault; dotted: vehicle lost."
 KINDS: Final[dict[str, tuple[Drawer, str]]] = {
-    "survival": (
-        sweep_figures.survival,
-        "Survival with 95 % Wilson intervals; lines: logistic fit to all flights.",
-    ),
+    "survival": (sweep_figures.survival, "Survival with 95 % Wilson intervals; lines: logistic fit to all flights."),
     "sweep": (sweep_figures.sweep_metric, "{metric}: median over survivors with 95 % bootstrap interval."),
-    "compare": (
-        row_figures.compare,
-        COMPARED,
-    ),
-    "cases": (
-        row_figures.compare,
-        COMPARED,
-    ),
+    "compare": (row_figures.compare, COMPARED),
+    "cases": (row_figures.compare, COMPARED),
     "laps": (row_figures.laps, "Position RMSE lap by lap, {case}: median and the middle half of the seeds."),
     "age": (
         row_figures.age,

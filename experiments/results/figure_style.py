@@ -70,11 +70,7 @@ def finish(panel: Any, x_label: str = "", y_label: str = "", title: str = "") ->
 
 
 def draw_intervals(
-    panel: Any,
-    x: Sequence[float],
-    estimates: Sequence[Estimate],
-    controller: str,
-    joined: bool = False,
+    panel: Any, x: Sequence[float], estimates: Sequence[Estimate], controller: str, joined: bool = False
 ) -> None:
     """Draw a controller's estimates with their intervals, joined by its line or not."""
     look = style(controller)

@@ -1,17 +1,26 @@
 """Figures from traces, in the paper's form: means with variance bands over the seeds, and marked faults."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from experiments.results.campaign_data import CampaignData, Group, Trace
 from experiments.results.figure_style import finish, legend_below, new_figure, style
 from protocol.conventions import Array
+from protocol.geometry import roll_pitch_yaw
 
-DEG = 180.0 / np.pi
 FLOWN = "flown: mean, ± standard deviation"
 FLYING_MODES = (4.0, 5.0)
+
+
+class Column(NamedTuple):
+    """The panels of one controller."""
+
+    group: Group
+    traces: list[Trace]
+    panels: list[Any]
+    colour: str
 
 
 def _groups(
@@ -49,95 +58,77 @@ def _mark(panel: Any, traces: list[Trace]) -> None:
             panel.axvline(float(trace.time_s[-1]), color="k", linestyle=":", linewidth=0.9)
 
 
-def _columns_of_panels(figure: Any, rows: int, groups: list[Group]) -> list[list[Any]]:
-    """Return panels[row][group], with a shared vertical axis along each row."""
-    panels: list[list[Any]] = []
-    for row in range(rows):
-        line: list[Any] = []
-        for column in range(len(groups)):
-            shared = {"sharey": line[0]} if line else {}
-            line.append(figure.add_subplot(rows, len(groups), row * len(groups) + column + 1, **shared))
-            if column:
-                line[-1].tick_params(labelleft=False)
-        panels.append(line)
-    return panels
+def _columns(data: CampaignData, rows: int, height_in: float, groups: list[Group]) -> tuple[Any, list[Column]]:
+    """Return a figure with a column of panels for each group; the panels of a row share their vertical axis."""
+    figure = new_figure(height_in, 2.2 + 2.9 * len(groups))
+    columns: list[Column] = []
+    for place, group in enumerate(groups):
+        panels = []
+        for row in range(rows):
+            shared = {"sharey": columns[0].panels[row]} if columns else {}
+            panels.append(figure.add_subplot(rows, len(groups), row * len(groups) + place + 1, **shared))
+            if columns:
+                panels[-1].tick_params(labelleft=False)
+        columns.append(Column(group, data.traces(group), panels, style(group.controller).colour))
+    return figure, columns
 
 
-def _within(panels: list[list[Any]], limit: float) -> None:
+def _finish_columns(columns: list[Column], names: Sequence[str], titles: Sequence[str]) -> None:
+    """Label the rows at the first column, the time below the last row, and the columns above the first row."""
+    for column, title in zip(columns, titles, strict=True):
+        for panel, name in zip(column.panels, names, strict=True):
+            time = "time [s]" if panel is column.panels[-1] else ""
+            finish(panel, time, name if column is columns[0] else "", title if panel is column.panels[0] else "")
+
+
+def _titles(columns: list[Column]) -> list[str]:
+    lost = [sum(not trace.row["survived"] for trace in one.traces) for one in columns]
+    counts = [f"{len(one.traces)} flights{f', {n} lost' if n else ''}" for one, n in zip(columns, lost, strict=True)]
+    return [f"{one.group.controller} ({count})" for one, count in zip(columns, counts, strict=True)]
+
+
+def _within(columns: list[Column], limit: float) -> None:
     """Limit the vertical axes to +-limit, which crashed vehicles exceed. Call it when all columns are drawn."""
-    for line in panels:
-        low, high = line[0].get_ylim()
-        line[0].set_ylim(max(low, -limit), min(high, limit))
-
-
-def _title(group: Group, traces: list[Trace]) -> str:
-    lost = sum(not trace.row["survived"] for trace in traces)
-    return f"{group.controller} ({len(traces)} flights{f', {lost} lost' if lost else ''})"
+    for panel in columns[0].panels:
+        low, high = panel.get_ylim()
+        panel.set_ylim(max(low, -limit), min(high, limit))
 
 
 def position(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
     """Draw north, east and height against time: target, mean and standard deviation over the seeds."""
-    groups = _groups(data, case, controllers, point)
-    figure = new_figure(6.2, 2.2 + 2.9 * len(groups))
-    panels = _columns_of_panels(figure, 3, groups)
-    for column, group in enumerate(groups):
-        traces = data.traces(group)
-        look = style(group.controller)
-        for row, (axis, sign, name) in enumerate(
-            (("n", 1.0, "north [m]"), ("e", 1.0, "east [m]"), ("d", -1.0, "height [m]"))
-        ):
-            panel = panels[row][column]
-            longest = max(traces, key=lambda trace: trace.time_s.size)
-            panel.plot(
-                longest.time_s,
-                sign * longest[f"tick_target_{axis}"],
-                color="0.45",
-                linewidth=1.0,
-                linestyle="--",
-                label="target",
-            )
-            flown = [sign * trace[f"truth_position_{axis}"] for trace in traces]
-            _band(panel, traces, flown, look.colour, "-", FLOWN)
+    figure, columns = _columns(data, 3, 6.2, _groups(data, case, controllers, point))
+    for _, traces, panels, colour in columns:
+        longest = max(traces, key=lambda trace: trace.time_s.size)
+        for panel, axis, sign in zip(panels, "ned", (1.0, 1.0, -1.0), strict=True):
+            target = sign * longest[f"tick_target_{axis}"]
+            panel.plot(longest.time_s, target, color="0.45", linewidth=1.0, linestyle="--", label="target")
+            _band(panel, traces, [sign * trace[f"truth_position_{axis}"] for trace in traces], colour, "-", FLOWN)
             _mark(panel, traces)
-            finish(
-                panel,
-                "time [s]" if row == 2 else "",
-                name if column == 0 else "",
-                _title(group, traces) if row == 0 else "",
-            )
-    _within(panels, 2.6)
-    legend_below(figure, panels[0][:1], neutral=FLOWN)
+    _finish_columns(columns, ("north [m]", "east [m]", "height [m]"), _titles(columns))
+    _within(columns, 2.6)
+    legend_below(figure, columns[0].panels[:1], neutral=FLOWN)
     return figure
-
-
-def _angles(trace: Trace, name: str) -> Array:
-    w, x, y, z = trace.vector(f"tick_{name}", "wxyz").T
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    return np.stack([roll, pitch], axis=1) * DEG
 
 
 def attitude(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
     """Draw roll and pitch against time: commanded and flown, mean and standard deviation."""
-    groups = _groups(data, case, controllers, point)
-    figure = new_figure(4.6, 2.2 + 2.9 * len(groups))
-    panels = _columns_of_panels(figure, 2, groups)
-    for column, group in enumerate(groups):
-        traces = data.traces(group)
-        for row, name in enumerate(("roll [deg]", "pitch [deg]")):
-            panel = panels[row][column]
-            commanded = [_angles(trace, "commanded_quaternion")[:, row] for trace in traces]
-            flown = [_angles(trace, "quaternion")[:, row] for trace in traces]
+    figure, columns = _columns(data, 2, 4.6, _groups(data, case, controllers, point))
+    for _, traces, panels, colour in columns:
+        for angle, panel in enumerate(panels):
+            commanded, flown = (
+                [np.degrees(roll_pitch_yaw(trace.vector(f"tick_{name}", "wxyz"))[:, angle]) for trace in traces]
+                for name in ("commanded_quaternion", "quaternion")
+            )
             _band(panel, traces, commanded, "0.45", "--", "commanded")
-            _band(panel, traces, flown, style(group.controller).colour, "-", FLOWN)
+            _band(panel, traces, flown, colour, "-", FLOWN)
             _mark(panel, traces)
-            finish(panel, "time [s]" if row else "", name if column == 0 else "", "" if row else _title(group, traces))
-    _within(panels, 45.0)
-    legend_below(figure, panels[0][:1], neutral=FLOWN)
+    _finish_columns(columns, ("roll [deg]", "pitch [deg]"), _titles(columns))
+    _within(columns, 45.0)
+    legend_below(figure, columns[0].panels[:1], neutral=FLOWN)
     return figure
 
 
@@ -145,34 +136,25 @@ def torques(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
     """Draw the commands of one flight: feedback, feed-forward and adaptive part, for roll, pitch and east."""
-    groups = _groups(data, case, controllers, point)
-    figure = new_figure(6.4, 2.2 + 2.9 * len(groups))
-    panels = _columns_of_panels(figure, 3, groups)
-    rows = (("attitude", "x", "roll [rad/s²]"), ("attitude", "y", "pitch [rad/s²]"), ("position", "e", "east [m/s²]"))
-    for column, group in enumerate(groups):
-        trace = data.traces(group)[0]
+    figure, columns = _columns(data, 3, 6.4, _groups(data, case, controllers, point))
+    for _, (trace, *_), panels, _ in columns:
         on_path = np.isin(trace["tick_mode"], FLYING_MODES)
-        for row, (channel, axis, name) in enumerate(rows):
-            panel = panels[row][column]
+        for panel, (channel, axis) in zip(
+            panels, (("attitude", "x"), ("attitude", "y"), ("position", "e")), strict=True
+        ):
             parts = _parts(trace, channel, axis)
             for (label, values), (colour, line) in zip(parts.items(), _PART_STYLES, strict=True):
-                smooth = _smooth(np.where(on_path, values, 0.0))
-                panel.plot(
-                    trace.time_s,
-                    np.where(on_path, smooth, np.nan),
-                    color=colour,
-                    linestyle=line,
-                    linewidth=0.9,
-                    label=label,
-                )
+                smooth = np.where(on_path, _smooth(np.where(on_path, values, 0.0)), np.nan)
+                panel.plot(trace.time_s, smooth, color=colour, linestyle=line, linewidth=0.9, label=label)
             _mark(panel, [trace])
-            title = f"{group.controller}, seed {trace.row['seed']}" if row == 0 else ""
-            finish(panel, "time [s]" if row == 2 else "", name if column == 0 else "", title)
             _limit(panel, [values[on_path] for values in parts.values()])
-    legend_below(figure, [panels[2][0]])
+    titles = [f"{one.group.controller}, seed {one.traces[0].row['seed']}" for one in columns]
+    _finish_columns(columns, ("roll [rad/s²]", "pitch [rad/s²]", "east [m/s²]"), titles)
+    legend_below(figure, [columns[0].panels[2]])
     return figure
 
 
+_PARTS_OF = (("attitude", "x"), ("attitude", "y"), ("position", "e"))
 _PART_STYLES = (("#0072b2", "-"), ("0.35", ":"), ("#d55e00", "--"))
 
 

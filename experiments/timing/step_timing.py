@@ -11,11 +11,12 @@ from typing import Any, Final
 import numpy as np
 
 from experiments.flights.lockstep_flight import ONBOARD_SESSION, build
+from experiments.flights.lockstep_log import datagram_record
 from experiments.flights.scenario import FlightConfig
 from flight_log.writer import FlightLogWriter
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.process import LOOP
-from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
+from onboard.record.datagram_log import TOPIC, DatagramLogWriter
 from onboard.record.tick import TICK
 from runtime.pace import PaceKeeper
 from sim_vehicle.lockstep import OnboardOutput as LockstepOutput
@@ -165,18 +166,11 @@ class Replay:
     def write_log(self, output: OnboardOutput, log: FlightLogWriter) -> None:
         """Log a tick as the process does."""
         now, index = self._recording.now_ns[self._next], self._next
-        for entry, datagrams in (
-            (Entry.FROM_VEHICLE, self._recording.vehicle[index]),
-            (Entry.FROM_OFFBOARD, self._recording.offboard[index]),
-            (Entry.TO_VEHICLE, output.to_vehicle),
-            (Entry.TO_OFFBOARD, output.to_offboard),
-            (Entry.TO_GROUND, output.to_ground),
-        ):
-            self._datagrams.put(entry, datagrams)
         log.write(TICK, now, output.tick)
         for time_ns, text in output.events:
             log.event(time_ns, text)
-        log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, 0, False))
+        inputs = self._recording.vehicle[index], self._recording.offboard[index]
+        log.write_bytes(TOPIC, now, datagram_record(self._datagrams, now, *inputs, output))
         log.write(LOOP, now, self._loop_record)
 
 

@@ -1,4 +1,4 @@
-"""Campaign workers for tests: every job is answered at once, in this process."""
+"""Campaign workers for tests: every job is done at once, in this process."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -9,7 +9,7 @@ from experiments.campaigns.worker import FlightResult
 
 
 class InlineWorkers:
-    """An executor that answers at once, in this process."""
+    """An executor that does a job at once, in this process."""
 
     count = 2
 

@@ -1,4 +1,4 @@
-"""The three processes of a flight started one by one, each as a test wants it."""
+"""Starts the three processes of a flight one by one."""
 
 import json
 import os
@@ -18,7 +18,7 @@ READY_LIMIT_S = 40.0
 
 
 def on_ports(config: FlightConfig, first: int) -> FlightConfig:
-    """The flight on addresses that no flight of a person uses: ports of this machine from `first` on."""
+    """Return the flight with addresses that other flights do not use: ports of this machine from `first` on."""
     names = sorted(name for name in type(config.network).model_fields if not name.endswith("key_file"))
     addresses = {name: f"127.0.0.1:{first + index}" for index, name in enumerate(names)}
     network = config.network.model_validate(config.network.model_dump() | addresses)
@@ -26,34 +26,34 @@ def on_ports(config: FlightConfig, first: int) -> FlightConfig:
 
 
 class Processes:
-    """Starts processes that log into a folder; ends them all when left."""
+    """Starts processes that log into a folder; ends all of them on exit."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, name: str, config: Path | None, *options: str, prefix: tuple[str, ...] = ()) -> None:
-        """Starts a process and waits until it says that it is ready; without `config`: by its options alone."""
-        said = self.out / f"{name}_said.txt"
+        """Start a process and wait until it is ready; without `config`: with its options alone."""
+        output = self.out / f"{name}_output.txt"
         command = [*prefix, sys.executable, "-m", MODULES[name], "--out", str(self.out)]
         command += ["--config", str(config)] if config else []
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        with said.open("wb") as file:
+        with output.open("wb") as file:
             self.running[name] = subprocess.Popen(
                 [*command, *options], stdout=file, stderr=subprocess.STDOUT, env=environment, stdin=subprocess.DEVNULL
             )
         limit = time.monotonic() + READY_LIMIT_S
-        while ": ready" not in said.read_text(encoding="utf-8", errors="replace"):
-            assert self.running[name].poll() is None, said.read_text(encoding="utf-8")
+        while ": ready" not in output.read_text(encoding="utf-8", errors="replace"):
+            assert self.running[name].poll() is None, output.read_text(encoding="utf-8")
             assert time.monotonic() < limit, f"{name} is not ready"
             time.sleep(0.05)
 
     def wait(self, name: str, limit_s: float) -> int:
-        """Waits for a process to end by itself."""
+        """Wait for a process to end by itself."""
         return self.running[name].wait(limit_s)
 
     def end(self, *names: str) -> None:
-        """Asks processes to end, twice where once does not do, and waits."""
+        """Ask processes to end, twice if necessary, and wait."""
         for name in names:
             process = self.running[name]
             for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGKILL):
@@ -65,7 +65,7 @@ class Processes:
                         continue
 
     def summary(self, name: str) -> dict[str, Any]:
-        """What a process wrote at its end."""
+        """Return the summary of a process."""
         found: dict[str, Any] = json.loads((self.out / f"{name}_summary.json").read_text(encoding="utf-8"))
         return found
 

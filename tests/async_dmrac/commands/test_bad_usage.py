@@ -60,14 +60,14 @@ def test_bad_usage_is_one_line(
         ("tune tune --controller pid --trials 0", "--trials"),
     ],
 )
-def test_a_number_of_things_is_at_least_one(words: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_number_is_at_least_one(words: str, option: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(words.split())
     assert ended.value.code == 2
     assert f"argument {option}: at least 1" in capsys.readouterr().err
 
 
-def test_a_flight_is_not_flown_unseen(
+def test_nothing_is_flown_without_the_viewer_that_was_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

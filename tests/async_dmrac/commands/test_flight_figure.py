@@ -1,4 +1,4 @@
-"""The picture of a flight marks each lost datagram, and a flight without a log of them is drawn all the same."""
+"""The figure of a flight marks each lost datagram; a flight without a log of them is drawn without marks."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from async_dmrac.command_line import main
 from experiments.flights.logged_flight import lost_datagrams
 
 
-def test_a_flight_is_drawn_with_what_its_link_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_figure_marks_lost_datagrams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     words = "fly hover --lockstep --no-offboard --duration 5 --out flown --set radio.up.loss=0.2"
     assert main(words.split()) == 0

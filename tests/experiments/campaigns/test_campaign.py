@@ -1,4 +1,4 @@
-"""Campaigns: what they unfold into, what survives an interruption, and flights in real worker processes."""
+"""Campaigns: their flights, interruption and continuation, and flights in real worker processes."""
 
 import json
 import os
@@ -76,7 +76,7 @@ def fly_all(folder: Path, workers: Any, text: str = TEXT, report: Callable[[Prog
         return run_campaign(campaign_run(folder, text), store, workers, report)
 
 
-def test_unfolds_every_combination_once() -> None:
+def test_every_combination_is_flown_once() -> None:
     jobs = list(unfold(campaign(), "test"))
     keys = [job.key for job in jobs]
     assert len(set(keys)) == len(keys) == 3 * 2 * (1 + 2 + 1)
@@ -84,7 +84,7 @@ def test_unfolds_every_combination_once() -> None:
     assert keys.index("warm/none/1000") > max(i for i, key in enumerate(keys) if key.startswith("source/"))
 
 
-def test_all_controllers_meet_the_same_delivery() -> None:
+def test_all_controllers_get_the_same_random_values() -> None:
     deliveries: dict[int, set[str]] = {}
     for job in unfold(campaign(), "test"):
         if job.case == "chip":
@@ -105,12 +105,12 @@ def test_the_command_repeats_the_flight() -> None:
     assert again.vehicle.disturbances[0].thrust_factor == 0.7  # type: ignore[union-attr]
 
 
-def test_a_case_cannot_start_from_one_that_is_not_there() -> None:
+def test_a_case_cannot_start_from_an_unknown_case() -> None:
     with pytest.raises(ConfigError, match="there is no case elsewhere"):
         campaign(TEXT.replace("experience: source", "experience: elsewhere"))
 
 
-def test_interrupted_campaign_resumes_without_repeating_or_losing(tmp_path: Path) -> None:
+def test_an_interrupted_campaign_resumes_without_repeating_or_losing_flights(tmp_path: Path) -> None:
     expected = sorted(job.key for job in unfold(campaign(), "test"))
 
     kept: list[str] = []
@@ -142,7 +142,7 @@ def test_experience_of_the_source_reaches_the_flight(tmp_path: Path) -> None:
     assert given["source/pid/1001"] is None
 
 
-def test_a_worker_that_dies_costs_one_more_try(tmp_path: Path) -> None:
+def test_a_flight_is_tried_again_if_its_worker_dies(tmp_path: Path) -> None:
     deaths: dict[str, int] = {}
 
     def fly(job: FlightJob) -> FlightResult:
@@ -160,8 +160,8 @@ def test_a_worker_that_dies_costs_one_more_try(tmp_path: Path) -> None:
     assert progress.errors == 2
 
 
-def test_no_flight_pays_for_another_one_that_kills_its_worker(tmp_path: Path) -> None:
-    """A pool that breaks takes all with it that is under way: they are tried again one by one."""
+def test_a_flight_that_kills_its_worker_affects_no_other(tmp_path: Path) -> None:
+    """A broken pool loses all flights under way: they are tried again one by one."""
 
     class Pool(InlineWorkers):
         def open(self) -> Executor:
@@ -191,13 +191,13 @@ def test_no_flight_pays_for_another_one_that_kills_its_worker(tmp_path: Path) ->
 
     progress = fly_all(tmp_path, Pool(pretend))
     rows = read_table(tmp_path).to_pylist()
-    # The second one starts from what the first would have learnt.
+    # The second flight starts from what the first would have learnt.
     assert [row["key"] for row in rows if row["error"]] == ["source/none/1001", "warm/none/1001"]
     assert progress.done == progress.total == len(rows)
 
 
-def test_rows_without_what_they_learnt_are_flown_again_for_others(tmp_path: Path) -> None:
-    """Rows that were published and taken up elsewhere come without the experience that others start from."""
+def test_a_source_without_its_experience_is_repeated_for_others(tmp_path: Path) -> None:
+    """Published rows come without the experience that other flights start from."""
     workers = InlineWorkers(pretend)
     with pytest.raises(KeyboardInterrupt):
         fly_all(tmp_path, workers, report=stop_after(4))
@@ -211,7 +211,7 @@ def test_rows_without_what_they_learnt_are_flown_again_for_others(tmp_path: Path
     assert fly_all(tmp_path, again).flown == 0
 
 
-def test_rows_of_a_torn_journal(tmp_path: Path) -> None:
+def test_rows_of_an_incomplete_journal(tmp_path: Path) -> None:
     lines = [json.dumps(empty_row() | {"key": key}) + "\n" for key in ("a", "b")]
     (tmp_path / JOURNAL).write_text("".join(lines) + '{"key": "c", "surv', encoding="utf-8")
     assert read_table(tmp_path).column("key").to_pylist() == ["a", "b"]
@@ -223,7 +223,7 @@ def test_rows_of_a_torn_journal(tmp_path: Path) -> None:
 
 
 def test_a_row_in_both_files_counts_once(tmp_path: Path) -> None:
-    """The process died between renaming the Parquet file and emptying the journal."""
+    """The process died between renaming the Parquet file and deleting the journal."""
     store = CampaignStore(tmp_path)
     store.append(empty_row() | {"key": "a", "swaps": 3})
     journal = (tmp_path / JOURNAL).read_bytes()
@@ -242,14 +242,14 @@ def test_two_campaigns_do_not_share_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("together", "said"),
+    ("together", "message"),
     [
         ("[[chip, ghost]]", "case ghost does not exist; allowed are source, chip, warm"),
         ("[[chip], [chip]]", "chip is listed"),
     ],
 )
-def test_cases_under_the_same_conditions_are_known_and_named_once(together: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=f"same_conditions: .*{said}"):
+def test_cases_under_the_same_conditions_exist_and_are_listed_once(together: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=f"same_conditions: .*{message}"):
         campaign(TEXT + f"same_conditions: {together}\n")
 
 
@@ -262,7 +262,7 @@ def test_a_folder_is_for_one_campaign(tmp_path: Path) -> None:
         prepare_folder(campaign_run(tmp_path, TEXT.replace("0.7", "0.75")), resume=True)
 
 
-def test_recovery_is_the_start_of_the_first_good_second() -> None:
+def test_recovery_ends_at_the_start_of_the_first_second_of_small_error() -> None:
     import numpy as np
 
     since = np.arange(-1.0, 5.0, 0.005)
@@ -365,7 +365,7 @@ def test_no_scheduler_is_a_plain_error() -> None:
 
 WITHOUT_TORCH = """
 import sys
-sys.modules["torch"] = None  # whoever imports it now fails
+sys.modules["torch"] = None  # any import of it now fails
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 outcome = fly_lockstep(resolve("hover", Choices(sys.argv[1], 1, 12.0, ("offboard.trainer.minimum_samples=100",))))
@@ -374,7 +374,7 @@ print(len(outcome.trace.time_s))
 
 
 @pytest.mark.parametrize(("controller", "flies"), [("mrac", True), ("dmrac", False)])
-def test_only_flights_that_train_load_torch(controller: str, flies: bool) -> None:
+def test_only_flights_that_train_import_torch(controller: str, flies: bool) -> None:
     command = [sys.executable, "-c", WITHOUT_TORCH, controller]
     result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (result.stdout == "2400\n") is flies, result.stderr

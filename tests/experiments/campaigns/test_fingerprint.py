@@ -1,4 +1,4 @@
-"""The fingerprint of a campaign: the same flights give the same, other flights another."""
+"""The fingerprint of a campaign: equal for the same flights, different for others."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Flights flown again: the same to the bit, or what came out otherwise."""
+"""Repeated flights: the same to the bit, or different."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +50,7 @@ def silent(progress: Progress) -> None:
     pass
 
 
-def test_a_flight_comes_out_the_same_and_any_other_row_is_found_out(tmp_path: Path) -> None:
+def test_a_repeated_flight_is_the_same_and_a_wrong_row_is_detected(tmp_path: Path) -> None:
     text = TEXT.replace("controllers: [none, pid]", "controllers: [pid]").replace("count: 3", "count: 1")
     campaign = flown(tmp_path / "flown", fly_job, text)
     (again,) = refly(campaign, ["source/pid/1000"], tmp_path / "again", InlineWorkers(fly_job), silent)
@@ -62,7 +62,7 @@ def test_a_flight_comes_out_the_same_and_any_other_row_is_found_out(tmp_path: Pa
     assert not replace(again, recorded=recorded).same
 
 
-def test_what_a_flight_starts_from_is_flown_first(tmp_path: Path) -> None:
+def test_the_source_of_an_experience_is_flown_first(tmp_path: Path) -> None:
     campaign = flown(tmp_path / "flown")
     workers = InlineWorkers(made_up)
     flights = refly(campaign, ["warm/pid/1001", "source/none/1002"], tmp_path / "again", workers, silent)
@@ -71,7 +71,7 @@ def test_what_a_flight_starts_from_is_flown_first(tmp_path: Path) -> None:
     assert all(flight.same for flight in flights)
 
 
-def test_the_draw_is_repeatable_and_leaves_failed_flights_out(tmp_path: Path) -> None:
+def test_the_choice_is_repeatable_and_leaves_failed_flights_out(tmp_path: Path) -> None:
     def some_fail(job: FlightJob) -> FlightResult:
         return made_up(job, error="an error" if job.controller == "none" else "")
 
@@ -82,8 +82,8 @@ def test_the_draw_is_repeatable_and_leaves_failed_flights_out(tmp_path: Path) ->
     assert sorted(pick(campaign, 100, 0)) == every
 
 
-def test_every_controller_is_drawn_from(tmp_path: Path) -> None:
-    """However few its flights are: a change of one law is not to hide behind the others."""
+def test_flights_of_every_controller_are_chosen(tmp_path: Path) -> None:
+    """However few its flights are: a change of one law must not be missed."""
     text = TEXT.replace("{name: warm,", "{name: warm, controllers: [mrac],")
     campaign = flown(
         tmp_path / "flown", text=text.replace("experience: source", "experience: source, experience_controller: pid")
@@ -93,7 +93,7 @@ def test_every_controller_is_drawn_from(tmp_path: Path) -> None:
 
 
 def test_flights_of_other_first_seeds_are_found(tmp_path: Path) -> None:
-    """`--resume` may go on with other seeds."""
+    """`--resume` may continue with other seeds."""
     flown(tmp_path / "flown")
     run = CampaignRun(
         fill(CampaignConfig, parse_yaml(TEXT.replace("count: 3", "count: 1, first: 1010"), "t"), "t"),
@@ -108,8 +108,8 @@ def test_flights_of_other_first_seeds_are_found(tmp_path: Path) -> None:
     assert [flight.again["key"] for flight in flights] == keys
 
 
-def test_who_only_looks_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A place is noted by whoever flies there, not by a `--resume` that finds nothing to fly."""
+def test_a_machine_that_flies_nothing_is_not_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine is recorded if it flies, not by a `--resume` with nothing to fly."""
     assert len(flown(tmp_path / "flown").about.flown_on) == 1
     monkeypatch.setattr("experiments.campaigns.runner.here", lambda: "elsewhere")
 
@@ -124,8 +124,8 @@ def test_who_only_looks_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "elsewhere" in resume(4)
 
 
-def test_other_kernels_of_the_linear_algebra_are_told() -> None:
-    """They are what most often keeps a flight from repeating to the bit on another machine."""
+def test_other_linear_algebra_kernels_are_reported() -> None:
+    """They are the most frequent reason why a flight is not the same to the bit on another machine."""
     place = here()
     assert kernels_of(place) == openblas_kernels()
     assert "numpy" in place
@@ -137,7 +137,7 @@ def test_other_kernels_of_the_linear_algebra_are_told() -> None:
     assert "OPENBLAS_CORETYPE=SkylakeX" in other_kernels([older, line], "Haswell")
 
 
-def test_what_came_out_otherwise_is_told(tmp_path: Path) -> None:
+def test_differences_are_reported(tmp_path: Path) -> None:
     campaign = flown(tmp_path / "flown")
     told: list[str] = []
     outcomes: list[Row] = [
@@ -163,7 +163,7 @@ def test_flights_of_other_settings_are_not_compared(tmp_path: Path, monkeypatch:
         pick(campaign, None, 0)
 
 
-def test_nothing_is_flown_where_one_place_is_bad(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_flown_if_one_place_is_bad(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flown(tmp_path / "flown")
     empty = tmp_path / "empty"
     prepare_folder(CampaignRun(read_flown(tmp_path / "flown").config, "test", empty), resume=False)
@@ -174,7 +174,7 @@ def test_nothing_is_flown_where_one_place_is_bad(tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "said"),
+    ("file", "content", "message"),
     [
         ("campaign.yaml", b"- a list", "campaign.yaml: holds list, expected a mapping"),
         ("campaign.yaml", b"name: test", "campaign.yaml: fingerprint"),
@@ -182,10 +182,10 @@ def test_nothing_is_flown_where_one_place_is_bad(tmp_path: Path, capsys: pytest.
         ("flights.parquet", b"junk", "its rows cannot be read"),
     ],
 )
-def test_a_damaged_folder_is_a_plain_error(file: str, content: bytes, said: str, tmp_path: Path) -> None:
+def test_a_damaged_folder_is_a_plain_error(file: str, content: bytes, message: str, tmp_path: Path) -> None:
     flown(tmp_path / "flown")
     (tmp_path / "flown" / file).write_bytes(content)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         read_flown(tmp_path / "flown")
 
 
@@ -202,7 +202,7 @@ def test_parquet_of_something_else_is_a_plain_error(tmp_path: Path) -> None:
         read_flown(file)
 
 
-def test_published_rows_are_as_good_as_the_folder(tmp_path: Path) -> None:
+def test_published_rows_equal_those_of_the_folder(tmp_path: Path) -> None:
     campaign = flown(tmp_path / "flown")
     publish(tmp_path / "flown", tmp_path / "rows.parquet")
     published = read_flown(tmp_path / "rows.parquet")
@@ -211,7 +211,7 @@ def test_published_rows_are_as_good_as_the_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_the_command_flies_in_processes_and_answers_with_its_status(
+def test_the_command_flies_in_processes_and_returns_its_status(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = TEXT.replace("controllers: [none, pid]", "controllers: [pid]").replace("count: 3", "count: 1")

@@ -28,7 +28,7 @@ ALIVE = empty_row() | {"survived": True, "duration_s": 20.0, "flown_s": 20.0}
 
 
 class Inline(Executor):
-    """Runs a job at once; `fly` answers it."""
+    """Runs a job at once, with `fly`."""
 
     def __init__(self, fly: Any) -> None:
         self._fly = fly
@@ -49,7 +49,7 @@ def bowl(job: Any) -> FlightResult:
     return FlightResult(job.key, row)
 
 
-def test_a_crash_is_never_worth_a_good_lap() -> None:
+def test_a_crash_costs_more_than_any_error() -> None:
     good = cost(ALIVE | {"settled_rmse_m": 0.02}, "settled_rmse_m", 0.02, 5.0)
     awful = cost(ALIVE | {"settled_rmse_m": 2.0}, "settled_rmse_m", 0.02, 5.0)
     lost = {"survived": False, "settled_rmse_m": 0.001}
@@ -58,7 +58,7 @@ def test_a_crash_is_never_worth_a_good_lap() -> None:
     broken = cost(ALIVE | {"error": "boom"}, "settled_rmse_m", 0.02, 5.0)
     assert good == 1.0
     assert good < awful == 5.0 < late < early < broken == 10.0
-    assert cost(ALIVE, "settled_rmse_m", 0.02, 5.0) == 5.0  # no whole lap: no credit
+    assert cost(ALIVE, "settled_rmse_m", 0.02, 5.0) == 5.0  # no complete lap: the highest cost
 
 
 def test_every_shipped_controller_has_a_space_that_fits_its_file() -> None:
@@ -112,9 +112,9 @@ def test_the_first_trials_start_from_the_campaigns_loop_gains(tmp_path: Path) ->
     assert changed == list(load_tuning("tune")[0].starts)
 
 
-def test_a_killed_searchs_trial_is_flown_again(tmp_path: Path) -> None:
+def test_the_trial_of_a_killed_search_is_repeated(tmp_path: Path) -> None:
     study = open_study(search(2), tmp_path)
-    flying = study.ask()  # and then the process is killed
+    flying = study.ask()  # then the process is killed
     values = {
         one.name: flying.suggest_float(one.name, one.low, one.high, log=one.log)
         for one in search(2).config.space("pid")
@@ -130,7 +130,7 @@ def test_a_start_outside_its_range_is_refused() -> None:
         tuning.TuneConfig.model_validate_json(__import__("json").dumps(tree), strict=False)
 
 
-def test_interrupted_trial_is_flown_again(tmp_path: Path) -> None:
+def test_an_interrupted_trial_is_repeated(tmp_path: Path) -> None:
     def interrupted(job: Any) -> FlightResult:
         raise KeyboardInterrupt
 
@@ -153,7 +153,7 @@ def test_a_wrong_path_ends_the_search_with_its_command(tmp_path: Path) -> None:
         run_search(search(1), open_study(search(1), tmp_path), Inline(wrong), lambda study: None)
 
 
-def test_file_keeps_comments_anchors_and_layout() -> None:
+def test_the_file_keeps_comments_anchors_and_layout() -> None:
     text = (
         "# What this is.\n# Tuned: an older search\nsettings:\n  a: {x: 1.0, y: [2.0, 3.0]}  # why\n"
         "  b: &same\n    - {signal: p, scale: 1.0}\n  c: *same\n"

@@ -1,4 +1,4 @@
-"""What one lockstep flight hands to another."""
+"""Experience that one lockstep flight carries to another."""
 
 import io
 from typing import Any
@@ -30,7 +30,7 @@ def test_last_layers_of_a_controller_with_fixed_features() -> None:
     np.testing.assert_array_equal(other.last_layers()[1], start.last_layers()[1])
 
 
-def test_a_controller_that_keeps_nothing_takes_and_gives_an_empty_file() -> None:
+def test_a_controller_that_learns_nothing_reads_and_writes_an_empty_file() -> None:
     onboard, offboard = cores("pid")
     data = dump_learnt(onboard, offboard)
     with np.load(io.BytesIO(data)) as archive:
@@ -38,7 +38,7 @@ def test_a_controller_that_keeps_nothing_takes_and_gives_an_empty_file() -> None
     start_from(data, onboard, offboard, frozen=True)
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_an_experience_that_does_not_fit_is_refused() -> None:
     mrac, offboard = cores("mrac")
     data = dump_learnt(mrac, offboard)
     bias, offboard_bias = cores("bias")
@@ -47,7 +47,7 @@ def test_what_does_not_fit_is_refused() -> None:
     dmrac, trainer = cores("dmrac")
     for frozen in (True, False):
         with pytest.raises(ConfigError, match="experience"):
-            start_from(data, dmrac, trainer, frozen)  # an MRAC's last layers hold no features
+            start_from(data, dmrac, trainer, frozen)  # the last layers of an MRAC contain no features
         with pytest.raises(ConfigError, match="experience"):
             start_from(b"rubbish", dmrac, trainer, frozen)
     with pytest.raises(ConfigError, match="rubbish"):

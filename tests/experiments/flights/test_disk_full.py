@@ -1,4 +1,4 @@
-"""A disk that runs full in the middle of a flight ends the log, with a line, and not the flight."""
+"""A full disk ends the log of a flight, with a message, and not the flight."""
 
 import shutil
 from pathlib import Path
@@ -34,8 +34,8 @@ def test_the_flight_goes_on(tmp_path: Path) -> None:
         assert processes.wait("sim", 60.0) == 0
         processes.end("onboard", "offboard")
         assert processes.running["onboard"].returncode == 0
-    said = (tmp_path / "onboard_said.txt").read_text(encoding="utf-8")
-    assert said.count("the flight log stopped, the flight goes on") == 1
+    output = (tmp_path / "onboard_output.txt").read_text(encoding="utf-8")
+    assert output.count("the flight log stopped, the flight goes on") == 1
     assert processes.summary("sim")["survived"]
     assert processes.summary("onboard")["escapes"] == 0
     flight = open_flight(tmp_path)

@@ -1,4 +1,4 @@
-"""What a flight that did not start leaves: nothing, but for a report of what went wrong."""
+"""A flight that does not start leaves nothing but a long error report."""
 
 from pathlib import Path
 
@@ -12,21 +12,21 @@ def fill(folder: Path, errors: str) -> None:
     (folder / "offboard_errors.txt").write_text(errors, encoding="utf-8")
 
 
-def test_one_line_is_told_and_not_kept(tmp_path: Path) -> None:
+def test_one_line_is_printed_and_not_stored(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "flights" / "one", "hover")
     fill(folder, "offboard.labels: unknown key\n")
     assert clear_folder(folder) == ""
     assert not folder.exists()
 
 
-def test_a_report_is_kept_and_named(tmp_path: Path) -> None:
+def test_a_long_report_is_stored_and_named(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "one", "hover")
     fill(folder, "Traceback\n  line\nMemoryError\n")
     assert clear_folder(folder) == f"; its full output is in {folder / 'offboard_errors.txt'}"
     assert [path.name for path in folder.iterdir()] == ["offboard_errors.txt"]
 
 
-def test_what_was_there_before_stays(tmp_path: Path) -> None:
+def test_earlier_files_stay(tmp_path: Path) -> None:
     earlier = tmp_path / "onboard.mcap"
     earlier.write_bytes(b"an earlier flight that was cut off")
     folder = make_folder(tmp_path, "hover")

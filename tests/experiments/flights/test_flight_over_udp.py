@@ -1,4 +1,4 @@
-"""Three real processes over real UDP in real time: the flight a newcomer sees, and what may go wrong in it."""
+"""Three real processes over real UDP in real time: the flight of a new user, and its failures."""
 
 import json
 import os
@@ -47,7 +47,7 @@ class KillAndRestart:
             self.second = subprocess.Popen(child.command, stdout=subprocess.DEVNULL)
 
 
-def test_a_flight_survives_the_death_of_offboard_and_takes_up_another(tmp_path: Path) -> None:
+def test_a_flight_survives_the_death_of_offboard_and_uses_another(tmp_path: Path) -> None:
     config = on_ports(resolve("hover", Choices(duration_s=DURATION_S)), 16460)
     config_path = tmp_path / "config.yaml"
     config_path.write_text(config.to_yaml(), encoding="utf-8")
@@ -77,7 +77,7 @@ def test_a_flight_survives_the_death_of_offboard_and_takes_up_another(tmp_path: 
     assert {FlightMode.TAKE_OFF, FlightMode.FLYING, FlightMode.LANDING, FlightMode.LANDED} <= modes
     assert not modes & {FlightMode.HOLD_LEVEL, FlightMode.EMERGENCY}
 
-    (checked,) = check_flight(read_recorded(tmp_path))  # the golden replay: a fresh core answers as it did in the air
+    (checked,) = check_flight(read_recorded(tmp_path))  # the golden replay: a new core gives the same outputs
     assert checked.difference is None
     assert checked.incomplete == ""
     assert checked.ticks == checked.rows == summary["onboard"]["ticks"]
@@ -88,7 +88,7 @@ def read_summary(folder: Path, name: str) -> dict[str, Any]:
     return summary
 
 
-def test_a_process_alone_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
+def test_a_single_process_reports_an_error_in_one_line(tmp_path: Path) -> None:
     config = on_ports(resolve("hover"), 16460).to_yaml()
     path = tmp_path / "config.yaml"
     wrong = {

@@ -13,7 +13,7 @@ def flown() -> LockstepOutcome:
     return fly_lockstep(resolve("figure8_calm", Choices("pid", 21, 14.0, (FROZEN,))))
 
 
-def test_it_is_taken_for_silent_and_said() -> None:
+def test_it_counts_as_silent_and_is_reported() -> None:
     outcome = flown()
     assert outcome.crash_reason == ""
     said_ns = [when for when, process, text in outcome.events if process == "offboard" and "repeats one pose" in text]
@@ -21,6 +21,6 @@ def test_it_is_taken_for_silent_and_said() -> None:
     assert FlightMode.LANDED in outcome.trace.mode
 
 
-def test_without_the_look_at_repeated_poses_the_vehicle_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_check_for_repeated_poses_the_vehicle_crashes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("offboard.links.pose_relay.FROZEN_POSES", 10**9)
     assert flown().crash_reason

@@ -1,4 +1,4 @@
-"""`dmrac fly --view --web`: a browser sees a flight over UDP while it is flown, and nothing is left running."""
+"""`dmrac fly --view --web`: a browser shows a flight over UDP while it is flown, and no process is left."""
 
 import asyncio
 import os
@@ -16,10 +16,10 @@ from flight_log.reader import open_flight
 from tests import browser
 
 DURATION_S = 300.0
-"""Ended by the test as soon as it has seen enough."""
+"""The test ends it as soon as it is done."""
 END_LIMIT_S = 60.0
 QUIET = ("nice", "-n", "15")
-"""The browser must not take the processors from the flight: without a graphics card it would take all of them."""
+"""The browser must leave the processors to the flight: without a graphics card it would use all of them."""
 LOOPBACK = "0100007F"
 LISTENING = "0A"
 
@@ -30,12 +30,12 @@ pytestmark = [
 ]
 
 
-def test_a_browser_sees_the_flight_while_it_is_flown(tmp_path: Path) -> None:
+def test_a_browser_shows_the_flight_while_it_is_flown(tmp_path: Path) -> None:
     pytest.importorskip("flight_log.rerun_scene", reason="the viz extra is not installed")
     folder = tmp_path / "flight"
 
     async def look(page: browser.Page) -> tuple[np.ndarray, np.ndarray]:
-        """The viewer's picture, and the next other one."""
+        """A picture of the viewer, and the next one that differs."""
         first = later = await browser.drawn_picture(page)
         while (later == first).all() and not (folder / END_FILE).exists():
             await asyncio.sleep(browser.LOOK_PERIOD_S)
@@ -53,7 +53,7 @@ def test_a_browser_sees_the_flight_while_it_is_flown(tmp_path: Path) -> None:
         family = descendants(fly.pid)
         heard = listening_addresses(family)
         fly.send_signal(signal.SIGINT)
-        said = next(line for line in fly.stdout if line.startswith("the flight is over"))
+        output = next(line for line in fly.stdout if line.startswith("the flight is over"))
         fly.send_signal(signal.SIGINT)
         fly.wait(END_LIMIT_S)
     assert not flown_already, "the test was slower than the flight"
@@ -62,7 +62,7 @@ def test_a_browser_sees_the_flight_while_it_is_flown(tmp_path: Path) -> None:
     assert len(family) == 5, "three processes of the flight, the page's server and the viewer"
     assert not [pid for pid in family if Path(f"/proc/{pid}").exists()]
     assert heard == {LOOPBACK}
-    assert said.strip() == "the flight is over; the page stays up until Ctrl-C"
+    assert output.strip() == "the flight is over; the page stays up until Ctrl-C"
     assert len(open_flight(folder)["onboard/tick"]) > 0
     assert (folder / "report.html").exists()
 

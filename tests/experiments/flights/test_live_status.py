@@ -1,4 +1,4 @@
-"""What the live status shows, in a terminal and elsewhere."""
+"""The live status, in a terminal and elsewhere."""
 
 import io
 
@@ -15,7 +15,7 @@ SIM = {"process": "sim", "kind": "status", "time_s": 12.34, "link": LINK}
 EVENT = {"process": "onboard", "kind": "event", "text": "features 3 in use [bold]"}
 
 
-def test_shows_what_a_person_wants_to_know() -> None:
+def test_the_important_values_are_shown() -> None:
     status = FlightStatus()
     for entry in (ONBOARD, OFFBOARD, SIM):
         status.receive(entry)
@@ -48,7 +48,7 @@ def test_a_terminal_gets_one_table_that_is_redrawn() -> None:
     assert "features 3 in use [bold]" in text
 
 
-def test_elsewhere_plain_lines_two_seconds_apart_and_every_event() -> None:
+def test_other_outputs_get_a_line_every_two_seconds_and_every_event() -> None:
     out = io.StringIO()
     with LiveStatus(Console(file=out, width=80)) as live:
         for _ in range(10):

@@ -1,4 +1,4 @@
-"""`fly --view`: the viewer stands before the flight begins, is heard, and is gone afterwards."""
+"""`fly --view`: the viewer starts before the flight, its output is shown, and it ends with the flight."""
 
 import os
 import sys
@@ -12,7 +12,7 @@ from experiments.flights.live_view import live_view
 
 STAND_IN = """
 import os, sys, time
-print({said!r}, flush=True)
+print({printed!r}, flush=True)
 print(os.getpid(), os.nice(0), *sys.argv[1:], file=open({log!r}, "w"), flush=True)
 time.sleep({lives_s})
 """
@@ -20,12 +20,12 @@ time.sleep({lives_s})
 
 @pytest.fixture
 def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """A program of the test's own in the viewer's place; what it was given stands in `log`."""
+    """A program of the test instead of the viewer; it writes its arguments to `log`."""
 
-    def put(said: str, lives_s: float) -> Path:
+    def put(printed: str, lives_s: float) -> Path:
         log = tmp_path / "log"
         script = tmp_path / "viewer"
-        script.write_text(f"#!{sys.executable}\n{STAND_IN.format(said=said, log=str(log), lives_s=lives_s)}")
+        script.write_text(f"#!{sys.executable}\n{STAND_IN.format(printed=printed, log=str(log), lives_s=lives_s)}")
         script.chmod(0o755)
         monkeypatch.setattr(module.sys, "executable", str(script))
         return log
@@ -53,13 +53,13 @@ def test_the_viewer_is_quiet_and_ends_with_the_flight(
     assert words[-6:] == ["view", str(tmp_path), "--live", "--web", "--port", "7"]
 
 
-def test_a_viewer_that_cannot_be_shown_ends_it_before_the_start(stand_in, tmp_path: Path) -> None:
+def test_a_viewer_that_does_not_start_ends_the_command_before_the_flight(stand_in, tmp_path: Path) -> None:
     stand_in("dmrac view: port 9090 of 127.0.0.1: Address already in use; choose another with --port", 0.0)
     with pytest.raises(ConfigError, match=r"--view: port 9090 of 127.0.0.1"), live_view(tmp_path, web=True):
         pytest.fail("there is no viewer to fly with")
 
 
-def test_what_is_left_of_a_flight_is_watched_until_the_window_is_closed(
+def test_the_viewer_stays_until_its_window_is_closed(
     stand_in, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand_in("the viewer is open", 0.3)

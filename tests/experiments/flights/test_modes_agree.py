@@ -1,4 +1,4 @@
-"""Real time over UDP and lockstep are the same flight within a stated tolerance: one step, two drivers."""
+"""Real time over UDP and lockstep give the same flight within a stated tolerance: one step, two drivers."""
 
 from pathlib import Path
 

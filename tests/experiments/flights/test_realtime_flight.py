@@ -1,4 +1,4 @@
-"""Starting, watching and ending the processes of a flight, with stand-ins that only talk and end as told."""
+"""Starting, watching and ending the processes of a flight, with scripted stand-ins."""
 
 import os
 import signal
@@ -50,7 +50,7 @@ BODIES = {
 
 @pytest.fixture
 def stand_ins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """Puts modules of the test's own in the place of the three processes."""
+    """Replaces the three processes by modules of the test."""
     folder = tmp_path / "modules"
     folder.mkdir()
     monkeypatch.setenv("PYTHONPATH", str(folder))
@@ -83,7 +83,7 @@ def test_ends_when_the_vehicles_time_is_over(stand_ins, tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*_errors.txt"))
 
 
-def test_goes_on_when_offboard_is_killed(stand_ins, tmp_path: Path) -> None:
+def test_continues_when_offboard_is_killed(stand_ins, tmp_path: Path) -> None:
     stand_ins(offboard="say(kind='event', text='ready'); serve(0.3); import os; os.kill(os.getpid(), 9)")
     result = fly(tmp_path)
     assert result.sim == {"asked": 0, "survived": True}
@@ -115,7 +115,7 @@ def test_flies_without_an_offboard_that_is_never_ready(
     assert result.notes == ["offboard is not ready after 3 s; the flight starts without it"]
 
 
-def test_a_process_that_the_flight_needs_and_that_is_never_ready_ends_it(
+def test_a_needed_process_that_is_never_ready_ends_the_flight(
     stand_ins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(realtime_flight, "READY_LIMIT_S", 1.0)
@@ -124,7 +124,7 @@ def test_a_process_that_the_flight_needs_and_that_is_never_ready_ends_it(
         fly(tmp_path)
 
 
-def test_a_process_that_cannot_start_ends_the_others_and_is_quoted(stand_ins, tmp_path: Path) -> None:
+def test_a_process_that_cannot_start_ends_the_others_and_its_error_is_quoted(stand_ins, tmp_path: Path) -> None:
     stand_ins(offboard="print('offboard.labels: unknown key', file=sys.stderr); sys.exit(2)")
     with pytest.raises(
         FlightStartError, match=r"offboard ended at its start \(status 2\): offboard.labels: unknown key"
@@ -132,7 +132,7 @@ def test_a_process_that_cannot_start_ends_the_others_and_is_quoted(stand_ins, tm
         fly(tmp_path)
 
 
-def test_onboard_that_dies_in_flight_is_told(stand_ins, tmp_path: Path) -> None:
+def test_the_death_of_onboard_in_flight_is_reported(stand_ins, tmp_path: Path) -> None:
     stand_ins(onboard="say(kind='event', text='ready'); raise RuntimeError('broken')", sim=BODIES["offboard"])
     result = fly(tmp_path)
     assert result.exit_status["onboard"] == 1
@@ -171,7 +171,7 @@ def test_ctrl_c_lands_and_a_second_one_ends_at_once(stand_ins, tmp_path: Path, p
 
 
 def test_a_taken_port_is_named_and_nothing_is_started(stand_ins, tmp_path: Path) -> None:
-    network = NETWORK.model_copy(update={"offboard_link": "127.0.0.5:15999"})  # not to be in the other tests' way
+    network = NETWORK.model_copy(update={"offboard_link": "127.0.0.5:15999"})  # not used by other tests
     taken = DatagramSocket("other", network.offboard_link, None)
     with pytest.raises(AddressInUseError, match=r"network\.offboard_link: 127\.0\.0\.5:15999 is in use"):
         run(network, tmp_path / "config.yaml", 5.0, tmp_path)
@@ -202,7 +202,7 @@ def test_no_process_outlives_a_killed_parent(stand_ins, tmp_path: Path) -> None:
         time.sleep(0.02)
 
 
-def test_rubbish_between_the_lines_is_passed_over(stand_ins, tmp_path: Path) -> None:
+def test_other_output_between_the_lines_is_ignored(stand_ins, tmp_path: Path) -> None:
     stand_ins(sim="print('warning: something'); print('[1]'); say(kind='event', text='ready'); finish()")
     child = Child("sim", tmp_path / "config.yaml", tmp_path)
     child.process.wait()

@@ -1,4 +1,4 @@
-"""Every shipped scenario is flown by every shipped controller that is meant to fly it."""
+"""Every shipped scenario, flown by every shipped controller that is made for it."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ SCENARIOS = sorted(path.stem for path in (CONFIG_DIRECTORY / "scenarios").glob("
 @pytest.mark.parametrize("controller", ["pid", "l1", "indi", "bias", "mrac", "dmrac"])
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_it_flies(scenario: str, controller: str) -> None:
-    """Up, along the path, alive. Without offboard, so without training and, indoors, by optical flow alone."""
+    """The vehicle takes off, follows its path and survives. Without offboard: no training and no pose."""
     outcome = fly_lockstep(resolve(scenario, Choices(controller, 3, 16.0)), with_offboard=False)
     trace = outcome.trace
     assert outcome.crash_reason == ""

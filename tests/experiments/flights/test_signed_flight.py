@@ -1,4 +1,4 @@
-"""Keys come from files and stay there: a signed flight flies, is checked bit for bit, and its record holds no key."""
+"""Keys are read from files only: a signed flight flies, is checked bit for bit, and its record contains no key."""
 
 from pathlib import Path
 
@@ -54,5 +54,5 @@ def test_a_key_that_others_may_read_or_that_is_not_there_stops_the_flight_before
 
 def test_a_key_in_the_configuration_itself_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fly", "hover", "--set", f"onboard.vehicle_link.signing_key={'ab' * 32}"]) == 2
-    said = capsys.readouterr().err
-    assert "vehicle_link.signing_key: unknown key" in said
+    output = capsys.readouterr().err
+    assert "vehicle_link.signing_key: unknown key" in output

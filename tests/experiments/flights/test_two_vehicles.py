@@ -15,7 +15,7 @@ NUMBERS = (1, 2)
 
 
 def test_one_trainer_teaches_two_vehicles(tmp_path: Path) -> None:
-    """Each learns from its own samples and keeps its own files; what one flies never reaches the other."""
+    """Each vehicle learns from its own samples and has its own files; nothing of one reaches the other."""
     configs, folders = {}, {}
     for number in NUMBERS:
         choices = Choices(seed=number, duration_s=DURATION_S, vehicle=number)

@@ -16,7 +16,7 @@ MS = 1_000_000
 S = 1_000_000_000
 KEY = bytes(range(32))
 UP_FOR_NS = 3_000 * S
-"""Offboard's clock is so much ahead of onboard's."""
+"""Offboard's clock is ahead of onboard's by this time."""
 LEARNING = (
     "offboard.trainer.minimum_samples=16",
     "offboard.trainer.batches=20",
@@ -31,7 +31,7 @@ LEARNING = (
 
 
 class Shifted:
-    """A core on a clock of its own, which jumps: (when, by how much), ns."""
+    """A core with its own clock, which jumps: (when, by how much), ns."""
 
     def __init__(self, core: Any, ahead_ns: int, *jumps: tuple[int, int]) -> None:
         self.core, self.ahead_ns, self.jumps = core, ahead_ns, jumps
@@ -56,7 +56,7 @@ class Shifted:
 
 
 class Flight:
-    """A lockstep flight whose parts a test may exchange in the air."""
+    """A lockstep flight whose parts a test can replace in the air."""
 
     def __init__(self, controller: str = "dmrac", seed: int = 11, assignments: tuple[str, ...] = LEARNING) -> None:
         self.config: FlightConfig = resolve("figure8_wind", Choices(controller, seed, None, assignments))
@@ -67,7 +67,7 @@ class Flight:
         self.up: list[tuple[int, int]] = []
 
     def with_key(self) -> "Flight":
-        """The same flight over a protected link; before its first tick."""
+        """Protect the link with a key, before the first tick."""
         self.onboard = self.lockstep._onboard = OnboardCore(self.config.onboard, 1, KEY)
         self.offboard = Side(self.config, 2).core
         self.lockstep.attach_offboard(self.offboard)
@@ -99,14 +99,14 @@ class Flight:
 
 
 class Side:
-    """The offboard core, keyed, on its own clock."""
+    """The offboard core with a key."""
 
     def __init__(self, config: FlightConfig, session: int) -> None:
         self.core = OffboardCore(config.offboard, session, KEY)
 
 
 class Wire:
-    """Onboard's core on the ground joined to offboard's by a wire that loses nothing and records all that goes up."""
+    """Onboard's core on the ground, connected to offboard by a wire that loses nothing and records all datagrams up."""
 
     def __init__(self, onboard: OnboardCore, offboard: Side) -> None:
         self.onboard, self.offboard = onboard, offboard

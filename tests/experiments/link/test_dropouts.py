@@ -38,7 +38,7 @@ def test_every_shipped_trace_loads_and_does_something(name: str) -> None:
     assert (FOLDER / f"{name}.csv").exists() == bool(trace.deliveries)
 
 
-def test_recorded_traces_hold_what_their_radio_does() -> None:
+def test_recorded_traces_have_the_statistics_of_their_radio() -> None:
     quality = {
         name: link_quality(load_trace(f"recorded_{name}").deliveries["down"], 30.0) for name in ("medium", "bad")
     }
@@ -48,7 +48,7 @@ def test_recorded_traces_hold_what_their_radio_does() -> None:
     assert bluetooth.delay_median_s == pytest.approx(0.0135, abs=0.003), "8 ms, jitter, and waiting for one's turn"
 
 
-def test_deliveries_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
+def test_deliveries_are_stored_to_the_microsecond(tmp_path: Path) -> None:
     radio = deliveries()
     path = tmp_path / "mine.csv"
     write_csv(path, radio.deliveries, "Made up.")
@@ -62,7 +62,7 @@ def test_deliveries_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "expected the head"),
         ("up,1,loss,,,\n", "expected the head"),
@@ -78,12 +78,12 @@ def test_deliveries_survive_the_file_to_the_microsecond(tmp_path: Path) -> None:
         (HEAD + "up,2,loss,,,\ndown,1,loss,,,\nup,1,loss,,,\n", "up at 1.000 ms: sent_ms decreases"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_named(text: str, said: str, tmp_path: Path) -> None:
+def test_an_error_in_a_file_is_named(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "wrong.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as error:
         load_trace(str(path))
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert str(path) in str(error.value)
 
 
@@ -94,7 +94,7 @@ def test_a_pattern_with_an_unknown_key_is_named(tmp_path: Path) -> None:
         load_trace(str(path))
 
 
-def test_an_unknown_trace_is_told_before_anything_is_flown(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_trace_is_reported_before_any_flight(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dropouts", "blackout_1s", "no_such"]) == 2
     error = capsys.readouterr().err
     assert "unknown dropout trace 'no_such': allowed are blackout_10s, " in error
@@ -114,8 +114,8 @@ def test_the_quality_of_a_link() -> None:
     assert (nothing.lost_share, nothing.longest_gap_s, nothing.longest_burst) == (0.0, 2.0, 0)
 
 
-def test_flights_meet_their_traces() -> None:
-    """Even a link that is dead from the first moment does not cost the vehicle."""
+def test_flights_have_the_losses_of_their_traces() -> None:
+    """The vehicle survives even a link that is dead from the start."""
     dead = fly_one(DropoutFlight("dead", "hover", Choices("pid", 1, 9.5)))
     bad = fly_one(DropoutFlight("recorded_bad", "hover", Choices("pid", 1, 7.0)))
     assert (dead.lost_up, dead.lost_down) == (1.0, 1.0)
@@ -128,20 +128,20 @@ def test_flights_meet_their_traces() -> None:
         assert row.cells()[6] == "none"
 
 
-def test_a_link_that_is_late_by_a_quarter_of_a_second_does_not_cost_the_vehicle() -> None:
-    """The clocks' offset is wrong by 65 ms here: poses at the wrong time look turned while the vehicle turns."""
+def test_the_vehicle_survives_a_delay_of_a_quarter_of_a_second() -> None:
+    """The clock offset is wrong by 65 ms here: poses at the wrong time appear rotated while the vehicle turns."""
     late = fly_one(DropoutFlight("late", "figure8_wind", Choices("pid", 3, 13.0)))
     assert late.survived
     assert late.position_rmse_m < 0.1
 
 
 @pytest.mark.parametrize("name", trace_names())
-def test_no_shipped_trace_costs_the_vehicle(name: str) -> None:
+def test_the_vehicle_survives_every_shipped_trace(name: str) -> None:
     assert fly_one(DropoutFlight(name, "figure8_wind", Choices("pid", 2, 16.0))).survived
 
 
 @pytest.mark.full
-def test_the_whole_set_survives(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_flies_all_traces(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dropouts"]) == 0
     assert capsys.readouterr().out.count(" yes ") == len(trace_names()) + 1
 
@@ -154,14 +154,14 @@ def labelled(*assignments: str) -> int:
     return int(flight.offboard["samples"])
 
 
-def test_batches_that_go_twice_are_worth_their_bytes() -> None:
+def test_sending_batches_twice_gives_more_labels() -> None:
     once, twice = labelled("onboard.samples.repeat_from_loss=1.0"), labelled()
     assert once > 30
     assert twice > 1.3 * once, "40 % arrive, or 64 %"
 
 
-def test_a_narrow_link_is_not_made_narrower() -> None:
-    """A full queue drops a fifth of what comes down; answered by twice the bytes, the way up would drop, too."""
+def test_a_narrow_link_gets_no_repeated_batches() -> None:
+    """A full queue drops a fifth of the datagrams down; with twice the bytes the way up would drop some, too."""
     narrow = fly_one(DropoutFlight("narrow", "figure8_wind", Choices("dmrac", 2, 12.0)))
     assert narrow.lost_down > 0.2
     assert narrow.lost_up == 0.0

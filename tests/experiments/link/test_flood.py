@@ -1,4 +1,4 @@
-"""5,000 bad datagrams a second really arrive at onboard's socket towards offboard, and cost it no tick.
+"""5,000 bad datagrams per second arrive at onboard's socket towards offboard, and it misses no tick.
 
 The socket is connected: the kernel drops what other addresses send. So the flood comes from the one address that is
 heard: a relay between radio and onboard adds it to what it relays, as an attacker in the radio's place would.
@@ -28,7 +28,7 @@ ONBOARD, RELAY = "127.0.0.1:17671", "127.0.0.1:17675"
 
 
 class FloodingRelay(threading.Thread):
-    """Relays between radio and onboard, and adds rubbish while `flooding` is set."""
+    """Relays between radio and onboard, and adds bad datagrams while `flooding` is set."""
 
     def __init__(self, radio: str, in_place_of_onboard: str) -> None:
         super().__init__(daemon=True)
@@ -60,7 +60,7 @@ class FloodingRelay(threading.Thread):
         self._onboard.close()
 
     def _bad(self, rng: np.random.Generator) -> bytes:
-        """Noise; a forged datagram of our form; one that was overheard, again."""
+        """Noise, a forged datagram of the right form, and a recorded one."""
         kind = self.flooded % 3
         if kind == 0 or not self._overheard:
             return rng.bytes(int(rng.integers(1, 1400)))
@@ -93,7 +93,7 @@ def test_a_real_flood_costs_no_tick(tmp_path: Path) -> None:
     assert flight.trace is not None
     tick = flight.trace.tick
     during = (flight.trace.time_s > 5.0) & (flight.trace.time_s < 2.0 + FLOOD_S) & flight.trace.on_path
-    duplicates = relay.flooded / 3  # what was overheard and comes again is a duplicate, not a rejection
+    duplicates = relay.flooded / 3  # a recorded datagram counts as a duplicate, not as rejected
     rejected = sum(onboard["rejected"].values())
     print(f"{relay.flooded} sent, {rejected} rejected, {onboard['missed']} of {onboard['ticks']} ticks missed")
     print(f"tick {onboard['tick_us']} us, lateness {onboard['lateness_us']} us")

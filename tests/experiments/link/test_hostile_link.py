@@ -35,7 +35,7 @@ from tests.experiments.link.link_flight import KEY, LEARNING, MS, UP_FOR_NS, Fli
 
 
 def sealed(message_type: int, body: bytes, session: int, sequence: int, key: bytes | None = KEY) -> bytes:
-    """A datagram to onboard made by hand, so that it may say what no message of ours can."""
+    """A datagram to onboard made by hand, with content that no message can have."""
     signed = HEADER.pack(1, message_type, 1, session, sequence, 0) + body
     return signed + hashlib.blake2b(signed, digest_size=16, key=key or b"", person=b"async-dmrac down").digest()
 
@@ -81,8 +81,8 @@ def put(index: int, value: Any) -> Callable[[list[Any]], None]:
         (encode_feature_set(features(last_layer=1e4), "float32"), "weight_norm"),
     ],
 )
-def test_who_has_the_key_and_lies_is_refused_and_offboard_is_told_why(data: bytes, reason: str) -> None:
-    """The refusal travels: onboard's status, offboard's event, and the sender goes on to the next version."""
+def test_false_content_with_the_right_key_is_refused_and_offboard_gets_the_reason(data: bytes, reason: str) -> None:
+    """Onboard's status contains the reason, offboard logs it, and the sender continues with the next version."""
     config = resolve("hover", Choices("dmrac", 3))
     offboard = Side(config, 7)
     wire = Wire(OnboardCore(config.onboard, 5, KEY), offboard)
@@ -101,7 +101,7 @@ def test_who_has_the_key_and_lies_is_refused_and_offboard_is_told_why(data: byte
 
 
 def rubbish(rng: np.random.Generator, genuine: list[bytes]) -> Iterator[bytes]:
-    """Everything bad but the key: noise, truncated, oversized, another session, version, key, and old recordings."""
+    """All bad datagrams without the key: noise, truncated, oversized, another session, version or key, recordings."""
     while True:
         old = genuine[int(rng.integers(len(genuine)))]
         yield rng.bytes(int(rng.integers(0, 2048)))
@@ -114,7 +114,7 @@ def rubbish(rng: np.random.Generator, genuine: list[bytes]) -> Iterator[bytes]:
 
 
 def test_a_flood_of_5000_a_second_costs_no_tick_and_no_pose() -> None:
-    """25 bad datagrams in each tick, as many as 5,000/s bring, with the real core in flight."""
+    """25 bad datagrams in each tick, which is 5,000 per second, with the real core in flight."""
     flight = Flight("mrac").with_key().fly(3.0)
     rng = np.random.default_rng(4)
     peer = Endpoint("offboard", 2, None)
@@ -133,8 +133,8 @@ def test_a_flood_of_5000_a_second_costs_no_tick_and_no_pose() -> None:
     assert sum(flight.onboard.summary()["rejected"].values()) > 0.6 * 400 * 25
 
 
-def test_what_a_tick_takes_in_is_bounded() -> None:
-    """However much waits in the sockets, the loop takes so much and steps."""
+def test_the_datagrams_of_a_tick_are_limited() -> None:
+    """However many datagrams wait in the sockets, the loop reads a limited number and steps."""
     asked: list[int] = []
 
     def receive(limit: int) -> list[bytes]:
@@ -156,7 +156,7 @@ def test_what_a_tick_takes_in_is_bounded() -> None:
 
 
 def assert_within(up: list[tuple[int, int]], budget: float) -> None:
-    """No window of time holds more than the budget and one burst; `up`: (ns, bytes) of each datagram."""
+    """No window of time contains more than the budget and one burst; `up`: (ns, bytes) of each datagram."""
     times, sizes = (np.array(column) for column in zip(*up, strict=True))
     total = np.concatenate([[0], np.cumsum(sizes)])
     burst = 2 * 1200 + 300
@@ -167,7 +167,7 @@ def assert_within(up: list[tuple[int, int]], budget: float) -> None:
 
 @pytest.mark.parametrize(("budget", "status_s"), [(1_500.0, 0.2), (6_000.0, 0.1)])
 def test_the_up_link_stays_within_its_budget(budget: float, status_s: float) -> None:
-    """Samples, status and time sync with all headers, over every window; the newest samples go, gaps are marked."""
+    """Samples, status and time sync with all headers, in every window; the newest samples are sent, gaps are marked."""
     narrow = (
         *LEARNING,
         f"onboard.samples.budget_bytes_s={budget}",
@@ -197,7 +197,7 @@ def test_the_up_link_stays_within_its_budget(budget: float, status_s: float) -> 
     assert max(jumps) > batches[-1][1].signals.shape[0], "what is missing shows as a jump of the index"
 
 
-def test_a_peer_that_restarts_and_asks_without_end_does_not_make_us_exceed_it() -> None:
+def test_the_budget_holds_with_a_peer_that_restarts_and_sends_requests_without_end() -> None:
     assignments = ("onboard.samples.budget_bytes_s=1500.0", "onboard.status_period_s=0.2")
     onboard = OnboardCore(resolve("hover", Choices("pid", 3, None, assignments)).onboard, 5, KEY)
     up: list[tuple[int, int]] = []
@@ -220,8 +220,8 @@ def test_a_budget_that_status_and_time_sync_alone_exceed_is_refused() -> None:
     assert tuple(len(endpoint.encode(message, 0)) + NETWORK_BYTES for message in longest) == stated
 
 
-def test_chunks_are_what_they_are() -> None:
-    """The hand-made datagrams above are like ours where nothing is wrong: else those tests would test nothing."""
+def test_the_hand_made_datagrams_are_valid() -> None:
+    """An unchanged hand-made datagram is accepted; otherwise the tests above would test nothing."""
     onboard = Endpoint("onboard", 5, KEY)
     chunk = split(encode_feature_set(features(), "float32"), 1, 1000)[0]
     body = msgpack.packb((chunk.version, chunk.index, chunk.count, chunk.digest, chunk.data))

@@ -1,4 +1,4 @@
-"""The tables of docs/link.md from made-up flights: what is counted and marked, and that the page has its blocks."""
+"""The tables of docs/link.md from made-up flights, and the blocks of the page."""
 
 import json
 import math
@@ -44,7 +44,7 @@ FLIGHTS = {
 }
 
 
-def test_a_link_is_below_only_if_pairs_of_seeds_say_so() -> None:
+def test_a_link_is_below_only_if_the_paired_test_is_significant() -> None:
     assert links_below(FLIGHTS) == {("loss_100", "dmrac")}
     text = verdict(FLIGHTS)
     assert text.startswith("80 flights, 20 seeds, 13 vehicles lost. Survival is significantly below")

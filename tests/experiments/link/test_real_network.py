@@ -1,9 +1,8 @@
-"""Onboard and offboard in two network namespaces, joined by a veth pair: a real IP path between two addresses, a key,
-and its impairment by the kernel beside our own radio's of the same kind.
+"""Onboard and offboard in two network namespaces, connected by a veth pair: a real IP path between two addresses.
 
-The kernel's ways are netem (loss, delay, reordering) and, since not every kernel has it, nftables and a token bucket:
-the receiver's packet filter drops at random, the sender's queue is narrow. What is not to be had is skipped with the
-reason.
+With a key, and with impairments by the kernel beside those of the simulated radio. The kernel uses netem (loss, delay,
+reordering) and, since not every kernel has it, nftables and a token bucket: the receiver's packet filter drops at
+random, and the sender's queue is narrow. The test skips what the machine does not support, with the reason.
 """
 
 import contextlib
@@ -28,21 +27,21 @@ VEHICLE, GROUND = f"dmrac{os.getpid()}a", f"dmrac{os.getpid()}b"
 """The namespaces: vehicle and onboard in one, offboard in the other."""
 LINK = ("10.201.1.1", "10.201.1.2")
 CAPTURE = ("10.201.2.1", "10.201.2.2")
-"""The motion capture has a cable of its own, which is never impaired."""
+"""The motion capture has its own cable, which is never impaired."""
 NETEM = ("netem", "delay", "10ms", "3ms", "loss", f"{LOSS:.0%}", "reorder", "5%")
 NARROW = ("tbf", "rate", "700kbit", "burst", "2500", "latency", "100ms")
 DROPS = (
     "table ip link { chain arriving { type filter hook input priority 0;"
     f" iifname radio0 numgen random mod 1000 < {1000 * LOSS:.0f} drop; }}; }}"
 )
-"""On arrival: what a filter drops on the way out, the sender is told of, and no radio does that."""
+"""On arrival: if a filter drops datagrams on the way out, the sender gets an error, unlike with a radio."""
 NOT_HERE = ("not permitted", "denied", "kind is unknown", "not supported", "No such file or directory")
-"""How ip, tc and nft say that the machine does not offer it; anything else is a mistake of ours."""
+"""Messages of ip, tc and nft for a feature that the machine does not support; any other message is a test failure."""
 RADIO = {"loss": LOSS, "delay_s": 0.01, "jitter_s": 0.003, "reordering": 0.05}
 
 
 def run(*words: str) -> None:
-    """Runs a tool of the system; skips the test where there is no such tool, or neither right nor kernel for it."""
+    """Runs a system tool; skips the test if the tool, the permission or the kernel feature is missing."""
     try:
         result = subprocess.run(words, capture_output=True, text=True, check=False)
     except FileNotFoundError:
@@ -76,13 +75,13 @@ def namespaces() -> Iterator[None]:
 
 
 def impair_by_netem() -> None:
-    """Both ends of the link lose, delay and reorder what they send."""
+    """Both ends of the link lose, delay and reorder sent datagrams."""
     for name in (VEHICLE, GROUND):
         run("tc", "-n", name, "qdisc", "add", "dev", "radio0", "root", *NETEM)
 
 
 def impair_by_nftables() -> None:
-    """Both ends lose what arrives, and what they send waits in a narrow queue."""
+    """Both ends lose arriving datagrams; sent ones wait in a narrow queue."""
     for name in (VEHICLE, GROUND):
         ip("netns", "exec", name, "nft", DROPS)
         run("tc", "-n", name, "qdisc", "add", "dev", "radio0", "root", *NARROW)

@@ -15,7 +15,7 @@ from protocol.session import session_number
 from tests.experiments.link.link_flight import KEY, MS, UP_FOR_NS, Flight, S, Shifted, Side, Wire
 
 
-def test_a_trainer_killed_and_restarted_again_and_again_costs_nothing() -> None:
+def test_a_flight_survives_a_trainer_that_is_killed_and_restarted_repeatedly() -> None:
     flight = Flight().fly(4.0)
     checkpoint = None
     for life in range(3):
@@ -35,7 +35,7 @@ def test_a_trainer_killed_and_restarted_again_and_again_costs_nothing() -> None:
     assert flight.offboard.learner.samples >= 5, "the last one is heard and taught, too"
 
 
-def test_both_sides_restarted_with_the_wall_clock_set_back_find_each_other_again() -> None:
+def test_both_sides_reconnect_after_restarts_with_the_wall_clock_set_back() -> None:
     config = Flight("pid", assignments=()).config
     today, yesterday = (session_number(day * 86_400 * S, 5) for day in (20_000, 19_999))
     offboard = Side(config, today)
@@ -49,7 +49,7 @@ def test_both_sides_restarted_with_the_wall_clock_set_back_find_each_other_again
     second.run(round(1.9 * S), 1.0)
     assert offboard.core.endpoint.peer_session == yesterday
     received = offboard.core.endpoint.statistics.received
-    for datagram in recording:  # and the old one does not come back
+    for datagram in recording:  # and the old session stays closed
         offboard.core.receive_onboard(datagram, UP_FOR_NS + 60 * S)
     assert offboard.core.endpoint.statistics.received == received
     assert offboard.core.endpoint.peer_session == yesterday
@@ -79,8 +79,8 @@ def test_onboards_clock_is_set_back() -> None:
     assert 0.0 <= flight.last("pose_age") < 0.1
 
 
-def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
-    """Over a link that loses nine of ten, a request a second would be answered after a hundred seconds."""
+def test_time_requests_are_frequent_until_the_offset_is_known() -> None:
+    """Over a link that loses nine of ten datagrams, a request per second would be answered after a hundred seconds."""
     config = resolve("hover", Choices("pid", 3)).onboard
     onboard, offboard = OnboardCore(config, 5, None), Endpoint("offboard", 7, None)
     asked: list[int] = []
@@ -100,8 +100,8 @@ def test_the_clock_is_asked_for_often_until_it_is_known() -> None:
     assert len(asked) - len(unanswered) == pytest.approx(4.0 / config.time_sync_period_s, abs=2)
 
 
-def test_an_onboard_that_starts_anew_in_the_air_leaves_the_motors_off() -> None:
-    """Nothing tells it a fall from a throw by hand; docs/link.md says why it does not try."""
+def test_an_onboard_that_restarts_in_the_air_leaves_the_motors_off() -> None:
+    """It cannot distinguish a fall from a throw by hand; docs/link.md gives the reasons."""
     flight = Flight("mrac").fly(4.0)
     successor = flight.lockstep._onboard = OnboardCore(flight.config.onboard, 99, None)
     ticks, refusals = 0, set()

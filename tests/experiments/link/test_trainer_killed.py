@@ -1,4 +1,4 @@
-"""A real trainer killed with SIGKILL again and again in one real flight, each successor resuming what it left."""
+"""A real trainer is killed with SIGKILL repeatedly in one real flight; each new one resumes its checkpoint."""
 
 import time
 from pathlib import Path
@@ -17,7 +17,7 @@ DURATION_S = 45.0
 LIVES = 4
 
 
-def test_a_trainer_killed_again_and_again_does_not_cost_the_vehicle(tmp_path: Path) -> None:
+def test_the_vehicle_survives_a_trainer_that_is_killed_repeatedly(tmp_path: Path) -> None:
     config = on_ports(resolve("figure8_wind", Choices("dmrac", 2, DURATION_S)), 17760)
     path, checkpoint = tmp_path / "config.yaml", tmp_path / "checkpoint.npz"
     path.write_text(config.to_yaml(), encoding="utf-8")

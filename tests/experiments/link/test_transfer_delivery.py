@@ -6,7 +6,7 @@ import pytest
 from experiments.link.transfer_delivery import LOSSES, draw, ideal_transfer, table, transfer
 
 
-def test_the_promise_holds_over_the_real_parts() -> None:
+def test_a_transfer_takes_less_than_two_seconds_at_50_percent_loss() -> None:
     """At 50 % loss each way a pair of 6-32-32-20 networks is on board within 2 s at the default pace."""
     assert max(transfer(0.5, "float16", seed).seconds for seed in range(25)) < 2.0
     assert transfer(0.0, "float16", 0).seconds == pytest.approx(0.11, abs=0.02)

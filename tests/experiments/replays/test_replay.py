@@ -1,4 +1,4 @@
-"""A lockstep flight recorded, flown again with its deliveries, checked bit for bit, and what spoils the check."""
+"""A recorded lockstep flight, replayed with its deliveries and checked bit for bit."""
 
 import dataclasses
 import shutil
@@ -32,7 +32,7 @@ SETTINGS = (
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recorded flight of six and a half seconds that trains, and is sent the features it starts from."""
+    """A recorded flight of six and a half seconds that trains, and receives the features it starts from."""
     folder = tmp_path_factory.mktemp("flight")
     config = resolve("figure8_wind", Choices("dmrac", 11, 6.5, SETTINGS))
     network = config.features.trained
@@ -46,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with LockstepLog(folder, config) as log:
         outcome = fly_lockstep(config, (log,))
     write_summary(folder, lockstep_summary(config, outcome))
-    experience.unlink()  # the record must do without it
+    experience.unlink()  # the record must work without it
     return folder
 
 
@@ -80,7 +80,7 @@ def test_the_same_controller_flies_the_same_flight(flight: RecordedFlight, tmp_p
     assert read_recorded(tmp_path).deliveries == flight.deliveries
 
 
-def test_another_controller_meets_the_same_weather(flight: RecordedFlight, tmp_path: Path) -> None:
+def test_another_controller_gets_the_same_link(flight: RecordedFlight, tmp_path: Path) -> None:
     config = with_choices(flight.config, "pid", None)
     assert config.controller == "pid"
     assert config.radio == flight.config.radio
@@ -110,7 +110,7 @@ def test_choices_change_only_what_was_chosen(flight: RecordedFlight) -> None:
 # --- bit for bit -----------------------------------------------------------------------------------------------------
 
 
-def test_a_fresh_core_answers_bit_for_bit(flight: RecordedFlight) -> None:
+def test_a_new_core_gives_the_same_bits(flight: RecordedFlight) -> None:
     (result,) = check_flight(flight)
     assert result.difference is None
     assert result.incomplete == ""
@@ -120,7 +120,7 @@ def test_a_fresh_core_answers_bit_for_bit(flight: RecordedFlight) -> None:
 
 
 def spoil(flight: RecordedFlight, change: Callable[[list[tuple[int, bytes]], np.ndarray], None]) -> CheckResult:
-    """The check of a log whose datagram log or rows were changed in memory."""
+    """The check of a log whose datagrams or rows were changed in memory."""
     log = flight.onboard_logs[0]
     datagram_log, topic = log.raw[TOPIC], log.vectors[TICK.topic]
     rows = topic.values
@@ -133,7 +133,7 @@ def spoil(flight: RecordedFlight, change: Callable[[list[tuple[int, bytes]], np.
 
 
 def with_entries(record: bytes, change: Callable[[Entry, bytes], bytes | None]) -> bytes:
-    """A datagram log's record with its entries changed, or left out where `change` gives None."""
+    """A record of the datagram log with its entries changed, or removed if `change` returns None."""
     tick, writer = read_tick(record), DatagramLogWriter()
     for kind, data in tick.entries:
         changed = change(kind, data)
@@ -181,7 +181,7 @@ def test_a_sensor_datagram_that_was_not_there_is_found_at_once(flight: RecordedF
     assert difference.tick == 900
 
 
-def test_a_hole_in_the_log_ends_the_check_and_is_told(flight: RecordedFlight) -> None:
+def test_a_gap_in_the_log_ends_the_check_and_is_reported(flight: RecordedFlight) -> None:
     result = spoil(flight, lambda datagram_log, rows: datagram_log.pop(500))  # type: ignore[arg-type, return-value]
     assert result.difference is None
     assert result.ticks == 500
@@ -199,7 +199,7 @@ def test_a_step_that_failed_in_flight_must_fail_here_too(flight: RecordedFlight)
 
 
 def test_changed_code_is_found(flight: RecordedFlight) -> None:
-    """The reason for all this: a gain that differs in its last digits shows."""
+    """The purpose of the check: it detects a gain that differs in its last digits."""
     config = flight.config
     lag = config.onboard.airframe.motor_lag_up_s * (1.0 + 1e-12)
     airframe = config.onboard.airframe.model_copy(update={"motor_lag_up_s": lag})
@@ -221,9 +221,7 @@ def test_the_command_checks_and_saves_traces(folder: Path, tmp_path: Path, capsy
     assert trace.read_text(encoding="utf-8").startswith("# Recorded in lockstep: figure8_wind, dmrac, seed 11.\n")
 
 
-def test_what_cannot_be_replayed_is_told_in_one_line(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_is_reported_in_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bare = tmp_path / "bare"
     bare.mkdir()
     shutil.copy(folder / "onboard.mcap", bare)

@@ -24,11 +24,7 @@ from experiments.results.comparisons import WORSE, comparisons, judged, losses, 
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
 from experiments.results.heat_map import draw_heat_map, heat_map_rows
-from experiments.results.reproduction import (
-    Reproduction,
-    publish_rows,
-    write_results,
-)
+from experiments.results.reproduction import Reproduction, publish_rows, write_results
 from experiments.results.sweep_figures import sweep_metric
 from experiments.results.tables import tables, target_ratio
 from protocol.signals import SIGNAL_INDEX
@@ -158,7 +154,7 @@ def test_verdicts_depend_on_the_number_of_comparisons(folder: Path) -> None:
 
 
 def test_cases_under_the_same_conditions_are_compared(folder: Path) -> None:
-    """What another controller flies in a case of its own is compared too, where the campaign says that it may be."""
+    """Flights of another controller in its own case are compared too, if the campaign lists the cases together."""
     data = load_data(folder)
     cases = (data.config.cases[0], data.config.cases[0].model_copy(update={"name": "others", "label": ""}))
     rows = tuple(row | {"case": "others"} if row["controller"] == "mrac" else row for row in data.rows)
@@ -168,7 +164,7 @@ def test_cases_under_the_same_conditions_are_compared(folder: Path) -> None:
 
 
 def flown_once_beside(data: CampaignData, together: tuple[tuple[str, ...], ...]) -> CampaignData:
-    """Ours at every point, and mrac in a case of its own that is not swept."""
+    """DMRAC at every point, and mrac in its own case that is not swept."""
     cases = (data.config.cases[0], data.config.cases[0].model_copy(update={"name": "others", "label": ""}))
     once = [row for row in data.rows if row["controller"] == "mrac" and json.loads(row["point"])["factor"] == 0.9]
     ours = [row for row in data.rows if row["controller"] == "dmrac"]
@@ -183,7 +179,7 @@ def test_a_case_that_is_not_swept_is_compared_at_every_point(folder: Path) -> No
 
 
 @pytest.mark.parametrize(("together", "drawn"), [((("chip", "others"),), ["mrac"]), ((), [])])
-def test_what_was_flown_once_is_a_line_across_the_sweep(
+def test_a_case_flown_once_is_a_line_across_the_sweep(
     folder: Path, together: tuple[tuple[str, ...], ...], drawn: list[str]
 ) -> None:
     figure = sweep_metric(flown_once_beside(load_data(folder), together), "factor", "settled_rmse_m")
@@ -200,7 +196,7 @@ def test_few_pairs_are_counted(folder: Path) -> None:
     assert table["0.9", "dmrac"][6] == "0.20 (2 pairs)"
 
 
-def test_survivors_and_crashes_are_apart(folder: Path) -> None:
+def test_survivors_and_crashes_are_separate(folder: Path) -> None:
     data = load_data(folder)
     rows = {(row[0], row[1].strip("*")): row for row in tables(data)[0].rows}
     assert rows["0.7", "dmrac"][3].startswith("0 %")
@@ -275,7 +271,7 @@ def test_the_heat_map_compares_with_the_best_other(folder: Path) -> None:
     assert {"5.00", "2.50", "0.40", "–"} <= {text.get_text() for text in panel.texts}
 
 
-def test_the_rows_lie_beside_the_page(folder: Path, tmp_path: Path) -> None:
+def test_the_rows_are_stored_beside_the_page(folder: Path, tmp_path: Path) -> None:
     plan = Reproduction(folder.parent, tmp_path / "results.md", quick=True, only=("retention",))
     assert plan.command == "dmrac reproduce --quick --only retention"
     file = publish_rows(plan, folder.name)
@@ -303,7 +299,7 @@ def test_signals_are_those_of_the_sample() -> None:
     np.testing.assert_allclose(signals[:, SIGNAL_INDEX["body_velocity_y"]], body_y, atol=1e-12)
 
 
-def test_probe_finds_what_is_there_and_nothing_else() -> None:
+def test_the_probe_distinguishes_regimes_only_if_the_features_do() -> None:
     import io
 
     with np.load(io.BytesIO(made_up_trace())) as archive:
@@ -319,8 +315,8 @@ def test_probe_finds_what_is_there_and_nothing_else() -> None:
     assert not math.isnan(samples.signals.sum())
 
 
-def test_features_that_know_only_the_place_are_at_chance_and_not_below() -> None:
-    """What is left out covers all places: else the probe guesses the regime of which more is left there, wrongly."""
+def test_features_that_depend_only_on_the_place_are_at_chance_and_not_below() -> None:
+    """Each fold covers all places: otherwise the probe would guess the regime with more samples left there."""
     time = np.arange(0.0, 60.0, 0.05)
     trace = Trace(empty_row(), {"time_s": time, **{f"tick_{name}": np.zeros(time.size) for name in TRACE_COLUMNS},
                                 **{f"truth_{name}": np.ones(time.size) for name in TRUTH_COLUMNS}})  # fmt: skip
@@ -332,8 +328,8 @@ def test_features_that_know_only_the_place_are_at_chance_and_not_below() -> None
 
 
 @pytest.mark.parametrize("kind", ["position", "attitude"])
-def test_no_column_is_cut_off_at_another_ones_limits(folder: Path, kind: str) -> None:
-    """The panels of a row share their axis: it must hold what the widest of them shows, in whatever column."""
+def test_the_axis_of_a_row_fits_its_widest_panel(folder: Path, kind: str) -> None:
+    """The panels of a row share their axis: it must fit the widest of them, in any column."""
     data = load_data(folder)
     drawn = getattr(trace_figures, kind)(data, "chip", ["pid", "mrac"], {"factor": 0.9})
     wide = replace(data, folder=folder.parent / f"wide_{kind}")

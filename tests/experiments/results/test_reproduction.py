@@ -1,4 +1,4 @@
-"""Published rows: what a page's flights are taken up from, to be extended on another machine."""
+"""Published rows: they can be extended on another machine."""
 
 import json
 from dataclasses import replace
@@ -53,12 +53,12 @@ def published(folder: Path) -> Reproduction:
     return plan
 
 
-def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
-    """On another machine the campaign goes on behind the published rows, and says where each part was flown."""
+def test_published_rows_are_extended_on_another_machine(tmp_path: Path) -> None:
+    """Another machine flies the missing rows, and the campaign records where each part was flown."""
     before = published(tmp_path)
     plan = replace(before, folder=tmp_path / "elsewhere", seeds=3)
     assert copy_published(plan, "features") == 2
-    assert copy_published(plan, "features") == 0  # flights that are there already are not replaced
+    assert copy_published(plan, "features") == 0  # existing flights are not replaced
     flown: list[str] = []
 
     def fly_nothing(job: FlightJob) -> FlightResult:
@@ -71,13 +71,13 @@ def test_published_rows_are_extended_elsewhere(tmp_path: Path) -> None:
     assert [row["seed"] for row in data.rows] == [1000, 1001, 1002]
     assert len(data.flown_on) == 1
     assert "numpy" in data.flown_on[0]
-    said: list[str] = []
-    pictures, tables = draw_all(data, plan.folder / "features" / "figures", said.append)
+    reported: list[str] = []
+    pictures, tables = draw_all(data, plan.folder / "features" / "figures", reported.append)
     drawn = plan.page.parent / "pictures" / "results"
     assert [one.png.read_bytes() for one in pictures] == [(drawn / one.png.name).read_bytes() for one in pictures]
     assert len(pictures) == 3
     assert [table.rows for table in tables] == [(("after", "0.9"),)]
-    assert all("not redrawn" in text for text in said)
+    assert all("not redrawn" in text for text in reported)
 
 
 def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,7 +88,7 @@ def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monke
     assert not (plan.folder / "features").exists()
 
 
-def test_what_is_not_flown_now_stays_on_the_page(tmp_path: Path) -> None:
+def test_other_campaigns_stay_on_the_page(tmp_path: Path) -> None:
     before = published(tmp_path)
     assert replace(before, only=("retention",)).shown == ("retention",)
     plan = replace(before, only=("retention",), extend=True)
@@ -96,21 +96,23 @@ def test_what_is_not_flown_now_stays_on_the_page(tmp_path: Path) -> None:
     assert plan.command == "dmrac reproduce --extend --seeds 2 --only retention"
 
 
-def test_machines_are_named_once() -> None:
+def test_machines_are_listed_once() -> None:
     here, elsewhere = "AMD EPYC, 2 cores; python 3.11.2", "AMD EPYC, 2 cores; python 3.11.7"
     lines = (f"{here}; commit 1a", elsewhere, f"{here}; commit 2b-dirty", f"{elsewhere}; commit 1a")
     assert by_place(lines) == (f"{here}; commit 1a, 2b-dirty", f"{elsewhere}; commit 1a")
 
 
-def test_a_picture_drawn_for_something_else_is_not_shown(tmp_path: Path) -> None:
-    """Its name has the number of its entry and its kind alone: after a change of the entry it would lie."""
+def test_a_picture_of_another_entry_is_not_shown(tmp_path: Path) -> None:
+    """Its name contains only the number of its entry and the kind: after a change of the entry it would be wrong."""
     plan = published(tmp_path)
     data = load_data(plan.folder / "features")
     pictures = plan.page.parent / "pictures" / "results"
     assert len(draw_all(data, pictures, lambda text: None)[0]) == 3
     changed = tuple(entry | {"case": "regimes", "controllers": ["mrac"]} for entry in data.config.figures[1:])
     figures = (*data.config.figures[:1], *changed)
-    said: list[str] = []
-    kept, _ = draw_all(replace(data, config=data.config.model_copy(update={"figures": figures})), pictures, said.append)
+    reported: list[str] = []
+    kept, _ = draw_all(
+        replace(data, config=data.config.model_copy(update={"figures": figures})), pictures, reported.append
+    )
     assert len(kept) == 2
-    assert "features_02_training: left out" in said[-1]
+    assert "features_02_training: left out" in reported[-1]

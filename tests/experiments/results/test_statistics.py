@@ -60,7 +60,7 @@ def test_median_interval_covers_the_truth() -> None:
     assert 0.90 <= covered / 200 <= 0.99
 
 
-def test_median_leaves_out_what_is_not_a_number() -> None:
+def test_median_ignores_values_that_are_not_finite() -> None:
     estimate = median([1.0, math.nan, 3.0, math.inf, 2.0], np.random.default_rng(0))
     assert (estimate.value, estimate.count) == (2.0, 3)
     assert math.isnan(median([], np.random.default_rng(0)).value)
