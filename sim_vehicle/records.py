@@ -1,13 +1,9 @@
 """Records of the simulated vehicle: the truth and the output of a step."""
 
-from typing import Final, NamedTuple, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final, NamedTuple
 
 from flight_log.schema import RecordType, vector_fields
-
-Array: TypeAlias = NDArray[np.float64]
+from protocol.conventions import Array
 
 TRUTH: Final = RecordType(
     topic="sim_vehicle/truth",

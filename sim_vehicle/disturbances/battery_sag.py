@@ -3,7 +3,7 @@ from math import exp
 from pydantic import Field
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 from sim_vehicle.world.interface import Disturbance
 
 

@@ -1,6 +1,6 @@
 from pydantic import Field
 
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 from sim_vehicle.world.interface import Condition, Disturbance
 
 

@@ -3,8 +3,8 @@ from math import cos, pi, sin, sqrt
 from pydantic import Field
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.dynamics import cross, rotation, to_body
-from sim_vehicle.records import Array
 from sim_vehicle.world.interface import Disturbance
 
 FLAPPING_BANDWIDTH_HZ = 0.5

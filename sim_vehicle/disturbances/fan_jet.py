@@ -4,8 +4,8 @@ from typing import ClassVar
 from pydantic import Field, model_validator
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from protocol.geometry import Vector3
-from sim_vehicle.records import Array
 from sim_vehicle.world.interface import Disturbance
 
 HALF_WIDTH_GROWTH = 0.11

@@ -4,7 +4,7 @@ from typing import ClassVar
 from pydantic import Field
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 from sim_vehicle.world.interface import Disturbance
 
 ADVECTION_MIN_M_S = 0.2

@@ -2,7 +2,7 @@ from numpy.random import Generator
 from pydantic import Field
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 from sim_vehicle.world.interface import Condition, Disturbance
 
 

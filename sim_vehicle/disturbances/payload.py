@@ -1,7 +1,7 @@
 from pydantic import Field
 
+from protocol.conventions import Array
 from protocol.geometry import Vector3
-from sim_vehicle.records import Array
 from sim_vehicle.world.interface import Condition, Disturbance
 
 

@@ -6,7 +6,7 @@ from numpy.random import Generator
 from pydantic import Field
 
 import sim_vehicle.physics.layout as at
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 from sim_vehicle.world.interface import Condition, Disturbance
 
 RAW_SHAKING: Final = ((0.0, 0.135, 0.24, 0.33, 1.0), (0.0, 31.0, 58.0, 82.0, 250.0))

@@ -3,7 +3,7 @@ from typing import Any, Final, Literal
 
 from pydantic import model_validator
 
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 from sim_vehicle.world.interface import Condition, Disturbance
 
 NOT_FINITE: Final[dict[str, dict[str, Any]]] = {

@@ -3,11 +3,12 @@
 from math import acos
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
+from protocol.geometry import Rotation
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.disturb import disturb
 from sim_vehicle.physics.dynamics import (
     FLOOR_REACH,
-    Matrix,
     cross,
     lowest_point,
     rotation,
@@ -16,7 +17,6 @@ from sim_vehicle.physics.dynamics import (
     to_world,
 )
 from sim_vehicle.physics.motors import drain_battery, lag_motors
-from sim_vehicle.records import Array
 
 CLEARANCE = 0.01
 """m above the floor from which the vehicle is airborne. It touches the floor at 0, so the flag does not chatter."""
@@ -38,7 +38,7 @@ def nominal_torque(state: Array, P: Array) -> tuple[float, float, float, float]:
 
 
 @compiled
-def account(state: Array, before: Array, middle: Matrix, nominal: Array, P: Array, sums: Array) -> None:
+def account(state: Array, before: Array, middle: Rotation, nominal: Array, P: Array, sums: Array) -> None:
     """Add one sub-step to the sums of the IMU and of the truth.
 
     before: [13] state at the start. middle: rotation in the middle. nominal: [4] collective thrust and torque.
@@ -72,7 +72,7 @@ def account(state: Array, before: Array, middle: Matrix, nominal: Array, P: Arra
 
 
 @compiled
-def account_flow(state: Array, R: Matrix, P: Array, sums: Array) -> None:
+def account_flow(state: Array, R: Rotation, P: Array, sums: Array) -> None:
     """Add one sub-step to the integrals of the optical flow, in PX4's signs (sim_vehicle/sensors/flow.py)."""
     h = P[at.STEP]
     v = to_body(R, state[3], state[4], state[5])
@@ -85,7 +85,7 @@ def account_flow(state: Array, R: Matrix, P: Array, sums: Array) -> None:
 
 
 @compiled
-def watch_floor(state: Array, sinking: float, R: Matrix, P: Array, sums: Array) -> None:
+def watch_floor(state: Array, sinking: float, R: Rotation, P: Array, sums: Array) -> None:
     """Update the airborne flag, and speed and tilt of touch-downs. sinking: m/s at the start of the sub-step."""
     lowest = lowest_point(state, R, P) if state[at.POSITION + 2] > -FLOOR_REACH else -1.0
     if lowest < -CLEARANCE:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.physics.advance import WORK_ROWS, advance
 from sim_vehicle.physics.compiled import compiled
@@ -17,7 +18,6 @@ from sim_vehicle.physics.crash import NO_CRASH, check_crash, crash_limits
 from sim_vehicle.physics.disturb import for_disturbances
 from sim_vehicle.physics.draws import SUBSTEPS_MAX
 from sim_vehicle.physics.packing import SUBSTEP_NS
-from sim_vehicle.records import Array
 from sim_vehicle.vehicle import initial_state
 from sim_vehicle.world.world import World
 

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.physics.compiled import compiled
-from sim_vehicle.records import Array
 
 TOUCH_SPEED_MAX_M_S: Final = 1.0
 """Of sinking, at a touch-down."""

@@ -12,8 +12,8 @@ from math import sqrt
 from typing import Any, TypeVar
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.compiled import compiled, inlined, replaced
-from sim_vehicle.records import Array
 from sim_vehicle.world.catalogue import acting_classes
 from sim_vehicle.world.interface import Disturbance
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.random import Generator
 
-from sim_vehicle.records import Array
+from protocol.conventions import Array
 
 BLOCK = 2048
 SUBSTEPS_MAX: Final = 400

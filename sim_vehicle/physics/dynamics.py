@@ -13,18 +13,16 @@ World NED, body FRD, quaternion wxyz body to world. Floor at d = 0.
 from math import sqrt
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
+from protocol.geometry import Rotation, Vector3
 from sim_vehicle.physics.compiled import compiled
-from sim_vehicle.records import Array
 
 FLOOR_REACH = 0.15
 """m; a vehicle whose reference point is higher cannot touch the floor. It exceeds the distance of every part from O."""
 
-Vector = tuple[float, float, float]
-Matrix = tuple[float, float, float, float, float, float, float, float, float]
-
 
 @compiled
-def rotation(w: float, x: float, y: float, z: float) -> Matrix:
+def rotation(w: float, x: float, y: float, z: float) -> Rotation:
     """Body-to-world matrix, row by row, of a quaternion of about unit length."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return (
@@ -35,32 +33,32 @@ def rotation(w: float, x: float, y: float, z: float) -> Matrix:
 
 
 @compiled
-def to_world(R: Matrix, x: float, y: float, z: float) -> Vector:
+def to_world(R: Rotation, x: float, y: float, z: float) -> Vector3:
     """R v."""
     return (R[0] * x + R[1] * y + R[2] * z, R[3] * x + R[4] * y + R[5] * z, R[6] * x + R[7] * y + R[8] * z)
 
 
 @compiled
-def to_body(R: Matrix, n: float, e: float, d: float) -> Vector:
+def to_body(R: Rotation, n: float, e: float, d: float) -> Vector3:
     """R' v."""
     return (R[0] * n + R[3] * e + R[6] * d, R[1] * n + R[4] * e + R[7] * d, R[2] * n + R[5] * e + R[8] * d)
 
 
 @compiled
-def cross(a: Vector, b: Vector) -> Vector:
-    """Vector product a x b."""
+def cross(a: Vector3, b: Vector3) -> Vector3:
+    """Vector3 product a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @compiled
-def symmetric(m: Array, start: int, v: Vector) -> Vector:
+def symmetric(m: Array, start: int, v: Vector3) -> Vector3:
     """M v for the symmetric matrix with xx yy zz xy xz yz from m[start] on."""
     xx, yy, zz, xy, xz, yz = m[start], m[start + 1], m[start + 2], m[start + 3], m[start + 4], m[start + 5]
     return (xx * v[0] + xy * v[1] + xz * v[2], xy * v[0] + yy * v[1] + yz * v[2], xz * v[0] + yz * v[1] + zz * v[2])
 
 
 @compiled
-def contact_point(i: int, P: Array) -> Vector:
+def contact_point(i: int, P: Array) -> Vector3:
     """Body position, m, of contact point i: 0..3 the feet, 4..7 the rims of the rotors (on its back)."""
     x = P[at.FOOT_X] if (i & 1) == 0 else -P[at.FOOT_X]
     y = P[at.FOOT_Y] if (i & 2) == 0 else -P[at.FOOT_Y]
@@ -68,7 +66,7 @@ def contact_point(i: int, P: Array) -> Vector:
 
 
 @compiled
-def lowest_point(x: Array, R: Matrix, P: Array) -> float:
+def lowest_point(x: Array, R: Rotation, P: Array) -> float:
     """Down coordinate, m, of the lowest contact point; positive: in the floor."""
     lowest = -1.0e9
     for i in range(8):
@@ -78,7 +76,7 @@ def lowest_point(x: Array, R: Matrix, P: Array) -> float:
 
 
 @compiled
-def floor_contact(x: Array, R: Matrix, rates: Vector, P: Array) -> tuple[float, float, float, float, float, float]:
+def floor_contact(x: Array, R: Rotation, rates: Vector3, P: Array) -> tuple[float, float, float, float, float, float]:
     """Force, N, and torque about O, N m, both body, of the floor: spring, damper, friction limited by Coulomb's law."""
     force = (0.0, 0.0, 0.0)
     torque = (0.0, 0.0, 0.0)
@@ -100,7 +98,7 @@ def floor_contact(x: Array, R: Matrix, rates: Vector, P: Array) -> tuple[float, 
 
 
 @compiled
-def rotor_wrench(down: float, R: Matrix, thrust: Array, P: Array) -> tuple[float, float, float, float]:
+def rotor_wrench(down: float, R: Rotation, thrust: Array, P: Array) -> tuple[float, float, float, float]:
     """Total thrust, N, and its torque about O, body N m.
 
     The ground effect 1 + k (R/4z)^2 depends on the height z of each rotor above the floor, and is constant below z = R

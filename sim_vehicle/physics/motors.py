@@ -7,8 +7,8 @@ sub-step, so the motors add no integration error. Thrust per command grows with 
 from math import pi, sqrt
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.compiled import compiled
-from sim_vehicle.records import Array
 
 TWO_PI = 2.0 * pi
 LEAST_THRUST = 1.0e-12

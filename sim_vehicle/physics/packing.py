@@ -6,9 +6,9 @@ from math import exp
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from protocol.geometry import Vector3
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.records import Array
 
 GRAVITY = 9.80665
 """m/s^2, standard."""

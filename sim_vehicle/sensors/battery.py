@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.packing import COULOMB_PER_MAH
-from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
 
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import FlowConfig
-from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
 
 

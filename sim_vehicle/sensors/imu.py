@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.draws import NormalRows
 from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.physics.parameters import ImuConfig
-from sim_vehicle.records import Array
 
 AIR_DENSITY = 1.184
 """kg/m^3, the value of the thrust map."""

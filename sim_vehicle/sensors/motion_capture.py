@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from protocol.geometry import Quaternion, Vector3, normalised, quaternion_multiply
 from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import MotionCaptureConfig
-from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
 
 

@@ -5,10 +5,10 @@ from math import cos
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.physics.crash import tilt_of
 from sim_vehicle.physics.draws import Draws
 from sim_vehicle.physics.parameters import UltrasonicConfig
-from sim_vehicle.records import Array
 from sim_vehicle.sensors.schedule import Schedule
 
 NO_ECHO_TILT_RAD = 1.0

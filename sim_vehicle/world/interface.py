@@ -21,8 +21,8 @@ from pydantic import Field, model_validator
 
 import sim_vehicle.physics.layout as at
 from configs.loader import ConfigRecord
+from protocol.conventions import Array
 from protocol.geometry import Vector3
-from sim_vehicle.records import Array
 
 SensorFunction: TypeAlias = Callable[[Any, Any], Any]
 """From a sensor's sample (or None) and its last sample without a fault (or None) to what is sent (None: nothing)."""

@@ -7,10 +7,10 @@ from math import ceil, inf
 import numpy as np
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import Array
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.physics.draws import SubstepNormals
 from sim_vehicle.physics.packing import SUBSTEP_NS, pack_parameters, set_mass
-from sim_vehicle.records import Array
 from sim_vehicle.world.catalogue import acting_classes
 from sim_vehicle.world.interface import Condition, Disturbance
 

@@ -13,10 +13,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 import sim_vehicle.physics.layout as at
 from configs.loader import merge
+from protocol.conventions import Array
 from sim_vehicle.config import SimVehicleConfig, load_vehicle
 from sim_vehicle.physics.advance import WORK_ROWS, advance
 from sim_vehicle.physics.packing import pack_parameters
-from sim_vehicle.records import Array
 from sim_vehicle.vehicle import SimVehicle, initial_state
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "vehicle.md"
