@@ -196,9 +196,8 @@ def _room() -> rrb.Spatial3DView:
 
 
 def _events() -> rrb.TextLogView:
-    columns = rrb.TextLogColumns(
-        timeline_columns=[], text_log_columns=["Body"]
-    )  # a column for the time would be too narrow
+    # without a column for the time, which would be too narrow
+    columns = rrb.TextLogColumns(timeline_columns=[], text_log_columns=["Body"])
     return rrb.TextLogView(origin="events", name="events", columns=columns)
 
 

@@ -163,10 +163,8 @@ class FlightLogWriter:
         """Allocate the ring of a record type, so that its first record costs no more than the others."""
         channel = self._file.add_channel(record_type.topic, ros_definition(record_type))
         ring = _VectorRing(channel, len(record_type.fields))
-        self._vectors = {
-            **self._vectors,
-            record_type.topic: ring,
-        }  # a new dict: the thread may be iterating over the old one
+        # a new dict: the thread may be iterating over the old one
+        self._vectors = {**self._vectors, record_type.topic: ring}
         return ring
 
     def write(self, record_type: RecordType, time_ns: int, vector: NDArray[np.float64]) -> None:

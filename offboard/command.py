@@ -105,9 +105,8 @@ def run(arguments: argparse.Namespace) -> int:
     written = [_write_summary(vehicle, service) for vehicle, service in zip(vehicles, services, strict=True)]
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(
-        result if all(written) else 1
-    )  # without waiting for a round of training: torch must not be torn down under it
+    # does not wait for a round of training: torch must not be torn down under it
+    os._exit(result if all(written) else 1)
 
 
 def _load_torch(vehicles: Sequence[Vehicle]) -> None:

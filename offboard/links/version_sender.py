@@ -45,10 +45,10 @@ class VersionSender:
         self._refused_version = status.refused_version
         return f"version {status.refused_version} refused: {REFUSALS[status.refusal]}"
 
-    def must_resend(self, latest: FeatureSet | None, now_ns: int) -> bool:
+    def must_resend(self, latest: FeatureSet, now_ns: int) -> bool:
         """Whether onboard does not know `latest`: either side restarted, or this side started from a version file."""
-        status, sendable = self._status, latest is not None and latest.version != self._unsendable_version
-        if latest is None or not sendable or status is None or self._sender.outstanding_version:
+        status, unsendable = self._status, latest.version == self._unsendable_version
+        if unsendable or status is None or self._sender.outstanding_version:
             self._unknown_since_ns = None
             return False
         known_version = max(status.feature_version, status.transfer_version, status.refused_version)
