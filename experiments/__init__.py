@@ -1,1 +1,1 @@
-"""Flights and campaigns: the command line and everything that joins the processes together."""
+"""Flights, campaigns and their results: everything that joins the processes together."""

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Final
 
-from async_dmrac.commands.worker_options import plain_console
+from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from async_dmrac.commands.worker_options import add_worker_options, open_workers, plain_console, positive, progress_bar
+from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.runner import CampaignRun, open_store, prepare_folder, run_campaign
 from experiments.campaigns.store import drop_failed

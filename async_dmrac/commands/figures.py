@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from async_dmrac.commands.worker_options import plain_console
+from async_dmrac.commands.shared import plain_console
 
 EXAMPLES = """examples:
   dmrac figures campaigns/rotor_chip

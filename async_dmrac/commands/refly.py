@@ -4,7 +4,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from async_dmrac.commands.worker_options import add_worker_options, open_workers, plain_console, positive, progress_bar
+from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
 
 EXAMPLES = """examples:
   dmrac refly campaigns/rotor_chip                   one flight of each controller

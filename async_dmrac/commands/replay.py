@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from async_dmrac.commands.worker_options import plain_console
+from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
 
 if TYPE_CHECKING:

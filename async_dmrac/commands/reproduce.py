@@ -4,7 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
-from async_dmrac.commands.worker_options import add_worker_options, open_workers, plain_console, positive, progress_bar
+from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
 from configs.loader import ConfigError
 
 EXAMPLES = """examples:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from async_dmrac.commands.worker_options import add_jobs_option, cores, plain_console, positive
+from async_dmrac.commands.shared import add_jobs_option, cores, plain_console, positive
 from configs.parts import named_file
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""One flight: its scenario, flown in lockstep or in real time, its trace, metrics, card and picture."""
+"""One flight: its scenario, flown in lockstep or in real time, with trace, metrics, summary and figure."""

@@ -29,7 +29,7 @@ def draw_flight(trace: FlightTrace, title: str, path: Path, lost_s: Mapping[str,
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(5, 3, width_ratios=(1.0, 1.0, 1.15))
     _draw_path(figure.add_subplot(grid[0:3, 2]), trace)
-    _draw_heights(figure.add_subplot(grid[3, 2]), trace)
+    _draw_weights(figure.add_subplot(grid[3, 2]), trace)
     link = figure.add_subplot(grid[4, 2])
     _draw_link(link, trace)
     _mark_losses(link, lost_s or {})
@@ -61,22 +61,23 @@ def _mark_swaps(panel: Any, trace: FlightTrace) -> None:
 
 def _draw_position(panel: Any, trace: FlightTrace) -> None:
     actual, target = trace.truth.vector("position", "ned"), trace.tick.vector("target", "ned")
-    for axis, (name, colour) in enumerate(zip(AXES, COLOURS, strict=True)):
+    for axis, name in enumerate(AXES):
         panel.plot(trace.time_s, target[:, axis], color="0.6", linewidth=2.2)
-        panel.plot(trace.time_s, actual[:, axis], color=colour, linestyle=STYLES[axis], linewidth=1.0, label=name)
+        _axis_line(panel, trace, actual, axis, name, 1.0)
     panel.set_ylabel("position [m]")
     _legend_above(panel, "target grey; grey lines: swaps")
 
 
+def _axis_line(panel: Any, trace: FlightTrace, values: Array, axis: int, name: str, width: float) -> None:
+    """Draw one column of values in the colour and line of its axis."""
+    look = {"color": COLOURS[axis], "linestyle": STYLES[axis], "linewidth": width}
+    panel.plot(trace.time_s, values[:, axis], label=name, **look)
+
+
 def _legend_above(panel: Any, note: str) -> None:
     """Put the legend above the panel, where it covers nothing, with a note at its right end."""
-    place: dict[str, Any] = {
-        "loc": "lower left",
-        "bbox_to_anchor": (0.0, 1.0),
-        "borderaxespad": 0.2,
-        "handlelength": 1.6,
-    }
-    panel.legend(ncols=3, fontsize=8, frameon=False, columnspacing=1.2, **place)
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    panel.legend(ncols=3, fontsize=8, frameon=False, columnspacing=1.2, handlelength=1.6, **place)
     panel.set_title(note, fontsize=8, loc="right", pad=4)
 
 
@@ -93,9 +94,7 @@ def _draw_attitude(panel: Any, trace: FlightTrace) -> None:
     actual = np.degrees(roll_pitch_yaw(trace.truth.vector("quaternion", "wxyz")))
     for axis, name in enumerate(("roll", "pitch")):
         panel.plot(trace.time_s, commanded[:, axis], color="0.6", linewidth=1.6)
-        panel.plot(
-            trace.time_s, actual[:, axis], color=COLOURS[axis], linestyle=STYLES[axis], linewidth=0.8, label=name
-        )
+        _axis_line(panel, trace, actual, axis, name, 0.8)
     panel.set_ylabel("attitude [deg]")
     _legend_above(panel, "commanded grey")
 
@@ -108,14 +107,7 @@ def _draw_adaptive(panel: Any, trace: FlightTrace, channel: int, label: str) -> 
     true[~airborne] = np.nan
     for axis in range(2 if channel else 3):
         panel.plot(trace.time_s, true[:, axis], color="0.65", linewidth=1.6)
-        panel.plot(
-            trace.time_s,
-            adaptive[:, axis],
-            color=COLOURS[axis],
-            linestyle=STYLES[axis],
-            linewidth=0.8,
-            label=axes[axis],
-        )
+        _axis_line(panel, trace, adaptive, axis, axes[axis], 0.8)
     inside = np.abs(np.concatenate([true[airborne], adaptive[airborne]]))
     if inside.size:
         limit = max(float(np.nanpercentile(inside, 99.7)) * 1.2, 0.5)
@@ -138,18 +130,9 @@ def _draw_path(panel: Any, trace: FlightTrace) -> None:
     step = max(on_path.sum() // 60, 1)
     rows = np.flatnonzero(on_path)[::step]
     if rows.size and np.abs(wind[rows]).max() > 0.05:
-        panel.quiver(
-            actual[rows, 1],
-            actual[rows, 0],
-            wind[rows, 1],
-            wind[rows, 0],
-            angles="xy",
-            scale_units="xy",
-            scale=WIND_SCALE,
-            width=0.003,
-            color=COLOURS[1],
-            label=f"wind (1 m: {WIND_SCALE:g} m/s)",
-        )
+        arrows = (actual[rows, 1], actual[rows, 0], wind[rows, 1], wind[rows, 0])
+        scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": WIND_SCALE, "width": 0.003}
+        panel.quiver(*arrows, color=COLOURS[1], label=f"wind (1 m: {WIND_SCALE:g} m/s)", **scale)
         tips = actual[rows, :2] + wind[rows, :2] / WIND_SCALE
         panel.update_datalim(tips[:, ::-1])  # the tips of the arrows, too
         panel.autoscale_view()
@@ -160,18 +143,12 @@ def _draw_path(panel: Any, trace: FlightTrace) -> None:
     panel.grid(alpha=0.3)
 
 
-def _draw_heights(panel: Any, trace: FlightTrace) -> None:
+def _draw_weights(panel: Any, trace: FlightTrace) -> None:
     panel.plot(trace.time_s, trace.tick["position_weight_norm"], color=COLOURS[0], linewidth=0.9, label="position")
     panel.set_ylabel("norm(W) [m/s²]", color=COLOURS[0])
     other = panel.twinx()
-    other.plot(
-        trace.time_s,
-        trace.tick["attitude_weight_norm"],
-        color=COLOURS[1],
-        linestyle="--",
-        linewidth=0.9,
-        label="attitude",
-    )
+    norm = trace.tick["attitude_weight_norm"]
+    other.plot(trace.time_s, norm, color=COLOURS[1], linestyle="--", linewidth=0.9, label="attitude")
     other.set_ylabel("norm(W) [rad/s²], dashed", color=COLOURS[1])
     panel.set_xlim(0.0, trace.time_s[-1])
     panel.grid(alpha=0.3)

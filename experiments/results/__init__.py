@@ -1,1 +1,1 @@
-"""What is made of flown campaigns: statistics, tables, figures and docs/results.md."""
+"""Results of flown campaigns: statistics, tables, figures and docs/results.md."""

@@ -74,21 +74,13 @@ def regimes_of(trace: Trace, spans: dict[str, tuple[float, float]], round_s: flo
 def signals_of(trace: Trace) -> Array:
     """Return the signal vectors of a trace, [n, SIGNAL_COUNT]."""
     quaternion = trace.vector("tick_quaternion", "wxyz")
-    w, x, y, z = quaternion.T
-    rotation = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1),
-        ],
-        axis=1,
-    )
-    velocity = trace.vector("tick_velocity", "ned")
+    velocity, u = trace.vector("tick_velocity", "ned"), quaternion[:, 1:]
+    twice = 2.0 * np.cross(u, velocity)
+    body = velocity - quaternion[:, :1] * twice + np.cross(u, twice)  # R' v
     columns = {f"position_{axis}": trace[f"tick_position_{axis}"] for axis in "ned"}
     columns |= {f"velocity_{axis}": trace[f"tick_velocity_{axis}"] for axis in "ned"}
     columns |= dict(zip(("roll", "pitch", "yaw"), roll_pitch_yaw(quaternion).T, strict=True))
     columns |= {f"rate_{axis}": trace[f"tick_rates_{axis}"] for axis in "pqr"}
-    body = np.einsum("nij,ni->nj", rotation, velocity)
     columns |= {f"body_velocity_{axis}": body[:, place] for place, axis in enumerate("xyz")}
     columns |= {f"motor_thrust_{motor}": trace[f"tick_motor_thrust_{motor}"] for motor in "1234"}
     columns |= {"battery_voltage": trace["tick_battery"], "vibration": trace["tick_vibration"]}

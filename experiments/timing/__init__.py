@@ -1,1 +1,1 @@
-"""How long an onboard step takes, block by block."""
+"""Measurements of computing time: the onboard step, the loop, the simulated vehicle and the trainer."""
