@@ -108,7 +108,7 @@ class PreflightSession:
         next_ns = 0
         while (now_ns := self._wire.now_ns()) < end_ns:
             if now_ns >= next_ns:
-                self._wire.send(self._recorder.encode_motors(OFF, False, now_ns))
+                self._wire.send(self._recorder.link.encode_motors(OFF, False, now_ns))
                 next_ns = now_ns + COMMAND_PERIOD_NS
             self._listen()
         return self._recorder.end()
@@ -150,10 +150,10 @@ class PreflightSession:
         end_ns = start_ns + round(self._config.spin_s * 1e9)
         try:
             while (now_ns := self._wire.now_ns()) < end_ns:
-                if now_ns - max(start_ns, self._recorder.last_received_ns) > SILENT_NS:
+                if now_ns - max(start_ns, self._recorder.link.last_received_ns) > SILENT_NS:
                     return False
                 if now_ns >= next_ns:
-                    self._wire.send(self._recorder.encode_motors(command, True, now_ns))
+                    self._wire.send(self._recorder.link.encode_motors(command, True, now_ns))
                     next_ns = now_ns + SPIN_PERIOD_NS
                 self._listen()
         except BaseException:
@@ -163,7 +163,7 @@ class PreflightSession:
 
     def _stop(self) -> None:
         for _ in range(STOPS):
-            self._wire.send(self._recorder.encode_motors(OFF, False, self._wire.now_ns()))
+            self._wire.send(self._recorder.link.encode_motors(OFF, False, self._wire.now_ns()))
             self._listen()
 
     def _pause(self, seconds: float) -> None:

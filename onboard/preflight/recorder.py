@@ -65,7 +65,7 @@ class StepRecorder:
     def __init__(
         self, config: VehicleLinkConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
     ) -> None:
-        self._link = VehicleLink(config.model_copy(update=ANY_UNIT), key, signing_clock)
+        self.link = VehicleLink(config.model_copy(update=ANY_UNIT), key, signing_clock)
         self.begin()
 
     def begin(self) -> None:
@@ -76,26 +76,17 @@ class StepRecorder:
         self._battery: list[float] = []
         self._poses: list[tuple[float, ...]] = []
         self._heartbeats = 0
-        self._before = self._link.rejected.copy()
-        self._restarts_before = self._link.restarts
-
-    @property
-    def last_received_ns(self) -> int:
-        """Arrival of the newest frame of the vehicle."""
-        return self._link.last_received_ns
-
-    def encode_motors(self, fractions: tuple[float, float, float, float], armed: bool, now_ns: int) -> bytes:
-        """The datagram of a motor command."""
-        return self._link.encode_motors(fractions, armed, now_ns)
+        self._before = self.link.rejected.copy()
+        self._restarts_before = self.link.restarts
 
     def receive(self, datagram: bytes, now_ns: int) -> None:
         """Record a datagram of the vehicle."""
         now_s = now_ns * 1e-9
-        heartbeat_ns = self._link.last_heartbeat_ns
-        for reading in self._link.receive(datagram, now_ns):
+        heartbeat_ns = self.link.last_heartbeat_ns
+        for reading in self.link.receive(datagram, now_ns):
             if isinstance(reading, ImuReading):
                 delay_s = (now_ns - reading.time_ns) * 1e-9
-                stamp_s = self._link.newest_stamp_ns * 1e-9
+                stamp_s = self.link.newest_stamp_ns * 1e-9
                 row = (now_s, stamp_s, delay_s, *reading.accelerometer, *reading.gyroscope, reading.pressure_pa or 0.0)
                 _append(self._imu, row, IMU_MAX)
             elif isinstance(reading, FlowReading):
@@ -104,7 +95,7 @@ class StepRecorder:
                 _append(self._range, (reading.distance_m, now_s), OTHERS_MAX)
             elif isinstance(reading, BatteryReading):
                 _append(self._battery, reading.voltage_v, OTHERS_MAX)
-        self._heartbeats += self._link.last_heartbeat_ns != heartbeat_ns
+        self._heartbeats += self.link.last_heartbeat_ns != heartbeat_ns
 
     def receive_pose(self, pose: PoseSample) -> None:
         """Record a pose of the motion capture."""
@@ -133,9 +124,9 @@ class StepRecorder:
             poses=poses[:, :7],
             pose_s=poses[:, 7],
             heartbeats=self._heartbeats,
-            rejected=self._link.rejected - self._before,
-            restarts=self._link.restarts - self._restarts_before,
-            conflict=self._link.conflict,
+            rejected=self.link.rejected - self._before,
+            restarts=self.link.restarts - self._restarts_before,
+            conflict=self.link.conflict,
         )
 
 

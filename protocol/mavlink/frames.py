@@ -25,6 +25,7 @@ SIGNED_FLAG: Final = 1
 FRAMES_PER_DATAGRAM_MAX: Final = 16
 
 _MARKER: Final = bytes((MARKER,))
+_LINK_ID: Final = bytes(1)
 _HEADER: Final = struct.Struct("<BBBBBBHB")
 """Without the marker: length, two kinds of flags, sequence, system, component, message id."""
 _checksum: Any = mavlink.mcrf4xx
@@ -175,12 +176,11 @@ class FrameWriter:
     """Builds frames, signed if there is a key."""
 
     def __init__(
-        self, system: int, component: int, key: bytes | None = None, clock: SigningClock | None = None, link_id: int = 0
+        self, system: int, component: int, key: bytes | None = None, clock: SigningClock | None = None
     ) -> None:
         """Raises ValueError if the key is not 32 bytes long."""
         self._key = check_key(key)
         self._clock = clock or SigningClock()
-        self._link = bytes([link_id])
         self._flags = SIGNED_FLAG if key is not None else 0
         self._system = system
         self._component = component
@@ -205,5 +205,5 @@ class FrameWriter:
         frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             return frame
-        frame += self._link + self._clock.next(now_ns).to_bytes(6, "little")
+        frame += _LINK_ID + self._clock.next(now_ns).to_bytes(6, "little")
         return frame + signature(self._key, frame)

@@ -15,9 +15,9 @@ _ALL_TICKS: Final = 2**48
 class SigningClock:
     """The signature time: 10 us ticks since 2015, from the caller's clock, strictly increasing."""
 
-    def __init__(self, utc_at_zero_ns: int = _EPOCH_2015_NS, utc_at_first_use_ns: int | None = None) -> None:
-        """UTC in ns since 1970, either when the caller's clock shows 0 or at the first call of this object."""
-        self._zero_ns = utc_at_zero_ns - _EPOCH_2015_NS
+    def __init__(self, utc_at_first_use_ns: int | None = None) -> None:
+        """UTC at the first call, ns since 1970; None: the caller's clock starts in 2015."""
+        self._zero_ns = 0
         self._first_use_ns = utc_at_first_use_ns
         self._last = 0
 

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
+from onboard.preflight.certificate import CLEAR
 from onboard.record.tick import OFFSET
 from protocol.config import TransferConfig
 from protocol.endpoint import Endpoint
@@ -56,28 +57,30 @@ class Peer:
 class Loop:
     """Simulated vehicle and onboard core, one tick of delay, and a peer when there is one."""
 
-    def __init__(self, controller="pid", scenario="hover", peer=None, assignments=()):
-        self.config = resolve(scenario, Choices(controller, 3, None, assignments))
+    def __init__(self, controller="pid", scenario="hover", peer=None, assignments=(), real=False, clearance=CLEAR):
+        self.config = resolve(scenario, Choices(controller, 3, None, assignments, real))
         self.vehicle = SimVehicle(self.config.vehicle, self.config.seed)
-        self.core = OnboardCore(self.config.onboard, 1, None)
+        self.core = OnboardCore(self.config.onboard, 1, None, clearance=clearance)
         self.peer = peer
         self.now_ns, self.tick = 0, 0
-        self.waiting, self.motors, self.extra, self.land = [], [], [], False
-        self.passes = None
+        self.waiting, self.motors, self.extra, self.from_ground, self.land = [], [], [], [], False
+        self.passes, self.fault = None, lambda t, frames: frames
         self.rows, self.truths, self.events, self.offsets = [], [], [], []
 
     def fly(self, seconds):
         for _ in range(round(seconds * 1e9 / PERIOD_NS)):
+            if self.vehicle.crash_reason:
+                break
             self.step()
         return self
 
     def step(self):
         now = self.now_ns
         flown = self.vehicle.step(now)
-        from_vehicle = list(filter(self.passes, flown.to_onboard))
+        from_vehicle = self.fault(now * 1e-9, list(filter(self.passes, flown.to_onboard)))
         messages = [self.peer.endpoint.encode(message, now + CLOCK_NS) for message in self.waiting]
-        out = self.core.tick(now, from_vehicle, [*self.extra, *messages], land=self.land)
-        self.extra, self.land = [], False
+        out = self.core.tick(now, from_vehicle, [*self.extra, *messages], self.from_ground, self.land)
+        self.extra, self.from_ground, self.land = [], [], False
         for datagram in self.motors:
             self.vehicle.receive(datagram, now)
         self.motors, self.waiting = out.to_vehicle, []
@@ -88,6 +91,7 @@ class Loop:
         self.rows.append(out.tick.copy())
         self.truths.append(np.array(flown.truth))
         self.events += [text for _, text in out.events]
+        self.to_ground = out.to_ground
         self.offsets += [] if out.clock_offset is None else [(now, *out.clock_offset)]
         self.now_ns += PERIOD_NS
         self.tick += 1

@@ -9,16 +9,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from experiments.flights.scenario import Choices, resolve
-from onboard.core import OnboardCore
 from onboard.flight.modes import SPINNING, FlightMode
 from onboard.links.health import BLOCK_SAMPLES, BLOCKS, NOT_JUDGED, LinkHealth, LinkHealthConfig
 from onboard.preflight.certificate import CLEAR, Clearance
 from protocol.messages import Pose
-from sim_vehicle.link.radio import Radio
-from sim_vehicle.lockstep import Lockstep
-from sim_vehicle.vehicle import SimVehicle
-from tests.onboard.loop import CLOCK_NS, PERIOD_NS, Peer
+from tests.onboard.loop import Loop, Peer
 
 REST = (0.0, 0.0, -9.81)
 
@@ -82,62 +77,46 @@ def test_a_fault_ends_after_a_good_second():
 # -- arming -----------------------------------------------------------------------------------------------------------
 
 
-class RealFlight:
-    """The simulated vehicle under the settings for a real one, with motion capture and a person at a ground station."""
+class FaultyPeer(Peer):
+    """Offboard with a fault in the poses that it relays."""
 
-    def __init__(self, fault=None, assignments=(), poses=True, pose_fault=None, clearance=CLEAR):
-        config = resolve("hover", Choices("pid", 3, None, assignments, real=True))
-        self.vehicle = SimVehicle(config.vehicle, config.seed)
-        self.core = OnboardCore(config.onboard, 1, None, clearance=clearance)
-        self.fault, self.peer = fault or (lambda t, frames: frames), Peer()
-        self.pose_fault = pose_fault or (lambda message: message)
-        self.peer.relays = poses
+    def __init__(self, fault):
+        super().__init__()
+        self.fault = fault
+
+    def say(self, truth, tick, now_ns):
+        return [self.fault(m) if isinstance(m, Pose) else m for m in super().say(truth, tick, now_ns)]
+
+
+class RealFlight(Loop):
+    """The simulated vehicle with the settings for a real one, with motion capture and a person at a ground station."""
+
+    def __init__(self, fault=None, assignments=(), poses=True, pose_fault=lambda pose: pose, clearance=CLEAR):
+        super().__init__("pid", "hover", FaultyPeer(pose_fault), assignments, True, clearance)
+        self.fault, self.peer.relays = fault or self.fault, poses
         self.station, self.heartbeats = mavlink.MAVLink(None, 255, 190), True
-        self.tick, self.motors, self.waiting, self.typed = 0, [], [], []
-        self.modes, self.events, self.texts, self.answers = [], [], [], []
-        self.far_m = 0.0
+        self.modes, self.texts, self.answers = [], [], []
 
     def type(self, command, *parameters):
         values = [*map(float, parameters), *(0.0,) * 7][:7]
-        self.typed.append(bytes(mavlink.MAVLink_command_long_message(1, 1, command, 0, *values).pack(self.station)))
+        return self.send(mavlink.MAVLink_command_long_message(1, 1, command, 0, *values))
+
+    def send(self, message):
+        self.from_ground.append(bytes(message.pack(self.station)))
         return self
 
     def arm(self):
         return self.type(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
 
-    def fly(self, seconds):
-        for _ in range(round(seconds * 200)):
-            if self.vehicle.crash_reason:
-                break
-            self.step()
-        return self
-
     def take_off(self):
         return self.fly(2.0).arm().fly(0.5).type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(4.0)
 
     def step(self):
-        now = self.tick * PERIOD_NS
-        flown = self.vehicle.step(now)
-        frames = list(self.fault(now * 1e-9, list(flown.to_onboard)))
-        messages = [self.peer.endpoint.encode(message, now + CLOCK_NS) for message in self.waiting]
         if self.heartbeats and self.tick % 200 == 0:
-            self.typed.append(bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(self.station)))
-        out = self.core.tick(now, frames, messages, self.typed)
-        for datagram in self.motors:
-            self.vehicle.receive(datagram, now)
-        self.motors, self.waiting, self.typed = out.to_vehicle, [], []
-        for datagram in out.to_offboard:
-            self.waiting += self.peer.take_in(datagram, now)
-        said = self.peer.say(flown.truth, self.tick, now)
-        self.waiting += [self.pose_fault(message) if isinstance(message, Pose) else message for message in said]
-        self.far_m = float(np.hypot(*flown.truth[:2]))
-        self.modes.append(FlightMode(int(out.tick[0])))
-        self.events += [text for _, text in out.events]
-        self._read(out.to_ground)
-        self.tick += 1
-
-    def _read(self, datagrams):
-        for datagram in datagrams:
+            self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+        super().step()
+        self.modes.append(self.mode)
+        for datagram in self.to_ground:
             message = mavlink.MAVLink(None).decode(bytearray(datagram))
             if message.get_type() == "STATUSTEXT":
                 self.texts.append(message.text)
@@ -282,19 +261,15 @@ def test_flight_termination_stops_the_motors_in_the_air_until_the_end():
 # -- the effect of the limits ------------------------------------------------------------------------------------------
 
 
+def farthest(flight):
+    """Greatest horizontal distance from the origin, m."""
+    return float(np.hypot(*np.transpose(flight.truths)[:2]).max())
+
+
 def alone(seconds, *assignments):
     """A flight in simulation without offboard: (crash reason, last mode, greatest distance from the origin)."""
-    config = resolve("hover", Choices("pid", 3, None, ("onboard.pose_wait_s=0.5", *assignments)))
-    core, vehicle = OnboardCore(config.onboard, 1, None), SimVehicle(config.vehicle, 3)
-    radio = Radio(config.radio, np.random.default_rng(3))
-    lockstep = Lockstep(vehicle, radio, core, None, config.onboard.period_ns, 0)
-    far, mode = 0.0, FlightMode.BOOT
-    for _ in range(round(seconds * 200)):
-        result = lockstep.step()
-        far, mode = max(far, float(np.hypot(*result.truth[:2]))), FlightMode(int(result.onboard.tick[0]))
-        if lockstep.crash_reason:
-            break
-    return lockstep.crash_reason, mode, far
+    flight = Loop(assignments=("onboard.pose_wait_s=0.5", *assignments)).fly(seconds)
+    return flight.vehicle.crash_reason, flight.mode, farthest(flight)
 
 
 BLIND_IN_THE_WIND = (
@@ -340,7 +315,7 @@ def test_without_the_limit_on_the_age_of_the_pose_a_vehicle_flies_on_after_a_mov
         assert "FLYING -> HOLD: position lost" in flight.events
         assert "not ready to arm: no fresh pose" in flight.events
         assert not flight.vehicle.crash_reason
-        assert flight.far_m < 5.0
+        assert farthest(flight) < 5.0
     else:
         assert "m from the origin" in flight.vehicle.crash_reason
 
