@@ -1,78 +1,48 @@
-"""Sensor faults on the wire of a flying simulated vehicle, without offboard: what becomes of the flight, and its words.
+"""Sensor faults of a flying simulated vehicle, without offboard: the result of the flight, and the events.
 
-These flights also settle that simulation and onboard mean the same by their signs: on optical flow and ultrasound
-alone the vehicle stays where it believes it is, and with a sign turned round it does not.
+These flights also show that simulation and onboard use the same signs: on optical flow and ultrasound alone the
+estimated position is right, and with a reversed sign it is not.
 """
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
 from protocol.mavlink.vehicle import FlowReading
 from protocol.session import session_number
-from sim_vehicle.link.radio import Radio
-from sim_vehicle.lockstep import Lockstep
 from sim_vehicle.vehicle import SimVehicle
+from tests.onboard.loop import Loop, armed
 
 FAULT_S = 6.0
 """When a fault begins; the vehicle is in steady flight by then."""
 
 
-class FaultyVehicle:
-    """A simulated vehicle with a fault in its wire: `fault(t, datagrams)` gives what arrives instead."""
-
-    def __init__(self, vehicle, fault):
-        self._vehicle, self._fault = vehicle, fault
-
-    def receive(self, datagram, now_ns):
-        self._vehicle.receive(datagram, now_ns)
-
-    def step(self, now_ns):
-        output = self._vehicle.step(now_ns)
-        return output._replace(to_onboard=self._fault(now_ns * 1e-9, list(output.to_onboard)))
-
-    @property
-    def crash_reason(self):
-        return self._vehicle.crash_reason
-
-
-class FlightTest:
-    """Flies and keeps position errors, modes and words."""
+class FlightTest(Loop):
+    """A flight without offboard: position errors, modes and motor commands of every tick."""
 
     def __init__(self, scenario="hover", fault=None, assignments=(), change=None, session=1, keys=(None, None)):
         """`keys`: of onboard's end of the vehicle's link, and of the vehicle's."""
-        config = resolve(scenario, Choices(controller="pid", seed=3, assignments=assignments))
-        vehicle = SimVehicle(config.vehicle, config.seed, keys[1])
-        self.core = OnboardCore(config.onboard, session, None, keys[0])
+        super().__init__("pid", scenario, None, assignments)
+        self.vehicle = SimVehicle(self.config.vehicle, self.config.seed, keys[1])
+        self.core = OnboardCore(self.config.onboard, session, None, keys[0])
+        self.fault, self.modes, self.commands = fault or self.fault, [], []
         if change is not None:
             change(self.core)
-        faulty = FaultyVehicle(vehicle, fault or (lambda t, datagrams: datagrams))
-        radio = Radio(config.radio, np.random.default_rng([3, 301]))
-        self.lockstep = Lockstep(faulty, radio, self.core, None, config.onboard.period_ns, 0)
-        self.errors, self.modes, self.texts, self.truths, self.motors = [], [], [], [], []
 
-    def fly(self, seconds):
-        for _ in range(round(seconds * 200)):
-            result = self.lockstep.step()
-            self.errors.append(result.truth[:3] - self.core._estimator.state.position)
-            self.truths.append(result.truth[:3].copy())
-            self.modes.append(FlightMode(int(result.onboard.tick[0])))
-            self.texts += [text for _, text in result.onboard.events]
-            self.motors.append(mavlink.MAVLink(None).decode(bytearray(result.onboard.to_vehicle[0])).controls[:4])
-            if self.lockstep.crash_reason:
-                break
-        self.errors = np.array(self.errors)
-        return self
+    def step(self):
+        super().step()
+        self.modes.append(self.mode)
+        self.commands.append(armed(self.motors[0])[1])
 
-    def said(self, part):
-        return any(part in text for text in self.texts)
+    @property
+    def errors(self):
+        return np.array(self.truths)[:, :3] - self.vector("position")
 
 
 def rewrite(frame, **fields):
-    """The same HIL_SENSOR frame with other values, and everything else as it is."""
+    """A HIL_SENSOR frame with other values; other frames unchanged."""
     codec = mavlink.MAVLink(None)
     message = codec.decode(bytearray(frame))
     if message.get_type() != "HIL_SENSOR":
@@ -90,32 +60,32 @@ def is_imu(frame):
 def test_flow_and_ultrasound_carry_a_flight():
     flight = FlightTest("figure8_calm").fly(16.0)
     assert FlightMode.FLYING in flight.modes
-    assert not flight.lockstep.crash_reason
+    assert not flight.vehicle.crash_reason
     assert np.abs(flight.errors[1400:]).max() < 0.2
 
 
 @pytest.mark.parametrize("sign", [(-1.0, 1.0), (1.0, -1.0)])
-def test_with_a_sign_of_the_flow_turned_round_it_is_lost(sign):
-    """The ablation that proves the test above: either sign of the flow's convention matters."""
+def test_with_a_reversed_sign_of_the_flow_it_is_lost(sign):
+    """Ablation of the test above: both signs of the flow matter."""
 
     def change(core):
-        take_in = core._estimator.receive
+        receive = core._estimator.receive
 
         def turned(reading):
             if isinstance(reading, FlowReading):
                 x = reading.rotation_x + sign[0] * (reading.flow_x - reading.rotation_x)
                 y = reading.rotation_y + sign[1] * (reading.flow_y - reading.rotation_y)
                 reading = reading._replace(flow_x=x, flow_y=y)
-            take_in(reading)
+            receive(reading)
 
         core._estimator.receive = turned
 
     flight = FlightTest("figure8_calm", change=change).fly(16.0)
-    assert flight.lockstep.crash_reason or np.abs(flight.errors[1400:]).max() > 0.5
+    assert flight.vehicle.crash_reason or np.abs(flight.errors[1400:]).max() > 0.5
 
 
 @pytest.mark.parametrize("sensor", ["xacc", "zgyro"])
-def test_nan_for_a_moment_is_flown_through_and_said(sensor):
+def test_nan_for_a_moment_is_reported_and_the_flight_goes_on(sensor):
     def fault(t, frames):
         return [rewrite(f, **{sensor: float("nan")}) if FAULT_S < t < FAULT_S + 0.03 else f for f in frames]
 
@@ -127,24 +97,24 @@ def test_nan_for_a_moment_is_flown_through_and_said(sensor):
 
 @pytest.mark.parametrize("kind", ["nan", "frozen", "silent"])
 def test_an_imu_that_stays_bad_stops_the_motors_within_a_tenth_of_a_second(kind):
-    kept = []
+    stored = []
 
     def fault(t, frames):
         if t < FAULT_S:
-            kept[:] = [f for f in frames if is_imu(f)]
+            stored[:] = [f for f in frames if is_imu(f)]
             return frames
         if kind == "silent":
             return [f for f in frames if not is_imu(f)]
         if kind == "nan":
             return [rewrite(f, ygyro=float("nan")) for f in frames]
-        stuck = mavlink.MAVLink(None).decode(bytearray(kept[0]))
+        stuck = mavlink.MAVLink(None).decode(bytearray(stored[0]))
         same = {name: getattr(stuck, name) for name in ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")}
         return [rewrite(f, **same) for f in frames]
 
     flight = FlightTest(fault=fault).fly(7.0)
     first = flight.modes.index(FlightMode.EMERGENCY) / 200
     assert FAULT_S + 0.05 <= first < FAULT_S + 0.12
-    assert set(map(tuple, flight.motors[flight.modes.index(FlightMode.EMERGENCY) + 1 :])) == {(0.0,) * 4}
+    assert set(map(tuple, flight.commands[flight.modes.index(FlightMode.EMERGENCY) + 1 :])) == {(0.0,) * 4}
     assert flight.said("EMERGENCY: IMU silent")
     assert kind != "frozen" or flight.said("IMU frozen")
 
@@ -155,32 +125,32 @@ FROZEN_FLOW = (
 )
 
 
-@pytest.mark.parametrize("noticed", [True, False])
-def test_a_frozen_flow_brings_the_vehicle_down_where_it_is_and_unnoticed_it_is_blown_away(noticed):
-    limit = f"onboard.vehicle_link.frozen_flows={8 if noticed else 0}"
+@pytest.mark.parametrize("detected", [True, False])
+def test_with_a_frozen_flow_the_vehicle_descends_and_undetected_it_is_blown_away(detected):
+    limit = f"onboard.vehicle_link.frozen_flows={8 if detected else 0}"
     flight = FlightTest(assignments=(FROZEN_FLOW, limit)).fly(14.0)
     far = float(np.linalg.norm(flight.truths[-1][:2]))
-    assert flight.said("optical flow frozen") == noticed
-    if noticed:
-        assert not flight.lockstep.crash_reason
+    assert bool(flight.said("optical flow frozen")) == detected
+    if detected:
+        assert not flight.vehicle.crash_reason
         assert flight.said("HOLD_LEVEL: no velocity aid")
         assert FlightMode.LANDED in flight.modes
         assert far < 4.0
     else:
-        assert flight.lockstep.crash_reason or far > 4.0
+        assert flight.vehicle.crash_reason or far > 4.0
 
 
-def test_without_the_limit_on_the_age_of_the_imu_a_silent_one_flies_into_the_floor_with_turning_motors():
+def test_without_the_limit_on_the_age_of_the_imu_the_motors_turn_on_when_it_is_silent():
     def fault(t, frames):
         return [f for f in frames if t < FAULT_S or not is_imu(f)]
 
     flight = FlightTest(fault=fault, assignments=("onboard.supervisor.imu_silent_s=1000",)).fly(9.0)
     assert FlightMode.EMERGENCY not in flight.modes
-    assert max(flight.motors[-1]) > 0.1
-    assert flight.lockstep.crash_reason or np.abs(flight.errors[-1]).max() > 0.5
+    assert max(flight.commands[-1]) > 0.1
+    assert flight.vehicle.crash_reason or np.abs(flight.errors[-1]).max() > 0.5
 
 
-def test_a_vehicle_clock_that_starts_anew_is_flown_through_and_said():
+def test_a_restarted_vehicle_clock_is_reported_and_the_flight_goes_on():
     def fault(t, frames):
         return [rewrite(f, time_usec=round((t - FAULT_S) * 1e6) + 5000) if t > FAULT_S else f for f in frames]
 
@@ -190,7 +160,7 @@ def test_a_vehicle_clock_that_starts_anew_is_flown_through_and_said():
     assert np.abs(flight.errors[1300:]).max() < 0.3
 
 
-def test_time_going_backwards_for_some_samples_is_flown_through():
+def test_the_flight_goes_on_when_time_goes_backwards_for_some_samples():
     def fault(t, frames):
         late = 0.02 if FAULT_S < t < FAULT_S + 0.02 else 0.0
         return [rewrite(f, time_usec=round((t - late) * 1e6)) if late else f for f in frames]
@@ -202,7 +172,7 @@ def test_time_going_backwards_for_some_samples_is_flown_through():
     assert flight.modes[-1] is FlightMode.FLYING
 
 
-def test_a_second_vehicle_on_the_port_changes_nothing_but_words():
+def test_a_second_vehicle_on_the_port_changes_only_the_events():
     other = mavlink.MAVLink(None, 77, 1)
 
     def fault(t, frames):
@@ -211,14 +181,14 @@ def test_a_second_vehicle_on_the_port_changes_nothing_but_words():
         values = (5.0, -5.0, 3.0, 2.0, -2.0, 1.0, 0.0, 0.0, 0.0, 900.0, 0.0, 0.0, 20.0)
         return [*frames, bytes(mavlink.MAVLink_hil_sensor_message(round(t * 1e6), *values, 0x1FFF).pack(other))]
 
-    spoilt, alone = FlightTest(fault=fault).fly(8.0), FlightTest().fly(8.0)
-    np.testing.assert_array_equal(np.array(spoilt.truths), np.array(alone.truths))
-    assert spoilt.said("second vehicle (system id 77)")
+    disturbed, alone = FlightTest(fault=fault).fly(8.0), FlightTest().fly(8.0)
+    np.testing.assert_array_equal(np.array(disturbed.truths), np.array(alone.truths))
+    assert disturbed.said("second vehicle (system id 77)")
 
 
 @pytest.mark.parametrize("utc_ns", [0, 1_763_800_000 * 10**9])
 def test_a_signed_link_flies_whatever_clock_the_vehicle_has(utc_ns):
-    """The simulated vehicle has no wall clock; it takes over the time in our signatures, as MAVLink wants it."""
+    """The simulated vehicle has no wall clock; it adopts the time of our signatures, as MAVLink specifies."""
     flight = FlightTest(keys=(b"k" * 32, b"k" * 32), session=session_number(utc_ns, 1)).fly(8.0)
     assert flight.modes[-1] is FlightMode.FLYING
     rejected = flight.core._vehicle_link.rejected
@@ -232,7 +202,7 @@ def test_a_vehicle_with_another_key_is_not_flown():
     assert flight.core._vehicle_link.rejected["signature"] > 1000
 
 
-def test_a_lying_ultrasonic_sensor_does_not_bring_the_vehicle_down():
+def test_the_flight_goes_on_with_wrong_ultrasonic_readings():
     """Every third echo is wrong by up to two metres."""
     rng = np.random.default_rng(5)
 
