@@ -87,12 +87,14 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     choices = choices or Choices()
     _check_choices(choices)
     path = named_file("scenarios", scenario)
-    tree = compose(read_scenario(scenario), path.stem, choices)
+    file = read_scenario(scenario)
+    tree = compose(file, path.stem, choices)
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)
     for assignment in choices.assignments:
         tree = set_path(tree, _present_path(assignment))
-    return tree, str(path) + "".join(f" --set {item}" for item in choices.assignments)
+    own = [f", {kind} {name}" for kind, name in (("vehicle", file.vehicle), ("radio", file.radio)) if "." in name]
+    return tree, "".join([str(path), *own, *(f" --set {item}" for item in choices.assignments)])
 
 
 def read_scenario(name: str) -> ScenarioFile:

@@ -61,6 +61,14 @@ def test_what_is_wrong_in_a_vehicle_is_named(text: str, said: str, tmp_path: Pat
         read_vehicle(own_vehicle(tmp_path, text))
 
 
+def test_a_fault_in_a_vehicle_of_ones_own_names_its_file(tmp_path: Path) -> None:
+    vehicle = own_vehicle(tmp_path, "simulated: {drag: {linear_n_s_m: -1.0}}")
+    (tmp_path / "flight.yaml").write_text(f"extends: hover\nvehicle: {vehicle}", encoding="utf-8")
+    said = r"flight\.yaml, vehicle .*mine\.yaml: vehicle\.drag\.linear_n_s_m: -1\.0: Input should be greater than"
+    with pytest.raises(ConfigError, match=said):
+        resolve(str(tmp_path / "flight.yaml"))
+
+
 def test_a_range_goes_from_low_to_high() -> None:
     times, between = Range(times=(0.5, 2.0)), Range(between=(0.02, 0.07))
     assert [times.value(4.0, share) for share in (0.0, 0.5, 1.0)] == [2.0, 5.0, 8.0]
