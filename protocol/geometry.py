@@ -204,7 +204,7 @@ def rotation_between(measured: Quaternion, rotation: Rotation) -> Vector3:
     s = 0.5 * math.sqrt(x * x + y * y + z * z)
     angle = math.atan2(s, 0.5 * (trace - 1.0))
     if s < 1e-9:
-        # Either no rotation or half a turn; for half a turn any axis is as good: it is far outside every gate.
+        # No rotation, or half a turn, for which any axis will do: it is far outside every gate.
         return (0.0, 0.0, 0.0) if angle < 1.0 else (math.pi, 0.0, 0.0)
     scale = 0.5 * angle / s
     return (x * scale, y * scale, z * scale)
