@@ -1,4 +1,4 @@
-"""Addresses of the three processes of a flight and the key that protects the link between two of them."""
+"""Addresses of the three processes of a flight, and the files of the keys that protect their links."""
 
 import ipaddress
 import re
@@ -11,20 +11,18 @@ from pydantic import AfterValidator, Field, model_validator
 from configs.loader import ConfigRecord, fill, merge, read_tree
 
 RESERVED_PORTS: Final = (24099, 26061)
-"""The Mambo's firmware listens there."""
+"""Ports of the Mambo's firmware."""
 ONBOARD_VEHICLE_PORT: Final = 14561
 ONBOARD_LINK_PORT: Final = 14571
 OFFBOARD_LINK_PORT: Final = 14573
 MOTION_CAPTURE_PORT: Final = 14574
-"""Default ports of the sockets that a process of ours opens towards a real vehicle and towards its peer."""
-
-
+"""Default ports of the sockets of onboard and offboard."""
 WITHOUT_RADIO: Final = ({"radio_onboard", "offboard_link"}, {"radio_offboard", "onboard_link"})
-"""Pairs that are one address when onboard and offboard talk directly, as with a real vehicle."""
+"""Pairs that have the same address when onboard and offboard are connected directly, as with a real vehicle."""
 
 
 def check_address(address: str) -> str:
-    """`address`, if it is HOST:PORT with a port that may be used. Raises ValueError that says what is allowed."""
+    """Return `address` if it is HOST:PORT with an allowed port. Raises ValueError that names what is allowed."""
     host, colon, port = address.rpartition(":")
     if not colon or not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
         raise ValueError("expected HOST:PORT with a port from 1 to 65535")
@@ -49,18 +47,18 @@ class SerialLine(NamedTuple):
 
 
 def serial_line(address: str) -> SerialLine | None:
-    """What serial:///dev/ttyX?baud=N names; None for an address on the network."""
+    """Parse serial:///dev/ttyX?baud=N; None for an address on the network."""
     match = _SERIAL.match(address)
     return None if match is None else SerialLine(match["device"], int(match["baud"] or SERIAL_DEFAULT_BAUD))
 
 
 def check_vehicle_address(address: str) -> str:
-    """A vehicle's address in its plain form: udp://HOST:PORT becomes HOST:PORT, a serial line stays as it is.
+    """Return a vehicle's address in its plain form: udp://HOST:PORT becomes HOST:PORT, a serial line is unchanged.
 
     Raises
     ------
     ValueError
-        If it is none of them; the message says what is allowed.
+        If it is none of them; the message names what is allowed.
     """
     scheme, separator, rest = address.partition("://")
     if not separator:
@@ -148,21 +146,21 @@ class Addresses(ConfigRecord):
         return self
 
     def bound_by_sim(self) -> dict[str, str]:
-        """Addresses the simulated vehicle binds, by name. Who is on a serial line is not simulated."""
+        """Addresses that the simulation binds, by name; without the vehicle's if it is on a serial line."""
         vehicle = {"vehicle": self.vehicle} if serial_line(self.vehicle) is None else {}
         return {**vehicle, "radio_onboard": self.radio_onboard, "radio_offboard": self.radio_offboard}
 
     def bound_by_onboard(self) -> dict[str, str]:
-        """Addresses the onboard process binds, by name."""
+        """Addresses that the onboard process binds, by name."""
         return {"onboard_vehicle": self.onboard_vehicle, "onboard_link": self.onboard_link}
 
     def bound_by_offboard(self) -> dict[str, str]:
-        """Addresses the offboard process binds, by name."""
+        """Addresses that the offboard process binds, by name."""
         return {"offboard_link": self.offboard_link, "motion_capture": self.motion_capture}
 
 
 def load_network(path: Path, options: Mapping[str, str | None]) -> Addresses:
-    """The network section of a resolved configuration, with the addresses given as options laid over it.
+    """The addresses of a resolved configuration, overruled by those given as options.
 
     Raises
     ------
@@ -173,7 +171,7 @@ def load_network(path: Path, options: Mapping[str, str | None]) -> Addresses:
 
 
 def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, str | None]) -> Addresses:
-    """The network of a flight's plain tree, with the addresses given as options laid over it. Raises ConfigError."""
+    """The addresses of a flight's plain tree, overruled by those given as options. Raises ConfigError."""
     section = tree.get("network")
     given = {name: address for name, address in options.items() if address is not None}
     source = f"{source} with {', '.join(given)} from options" if given else source
@@ -181,7 +179,7 @@ def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, str |
 
 
 def seen_from_onboard(options: Mapping[str, str | None]) -> dict[str, str | None]:
-    """All addresses that follow from those of vehicle and offboard, without a radio between; given ones stay."""
+    """All addresses without a radio, derived from those of vehicle and offboard where none is given."""
     offboard = options["radio_onboard"] or ""
     vehicle = options["vehicle"] or ""
     onboard_link = options.get("onboard_link") or own_address(offboard, ONBOARD_LINK_PORT)
@@ -192,7 +190,7 @@ def seen_from_onboard(options: Mapping[str, str | None]) -> dict[str, str | None
 
 
 def seen_from_offboard(options: Mapping[str, str | None]) -> dict[str, str | None]:
-    """All addresses that follow from onboard's, without a radio between; given ones stay."""
+    """All addresses without a radio, derived from onboard's where none is given."""
     onboard = options["radio_offboard"] or ""
     offboard_link = options.get("offboard_link") or own_address(onboard, OFFBOARD_LINK_PORT)
     implied = {"offboard_link": offboard_link, "motion_capture": own_address(onboard, MOTION_CAPTURE_PORT)}
@@ -201,5 +199,5 @@ def seen_from_offboard(options: Mapping[str, str | None]) -> dict[str, str | Non
 
 
 def own_address(peer: str, port: int) -> str:
-    """Where to listen for `peer` when nothing is said: on this machine only, when the peer is on it."""
+    """The default address to receive from `peer` at; it is open to this machine only if the peer is on it."""
     return f"127.0.0.1:{port}" if is_loopback(peer) else f"0.0.0.0:{port}"

@@ -1,7 +1,7 @@
-"""The one strict reader of configuration: YAML fills a tree of frozen, typed records, and every fault is named.
+"""Reads configuration files: YAML fills a tree of frozen, typed records, and every fault is named.
 
-YAML here is what people expect of it: `1e-4` is a number, `no` and `on` are words, and a key that stands twice
-is an error. Records are pydantic models that refuse unknown keys, wrong types and values out of range.
+The YAML is stricter than usual: `1e-4` is a number, `no` and `on` are words, and a key that is written twice is an
+error. Records are pydantic models that refuse unknown keys, wrong types and values out of range.
 """
 
 import re
@@ -18,7 +18,7 @@ CONFIG_DIRECTORY = Path(__file__).resolve().parent
 
 
 class ConfigError(Exception):
-    """A configuration that cannot be used. The message is one line a fault: file, path, value, what is allowed."""
+    """A configuration that cannot be used. The message has one line per fault: file, path, value, what is allowed."""
 
 
 class ConfigRecord(BaseModel):
@@ -31,14 +31,16 @@ RecordT = TypeVar("RecordT", bound=BaseModel)
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader with YAML 1.2's scalars and without silent duplicate keys."""
+    """SafeLoader with the scalars of YAML 1.2; it refuses duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Hashable] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key {key!r} is written twice", key_node.start_mark
+                )
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -68,17 +70,17 @@ _Loader.add_implicit_resolver(
 
 @lru_cache(maxsize=128)
 def _parsed(text: str) -> Any:
-    """The tree of a text, remembered: a campaign reads the same few files for each of its thousands of flights."""
+    """The tree of a text, cached: a campaign reads the same few files for each of its thousands of flights."""
     return yaml.load(text, Loader=_Loader)
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """The plain tree that a YAML text stands for.
+    """The plain tree of a YAML text.
 
     Raises
     ------
     ConfigError
-        If the text is not YAML, or a key stands twice; the message names `source` and the line.
+        If the text is not YAML, or a key is written twice; the message names `source` and the line.
     """
     try:
         return deepcopy(_parsed(text))
@@ -87,7 +89,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def parse_mapping(text: str, source: str) -> dict[str, Any]:
-    """The mapping that a YAML text stands for. Raises ConfigError as `parse_yaml` does, and if it is no mapping."""
+    """The mapping of a YAML text. Raises ConfigError as `parse_yaml` does, and if the text is not a mapping."""
     tree = parse_yaml(text, source)
     if not isinstance(tree, dict):
         raise ConfigError(f"{source}: holds {type(tree).__name__}, expected a mapping of keys")
@@ -95,7 +97,7 @@ def parse_mapping(text: str, source: str) -> dict[str, Any]:
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """The mapping a YAML file holds.
+    """The mapping that a YAML file holds.
 
     Raises
     ------
@@ -111,7 +113,7 @@ def read_tree(path: Path) -> dict[str, Any]:
 
 
 def fill(record_type: type[RecordT], tree: Mapping[str, Any], source: str, at: str = "") -> RecordT:
-    """A record filled from a plain tree; every fault is named in one error.
+    """A record filled from a plain tree. One error names all faults.
 
     Parameters
     ----------

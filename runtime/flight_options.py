@@ -1,4 +1,4 @@
-"""Which flight a process takes part in: a resolved configuration, or a scenario set up for a real vehicle."""
+"""Options that select the flight of a process: a resolved configuration, or a scenario for a real vehicle."""
 
 import argparse
 from collections.abc import Callable, Mapping
@@ -12,26 +12,26 @@ from configs.flight_tree import Choices, flight_tree
 from configs.loader import ConfigError, fill, merge, read_tree
 
 REAL_SCENARIO: Final = "hover"
-"""What is flown when nothing is said: the first thing to try with a vehicle."""
+"""The default scenario, the first to fly with a vehicle."""
 REAL_CONTROLLER: Final = "dmrac"
 PEERS: Final = ("--vehicle", "--offboard", "--onboard", "--ground")
-"""Options that name somebody else's address; the others are this machine's own."""
+"""Options with the address of another side; the other options give addresses of this machine."""
 
 
 class FlightOptions(NamedTuple):
-    """A flight as its command line names it."""
+    """The flight that a command line selects."""
 
     tree: dict[str, Any]
-    """Plain, of all processes."""
+    """The plain tree, for all processes."""
     source: str
-    """What it was made of, for messages."""
+    """The files and options that it was made of, for messages."""
     text: bytes
-    """The same as YAML, for the log."""
+    """The tree as YAML, for the log."""
     network: Addresses
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say which flight it is."""
+    """Add the options that select the flight."""
     parser.add_argument("--config", type=Path, help="resolved configuration of a flight (YAML)")
     alone = parser.add_argument_group("without --config: settings for a real vehicle (as dmrac config --real)")
     alone.add_argument("--scenario", metavar="NAME", help=f"in configs/scenarios, or a file (default {REAL_SCENARIO})")
@@ -50,13 +50,13 @@ def flight_of(
     needed: Mapping[str, str],
     implied: Callable[[Mapping[str, str | None]], dict[str, str | None]],
 ) -> FlightOptions:
-    """The flight that a command line names.
+    """The flight that a command line selects.
 
     Parameters
     ----------
     options: names in `network` and the options that overrule them, such as {"ground": "--ground"}.
-    needed: options without which there is no flight where no configuration is given, and what they stand for.
-    implied: all addresses that follow from the given ones, where no configuration holds them.
+    needed: options that are required without a configuration, each with the form of its value.
+    implied: derives all addresses from the given ones, without a configuration.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""`dmrac config`: the resolved configuration of a scenario, for processes that are started one by one."""
+"""`dmrac config`: the resolved configuration of a scenario, with its default values marked.
+
+Processes that are started one by one read it with `--config`.
+"""
 
 import argparse
 from pathlib import Path
@@ -6,10 +9,12 @@ from pathlib import Path
 from configs.flight_tree import PORTS_EACH
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
-EXAMPLES = """examples:
+EXAMPLES = """A comment "# default" stands behind every value that is the default.
+
+examples:
   dmrac config figure8_wind > flight.yaml
   dmrac config figure8_calm --real --out flight.yaml
-  dmrac config hover --vehicle 2 --out second.yaml          beside another one that flies at the same time
+  dmrac config hover --vehicle 2 --out second.yaml          for a second vehicle that flies at the same time
   dmrac sim --config flight.yaml & dmrac offboard --config flight.yaml & dmrac onboard --config flight.yaml
 """
 
@@ -26,15 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=1,
         metavar="N",
-        help="number of the vehicle where several fly (default: 1): its id, and ports "
-        f"{PORTS_EACH} (N - 1) higher, all of them, with --real all but those of vehicle and ground station",
+        help="number of the vehicle where several fly (default: 1): its id, and ports that are "
+        f"{PORTS_EACH} (N - 1) higher; with --real the ports of vehicle and ground station stay",
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments")
     parser.add_argument("--out", type=Path, metavar="FILE", help="where to write (default: standard output)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes the configuration; returns 0."""
+    """Write the configuration; returns 0."""
     choices = Choices(
         arguments.controller,
         arguments.seed,

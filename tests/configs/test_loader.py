@@ -85,7 +85,7 @@ def test_every_float_survives_its_text(value: float) -> None:
         ("rotors: 4", "rotors: 4.5", "rotors: 4.5"),
         ("rotors: 4", "rotors: 4\narmed: yes", "armed: 'yes'"),
         ("2e-2]", "2e-2, 3e-2]", "motor.lags_s"),
-        ("rotors: 4", "rotors: 4\nrotors: 5", "'rotors' stands twice"),
+        ("rotors: 4", "rotors: 4\nrotors: 5", "'rotors' is written twice"),
         ("rotors: 4", "rotors: [", "vehicle.yaml: "),
         ("68e-3", ".nan", "mass_kg: '.nan'"),
     ],
