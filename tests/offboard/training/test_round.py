@@ -86,9 +86,8 @@ def test_a_diverged_round_is_undone() -> None:
 
 
 def test_dropout_and_one_channel_and_mrgen_train_too() -> None:
-    labels = offboard_config().labels.model_dump() | {"kind": "mrgen"}
     trained = {"dropout": 0.2, "channels": ["attitude"], "scaling": "data"}
-    config = offboard_config(features={"trained": trained}, labels=labels)
+    config = offboard_config(features={"trained": trained}, labels={"kind": "mrgen"})
     result = rounds(job_after(config), 3)
     assert result.candidate.position is None
     assert result.candidate.attitude is not None
