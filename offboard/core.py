@@ -19,6 +19,7 @@ from offboard.training.job import TrainingJob, TrainingResult
 from offboard.training.vehicle_learner import VehicleLearner
 from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
+from protocol.feature_config import feature_digest
 from protocol.feature_set import FeatureSet
 from protocol.messages import Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 
@@ -55,11 +56,12 @@ class OffboardCore:
         self._round_period_ns = round(config.trainer.period_s * 1e9)
         self._checkpoint_period_ns = round(config.experience.checkpoint_period_s * 1e9)
         self._clock = ForwardClock()
-        self.endpoint: Final = Endpoint("offboard", session, key, config.vehicle_id)
+        self.endpoint: Final = Endpoint("offboard", session, key, config.vehicle_id, feature_digest(config.features))
         self.learner: Final = VehicleLearner(config)
         self._versions = VersionSender(config.transfer)
         self._relay = PoseRelay(config.pose_relay)
         self._peer_session: int | None = None
+        self._reported_session: int | None = None
         self._poses: list[Pose] = []
         self._requests: list[tuple[int, int]] = []
         """Time sync requests to answer: their origin time, and when they arrived."""
@@ -92,6 +94,14 @@ class OffboardCore:
             self._out.events += [(now_ns, event)] if event else []
         elif isinstance(message, TimeSyncRequest):
             self._requests.append((message.origin_ns, now_ns))
+            self._report_layout(now_ns)
+
+    def _report_layout(self, now_ns: int) -> None:
+        """Report another layout of onboard, once per session of onboard."""
+        mismatch = self.endpoint.layout_mismatch
+        if mismatch and self._reported_session != self._peer_session:
+            self._reported_session = self._peer_session
+            self._event(now_ns, mismatch)
 
     def _start_session(self, now_ns: int) -> None:
         """Another onboard process has taken the place of the one before."""

@@ -20,8 +20,8 @@ from protocol.feature_config import FeaturesConfig
 
 STATUS_BYTES: Final = 154
 """The longest status, UDP and IP included."""
-SYNC_REQUEST_BYTES: Final = 82
-SYNC_REPLY_BYTES: Final = 100
+SYNC_REQUEST_BYTES: Final = 92
+SYNC_REPLY_BYTES: Final = 110
 
 
 class OnboardConfig(ConfigRecord):

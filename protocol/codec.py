@@ -34,7 +34,7 @@ from protocol.messages import (
 from protocol.msgpack_array import unpack_array
 from protocol.signals import CHANNELS, SIGNAL_COUNT
 
-PROTOCOL_VERSION: Final = 1
+PROTOCOL_VERSION: Final = 2
 HEADER: Final = struct.Struct("<BBHQQQ")
 """Version, type, vehicle id, session, sequence, sender time in ns; little-endian, no padding, 28 bytes."""
 _SIGNAL_BYTES: Final = 4 * SIGNAL_COUNT
@@ -87,10 +87,10 @@ def _plain(cls: type[Any], kinds: str) -> tuple[type[Any], Pack, Unpack]:
 _ROWS: Final[tuple[tuple[int, type[Any], Pack, Unpack], ...]] = (
     (1, SampleBatch, _pack_sample_batch, _unpack_sample_batch),
     (2, *_plain(Status, "iiibiiiiiiii")),
-    (3, *_plain(TimeSyncRequest, "i")),
+    (3, *_plain(TimeSyncRequest, "ib")),
     (65, *_plain(FeatureChunk, "iiibb")),
     (66, Pose, _pack_pose, _unpack_pose),
-    (67, *_plain(TimeSyncReply, "iii")),
+    (67, *_plain(TimeSyncReply, "iiib")),
 )
 TYPE_NUMBERS: Final[dict[type[Any], int]] = {cls: number for number, cls, _, _ in _ROWS}
 _BOTH_WAYS: Final = frozenset({TYPE_NUMBERS[TimeSyncRequest], TYPE_NUMBERS[TimeSyncReply]})

@@ -6,13 +6,22 @@ time that a datagram can cost is bounded (about 3 us for a forged one). The proc
 step to `DATAGRAMS_PER_STEP_MAX`.
 """
 
+from dataclasses import replace
 from typing import Final, Literal
 
 from protocol.authentication import MAC_BYTES, Authenticator
 from protocol.clock import ClockEstimate
 from protocol.codec import DOWN_TYPES, HEADER, PROTOCOL_VERSION, TYPE_NUMBERS, UP_TYPES, decode_body, encode_body
 from protocol.errors import ProtocolError
-from protocol.messages import DATAGRAM_MAX_BYTES, Message, TimeSyncReply, TimeSyncRequest
+from protocol.messages import (
+    DATAGRAM_MAX_BYTES,
+    NO_LAYOUT,
+    FeatureChunk,
+    Message,
+    SampleBatch,
+    TimeSyncReply,
+    TimeSyncRequest,
+)
 from protocol.session import SILENCE_BEFORE_OLDER_NS, PeerSessions
 from protocol.statistics import LinkStatistics
 
@@ -37,6 +46,8 @@ class Endpoint:
     session: this process's session number, larger at each start (`protocol.session.session_number`).
     key: pre-shared key, 16 to 64 bytes; None only between loopback addresses.
     vehicle_id: 0 to 65535; datagrams of another vehicle are rejected.
+    layout: digest of this side's features and sample layout (`protocol.feature_config.feature_digest`). Samples and
+        feature chunks are rejected until the peer's time sync messages show the same one. NO_LAYOUT: no such check.
 
     Raises
     ------
@@ -44,7 +55,9 @@ class Endpoint:
         If a parameter is out of range.
     """
 
-    def __init__(self, role: Role, session: int, key: bytes | None, vehicle_id: int = 1) -> None:
+    def __init__(
+        self, role: Role, session: int, key: bytes | None, vehicle_id: int = 1, layout: bytes = NO_LAYOUT
+    ) -> None:
         if not 0 <= session < 2**64 or not 0 <= vehicle_id < 2**16:
             raise ValueError(f"session {session} or vehicle id {vehicle_id} out of range")
         onboard = role == "onboard"
@@ -62,6 +75,9 @@ class Endpoint:
         self._challenge_wanted = False
         self._challenged_ns: int | None = None
         self.statistics = LinkStatistics()
+        self.layout = layout
+        self.peer_layout: bytes | None = None
+        """None until this session of the peer has sent a time sync message."""
 
     @property
     def peer_session(self) -> int | None:
@@ -86,6 +102,16 @@ class Endpoint:
         """How often a jump of one of the two clocks was detected."""
         return self._clock.jumps
 
+    @property
+    def layout_mismatch(self) -> str:
+        """What to report if the peer's features or sample layout differ; empty otherwise."""
+        if self.peer_layout in (None, self.layout) or self.layout == NO_LAYOUT:
+            return ""
+        return (
+            f"samples and features are refused: the peer's `features` section and sample layout have digest "
+            f"{self.peer_layout.hex()[:8]}, ours {self.layout.hex()[:8]}; start both sides with the same configuration"
+        )
+
     def encode(self, message: Message, now_ns: int) -> bytes:
         """Encode a message as a datagram with the next sequence number.
 
@@ -97,6 +123,8 @@ class Endpoint:
         number = TYPE_NUMBERS[type(message)]
         if number not in self._send_types:
             raise ValueError(f"{type(message).__name__} is not sent in this direction")
+        if isinstance(message, TimeSyncRequest | TimeSyncReply):
+            message = replace(message, layout=self.layout)
         body = encode_body(message)
         if len(body) > BODY_MAX_BYTES:
             raise ValueError(f"body of {len(body)} bytes, allowed are {BODY_MAX_BYTES}")
@@ -143,6 +171,10 @@ class Endpoint:
         self._count(sequence, sent_ns, len(datagram), now_ns)
         self._spend_allowance(now_ns)
         message = decode_body(number, body)
+        if isinstance(message, TimeSyncRequest | TimeSyncReply):
+            self.peer_layout = message.layout
+        elif isinstance(message, SampleBatch | FeatureChunk) and self.layout not in (NO_LAYOUT, self.peer_layout):
+            raise ProtocolError("layout")
         if type(message) is TimeSyncReply and not self._clock.receive_reply(
             message.origin_ns, message.receive_ns, message.transmit_ns, now_ns
         ):
@@ -181,6 +213,7 @@ class Endpoint:
         self._peer.start(session, sequence)
         self._clock.restart()
         self._fastest_ns = None
+        self.peer_layout = None
         self.statistics.sessions += 1
 
     def _count(self, sequence: int, sent_ns: int, size_bytes: int, now_ns: int) -> None:

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from configs.loader import ConfigRecord, RecordT, fill_section
 from protocol.conventions import Array
 from protocol.feature_set import LAYERS_MAX, WIDTH_MAX
-from protocol.messages import DIGEST_BYTES, SampleBatch
+from protocol.messages import LAYOUT_BYTES, SampleBatch
 from protocol.signals import CHANNELS, SIGNAL_NAMES, SIGNALS, input_indices
 
 ChannelName = Literal["position", "attitude"]
@@ -115,7 +115,7 @@ def fill_process(record_type: type[RecordT], tree: Mapping[str, Any], source: st
 
 
 def feature_digest(features: FeaturesConfig) -> bytes:
-    """16 bytes that are the same on two sides with the same inputs, widths and scales and the same layout of a sample.
+    """8 bytes that are the same on two sides with the same inputs, widths and scales and the same layout of a sample.
 
     What only the training reads (spectral bound, dropout and the like) does not count.
     """
@@ -124,4 +124,4 @@ def feature_digest(features: FeaturesConfig) -> bytes:
         for one in (features.trained, features.untrained)
     ]
     sample = [field.name for field in fields(SampleBatch)]
-    return blake2b(repr((shared, sample, SIGNALS, CHANNELS)).encode(), digest_size=DIGEST_BYTES).digest()
+    return blake2b(repr((shared, sample, SIGNALS, CHANNELS)).encode(), digest_size=LAYOUT_BYTES).digest()

@@ -18,6 +18,8 @@ SAMPLES_PER_BATCH_MAX: Final = 8
 CHUNK_DATA_MAX_BYTES: Final = 1100
 CHUNK_COUNT_MAX: Final = 64
 DIGEST_BYTES: Final = 16
+LAYOUT_BYTES: Final = 8
+NO_LAYOUT: Final = bytes(LAYOUT_BYTES)
 ABSOLUTE_VALUE_MAX: Final = 1e6
 """Largest magnitude of a number in an array; a larger one is an error of the sender."""
 COUNTER_MAX: Final = 2**63 - 1
@@ -175,9 +177,12 @@ class TimeSyncRequest:
 
     origin_ns: int
     """Clock of the asking side when it sent this. The reply repeats it: a recording of a reply is not accepted."""
+    layout: bytes = NO_LAYOUT
+    """Digest of the sender's `features` section and sample layout, 8 bytes. `Endpoint.encode` fills it in."""
 
     def __post_init__(self) -> None:
         _require_counters("origin_ns", self.origin_ns)
+        _require(len(self.layout) == LAYOUT_BYTES, f"layout of {len(self.layout)} bytes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +195,11 @@ class TimeSyncReply:
     """Clock of the answering side when the request arrived."""
     transmit_ns: int
     """Clock of the answering side when it sent this, not before `receive_ns`."""
+    layout: bytes = NO_LAYOUT
+    """As in the request, of the answering side."""
 
     def __post_init__(self) -> None:
+        _require(len(self.layout) == LAYOUT_BYTES, f"layout of {len(self.layout)} bytes")
         _require_counters("origin_ns, receive_ns, transmit_ns", self.origin_ns, self.receive_ns, self.transmit_ns)
         _require(self.transmit_ns >= self.receive_ns, "transmit_ns before receive_ns")
 

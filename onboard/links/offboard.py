@@ -13,6 +13,7 @@ from onboard.flight.modes import FlightMode
 from onboard.links.loss_rate import LossRate
 from protocol.conventions import NEVER_NS, Array
 from protocol.endpoint import CHALLENGE_PERIOD_NS, Endpoint
+from protocol.feature_config import feature_digest
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.statistics import LinkStatistics
 
@@ -50,12 +51,13 @@ class OffboardLink:
     """
 
     def __init__(self, config: OnboardConfig, session: int, key: bytes | None) -> None:
-        self.endpoint: Final = Endpoint("onboard", session, key, config.vehicle_id)
+        self.endpoint: Final = Endpoint("onboard", session, key, config.vehicle_id, feature_digest(config.features))
         self._status_period_ns = round(config.status_period_s * 1e9)
         self._sync_period_ns = round(config.time_sync_period_s * 1e9)
         self._loss = LossRate()
         self._events: list[tuple[int, str]] = []
         self._peer_session: int | None = None
+        self._reported_session: int | None = None
         self._challenge: tuple[int, int] | None = None
         self._next_status_ns = 0
         self._next_sync_ns = 0
@@ -75,6 +77,7 @@ class OffboardLink:
             return []
         self.last_received_ns = now_ns
         received: list[Received] = []
+        self._report_layout(now_ns)
         if self.endpoint.peer_session != self._peer_session:
             received += self._begin_session(now_ns)
         match message:
@@ -94,6 +97,13 @@ class OffboardLink:
         """The clock offset assumes equal delays in both directions; on a slow link its error is a part of the delay."""
         slow_ns = max((self.endpoint.round_trip_ns or 0) - GOOD_ROUND_TRIP_NS, 0)
         return ROUND_TRIP_TO_SIGMA * slow_ns * 1e-9
+
+    def _report_layout(self, now_ns: int) -> None:
+        """Report another layout of the peer, once per session of the peer."""
+        mismatch = self.endpoint.layout_mismatch
+        if mismatch and self._reported_session != self.endpoint.peer_session:
+            self._reported_session = self.endpoint.peer_session
+            self._events.append((now_ns, mismatch))
 
     def _begin_session(self, now_ns: int) -> list[Received]:
         restarted = self._peer_session is not None

@@ -12,6 +12,7 @@ from offboard.data.buffer import VALIDATION
 from offboard.links.pose_relay import PoseRelay
 from offboard.records import EPOCH, LINK, TRAINING
 from protocol.endpoint import Endpoint
+from protocol.feature_config import feature_digest
 from protocol.feature_set import FeatureSet
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.transfer import FeatureReceiver
@@ -39,6 +40,9 @@ def status(flying: int, receiver: FeatureReceiver) -> Status:
     )
 
 
+LAYOUT = feature_digest(offboard_config().features)
+
+
 @dataclass
 class Onboard:
     """The onboard side: sends samples and status, receives features and uses them at once."""
@@ -50,7 +54,7 @@ class Onboard:
     replies: list[TimeSyncReply] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.endpoint = Endpoint("onboard", self.session, None)
+        self.endpoint = Endpoint("onboard", self.session, None, layout=LAYOUT)
         self.receiver = FeatureReceiver()
 
     def receive(self, datagram: bytes, now_ns: int) -> None:
@@ -88,6 +92,7 @@ def fly(
         now_ns += 20 * MS
         step += 1
         if step % 5 == 0:
+            core.receive_onboard(onboard.endpoint.encode(TimeSyncRequest(now_ns), now_ns), now_ns)
             datagram = onboard.endpoint.encode(pending.pop(0), now_ns)
             if rng.random() >= loss:
                 core.receive_onboard(datagram, now_ns)
@@ -161,6 +166,7 @@ def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
 
 def test_one_job_at_a_time() -> None:
     core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    core.receive_onboard(onboard.endpoint.encode(TimeSyncRequest(0), 0), 0)
     for batch in figure8_through_jet(3.0).batches():
         core.receive_onboard(onboard.endpoint.encode(batch, batch.time_ns), batch.time_ns)
     assert core.step(START_NS).job is not None

@@ -15,6 +15,7 @@ from onboard.preflight.certificate import CLEAR
 from onboard.record.tick import OFFSET
 from protocol.config import TransferConfig
 from protocol.endpoint import Endpoint
+from protocol.feature_config import feature_digest
 from protocol.messages import Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.transfer import FeatureSender
 from sim_vehicle.vehicle import SimVehicle
@@ -61,11 +62,18 @@ class Loop:
         self.config = resolve(scenario, Choices(controller, 3, None, assignments, real))
         self.vehicle = SimVehicle(self.config.vehicle, self.config.seed)
         self.core = OnboardCore(self.config.onboard, 1, None, clearance=clearance)
-        self.peer = peer
+        self.peer = None
+        if peer is not None:
+            self.join(peer)
         self.now_ns, self.tick = 0, 0
         self.waiting, self.motors, self.extra, self.from_ground, self.land = [], [], [], [], False
         self.passes, self.fault = None, lambda t, frames: frames
         self.rows, self.truths, self.events, self.offsets = [], [], [], []
+
+    def join(self, peer):
+        """Attach a peer that has the flight's configuration."""
+        self.peer = peer
+        peer.endpoint.layout = feature_digest(self.config.features)
 
     def fly(self, seconds):
         for _ in range(round(seconds * 1e9 / PERIOD_NS)):

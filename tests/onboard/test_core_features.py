@@ -117,7 +117,7 @@ def test_a_restarted_peer_may_number_its_features_anew():
     loop.peer.sender.offer(features(version=9), loop.now_ns)
     loop.fly(1.0)
     assert loop.column("feature_version")[-1] == 9
-    loop.peer = Peer(session=3)
+    loop.join(Peer(session=3))
     loop.fly(0.5)
     assert loop.said("offboard restarted")
     loop.waiting += split(encode_feature_set(features(version=1), "float32"), 1, 1000)

@@ -1,4 +1,4 @@
-"""Writes tests/vectors/protocol_v1.json: datagrams and feature sets with their values.
+"""Writes tests/vectors/protocol_v2.json: datagrams and feature sets with their values.
 
 Run `python tests/protocol/make_vectors.py` after a change of the protocol's version, never to make a test pass.
 """
@@ -16,7 +16,7 @@ from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.messages import FeatureChunk, Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.transfer import split
 
-PATH: Final = Path(__file__).resolve().parents[1] / "vectors" / "protocol_v1.json"
+PATH: Final = Path(__file__).resolve().parents[1] / "vectors" / "protocol_v2.json"
 KEY: Final = bytes(range(32))
 SESSIONS: Final[dict[Role, int]] = {"onboard": 0x018C_BAF6_1400_0001, "offboard": 0x018C_BAF6_1500_0002}
 
@@ -81,7 +81,7 @@ def content() -> dict[str, Any]:
                     }
                 )
     sets = {dtype: encode_feature_set(feature_set(), dtype).hex() for dtype in ("float16", "float32")}
-    return {"protocol_version": 1, "datagrams": datagrams, "feature_set": sets, "digest_float16": digest()}
+    return {"protocol_version": 2, "datagrams": datagrams, "feature_set": sets, "digest_float16": digest()}
 
 
 def digest() -> str:

@@ -10,7 +10,7 @@ from protocol.codec import TYPE_NUMBERS, decode_body, encode_body
 from protocol.errors import ProtocolError
 from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import FeatureSet
-from protocol.messages import REFUSALS, FeatureChunk, Message, Pose, SampleBatch
+from protocol.messages import NO_LAYOUT, REFUSALS, FeatureChunk, Message, Pose, SampleBatch
 
 Make = Callable[..., FeatureSet]
 
@@ -59,8 +59,9 @@ FLOAT = np.float32(1.0).tobytes()
         (3, b"\xdd\xff\xff\xff\xff", "body"),
         (3, b"\x91\xc6\xff\xff\xff\xff", "body"),
         (3, b"\x91\xd6\xff\x00\x00\x00\x00", "body"),
-        (3, msgpack.packb([-1]), "value"),
-        (3, msgpack.packb([2**63]), "value"),
+        (3, msgpack.packb([-1, NO_LAYOUT]), "value"),
+        (3, msgpack.packb([2**63, NO_LAYOUT]), "value"),
+        (3, msgpack.packb([5, NO_LAYOUT[1:]]), "value"),
         (66, msgpack.packb([0, FLOAT * 3, FLOAT * 3]), "body"),
         (66, msgpack.packb([0, FLOAT * 3, FLOAT * 4]), "value"),
         (66, msgpack.packb([0, FLOAT * 3 + b"\x00", FLOAT * 4]), "body"),
@@ -78,7 +79,7 @@ FLOAT = np.float32(1.0).tobytes()
         (65, msgpack.packb([1, 8, 8, b"\x00" * 16, b"x"]), "value"),
         (65, msgpack.packb([1, 0, 8, b"\x00" * 15, b"x"]), "value"),
         (65, msgpack.packb([1, 0, 8, b"\x00" * 16, b"x" * 1101]), "body"),
-        (67, msgpack.packb([0, 9, 8]), "value"),
+        (67, msgpack.packb([0, 9, 8, NO_LAYOUT]), "value"),
     ],
 )
 def test_a_wrong_body_is_named(number: int, body: bytes, reason: str) -> None:

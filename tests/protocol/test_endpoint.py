@@ -75,14 +75,14 @@ def not_unit(datagram: bytearray) -> None:
     [
         (cut, None, "length"),
         (grow, None, "length"),
-        (put(0, 2), KEY, "version"),
+        (put(0, 1), KEY, "version"),
         (put(1, 0), KEY, "type"),
         (put(1, 1), KEY, "type"),
         (put(2, 9), KEY, "vehicle"),
         (put(-1, 0), None, "mac"),
         (put(35, 1), None, "mac"),
-        (put(0, 1), bytes(32), "mac"),
-        (put(0, 1), b"", "mac"),
+        (put(0, 2), bytes(32), "mac"),
+        (put(0, 2), b"", "mac"),
         (truncate_body, None, "mac"),
         (truncate_body, KEY, "body"),
         (put(28, 0xC1), KEY, "body"),
@@ -103,7 +103,7 @@ def test_a_datagram_sent_back_to_its_sender_is_not_genuine() -> None:
     datagram = onboard.encode(TimeSyncRequest(1), 1)
     assert other.decode(datagram, 1) is None
     # the direction is part of the MAC, also for a type that is sent down
-    header = HEADER.pack(1, 66, 1, 1 << 41, 0, 0)
+    header = HEADER.pack(2, 66, 1, 1 << 41, 0, 0)
     signed = header + encode_body(POSE)
     mac = hashlib.blake2b(signed, digest_size=16, key=KEY, person=b"async-dmrac up").digest()
     assert onboard.decode(signed + mac, 1) is None

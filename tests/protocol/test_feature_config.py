@@ -7,7 +7,7 @@ from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, load, read_tree,
 from experiments.flights.scenario import resolve
 from protocol import feature_config
 from protocol.feature_config import FeaturesConfig, feature_digest, with_features
-from protocol.messages import DIGEST_BYTES
+from protocol.messages import LAYOUT_BYTES
 
 FEATURES = load(FeaturesConfig, CONFIG_DIRECTORY / "features.yaml")
 
@@ -74,7 +74,7 @@ def test_other_inputs_widths_or_scales_have_another_digest(assignment: str) -> N
 
 def test_the_digest_is_that_of_what_both_sides_share(monkeypatch: pytest.MonkeyPatch) -> None:
     digest = feature_digest(FEATURES)
-    assert len(digest) == DIGEST_BYTES
+    assert len(digest) == LAYOUT_BYTES
     tree = read_tree(CONFIG_DIRECTORY / "features.yaml")
     tree["trained"]["scales"] = dict(reversed(tree["trained"]["scales"].items()))
     assert feature_digest(fill(FeaturesConfig, tree, "t")) == digest, "the order of the file does not count"

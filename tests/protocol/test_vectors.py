@@ -21,7 +21,7 @@ from protocol.messages import REFUSALS, TimeSyncRequest
 from protocol.signals import SIGNAL_NAMES
 
 HERE = Path(__file__).resolve().parent
-VECTORS: dict[str, Any] = json.loads((HERE.parent / "vectors" / "protocol_v1.json").read_text(encoding="utf-8"))
+VECTORS: dict[str, Any] = json.loads((HERE.parent / "vectors" / "protocol_v2.json").read_text(encoding="utf-8"))
 DATAGRAMS: list[dict[str, Any]] = VECTORS["datagrams"]
 
 TYPES = {1: "SampleBatch", 2: "Status", 3: "TimeSyncRequest", 65: "FeatureChunk", 66: "Pose", 67: "TimeSyncReply"}
@@ -85,7 +85,7 @@ def test_a_second_reader_agrees(vector: dict[str, Any]) -> None:
     key = bytes.fromhex(vector["key"] or "")
     assert hashlib.blake2b(datagram[:-16], digest_size=16, key=key, person=person).digest() == datagram[-16:]
     version, number, vehicle_id, session, sequence, sent_ns = struct.unpack("<BBHQQQ", datagram[:28])
-    assert (version, TYPES[number]) == (1, vector["type"])
+    assert (version, TYPES[number]) == (2, vector["type"])
     expected = (vector["vehicle_id"], vector["session"], vector["sequence"], vector["sent_ns"])
     assert (vehicle_id, session, sequence, sent_ns) == expected
     reader = Msgpack(datagram[28:-16])

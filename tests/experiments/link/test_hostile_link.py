@@ -23,7 +23,7 @@ from onboard.core import OnboardCore
 from onboard.flight.modes import FlightMode
 from onboard.process import OnboardProcess
 from onboard.sampling.sampler import NETWORK_BYTES
-from protocol.codec import HEADER
+from protocol.codec import HEADER, PROTOCOL_VERSION
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX, Endpoint
 from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
@@ -36,7 +36,7 @@ from tests.experiments.link.link_flight import KEY, LEARNING, MS, UP_FOR_NS, Fli
 
 def sealed(message_type: int, body: bytes, session: int, sequence: int, key: bytes | None = KEY) -> bytes:
     """A datagram to onboard made by hand, with content that no message can have."""
-    signed = HEADER.pack(1, message_type, 1, session, sequence, 0) + body
+    signed = HEADER.pack(PROTOCOL_VERSION, message_type, 1, session, sequence, 0) + body
     return signed + hashlib.blake2b(signed, digest_size=16, key=key or b"", person=b"async-dmrac down").digest()
 
 
@@ -211,7 +211,7 @@ def test_the_budget_holds_with_a_peer_that_restarts_and_sends_requests_without_e
 
 
 def test_a_budget_that_status_and_time_sync_alone_exceed_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"samples\.budget_bytes_s 1500: status_period_s 0\.1 .*may take 2560 B/s"):
+    with pytest.raises(ConfigError, match=r"samples\.budget_bytes_s 1500: status_period_s 0\.1 .*may take 2680 B/s"):
         resolve("hover", Choices(assignments=("onboard.samples.budget_bytes_s=1500.0",)))
     most, count, endpoint = 2**32 - 1, 2**63 - 1, Endpoint("onboard", 1, KEY)
     status = Status(most, most, most, bytes(8), most, 9, count, count, most, count, count, count)
