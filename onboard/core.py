@@ -16,7 +16,6 @@ import numpy as np
 
 from onboard.config import OnboardConfig
 from onboard.control.actuators import ActuatorModel
-from onboard.control.airframe import GRAVITY
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.interface import LearningController
 from onboard.control.mixer import Mixer, Thrusts
@@ -36,7 +35,7 @@ from onboard.record.tick import TICK, age_s, write_tick
 from onboard.sampling.sampler import SampleQueue
 from onboard.sampling.signal_vector import SignalVector
 from protocol.clock import ForwardClock
-from protocol.conventions import NEVER_NS, Array
+from protocol.conventions import GRAVITY, NEVER_NS, Array
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading
 from protocol.messages import FeatureChunk

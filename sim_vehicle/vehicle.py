@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar, cast
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from protocol.conventions import Array
+from protocol.conventions import GRAVITY, Array
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.mavlink import VehicleCodec
 from sim_vehicle.link.radio import Radio
@@ -19,7 +19,7 @@ from sim_vehicle.physics.advance import CLEARANCE, WORK_ROWS, advance, write_tru
 from sim_vehicle.physics.crash import crash_limits, crash_reason
 from sim_vehicle.physics.disturb import for_disturbances
 from sim_vehicle.physics.draws import SUBSTEPS_MAX
-from sim_vehicle.physics.packing import COULOMB_PER_MAH, GRAVITY, SUBSTEP_NS
+from sim_vehicle.physics.packing import COULOMB_PER_MAH, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, VehicleOutput
 from sim_vehicle.sensors.battery import Battery
 from sim_vehicle.sensors.flow import Flow

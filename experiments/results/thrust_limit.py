@@ -19,10 +19,10 @@ from typing import Any
 from experiments.campaigns.flight_jobs import unfold
 from experiments.results.campaign_data import CampaignData
 from experiments.results.tables import Table
+from protocol.conventions import GRAVITY
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.disturbances.rotor_chip import chipped_rotors
 from sim_vehicle.physics import layout as at
-from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.world.world import World
 
 LONG_AFTER_NS = 10**15

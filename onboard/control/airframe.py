@@ -3,15 +3,13 @@
 The simulated (or real) vehicle differs from these numbers; the difference is part of the disturbance Delta.
 """
 
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import Field
 
 from configs.loader import ConfigRecord
 
 Positive = Annotated[float, Field(gt=0)]
-GRAVITY: Final = 9.81
-"""m/s^2."""
 
 
 class AirframeConfig(ConfigRecord):

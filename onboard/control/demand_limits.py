@@ -16,7 +16,7 @@ from typing import Annotated
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from onboard.control.airframe import GRAVITY
+from protocol.conventions import GRAVITY
 from protocol.geometry import Vector3
 
 FALL_MIN_M_S2 = 2.0

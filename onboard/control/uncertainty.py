@@ -8,9 +8,10 @@ is Delta plus the noise of the sensors. Controllers filter it (Delta_hat); the t
 """
 
 from onboard.control.actuators import Delivered
-from onboard.control.airframe import GRAVITY, AirframeConfig
+from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ChannelMeasurement
 from onboard.estimation.state import VehicleState
+from protocol.conventions import GRAVITY
 from protocol.geometry import Vector3, vector
 
 

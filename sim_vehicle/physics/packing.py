@@ -6,12 +6,10 @@ from math import exp
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from protocol.conventions import Array
+from protocol.conventions import GRAVITY, Array
 from protocol.geometry import Vector3
 from sim_vehicle.config import SimVehicleConfig
 
-GRAVITY = 9.80665
-"""m/s^2, standard."""
 SUBSTEP_NS = 1_000_000
 """ns, Runge-Kutta step."""
 COULOMB_PER_MAH = 3.6

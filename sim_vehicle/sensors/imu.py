@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 import sim_vehicle.physics.layout as at
-from protocol.conventions import Array
+from protocol.conventions import GRAVITY, Array
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.draws import NormalRows
-from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.physics.parameters import ImuConfig
 
 AIR_DENSITY = 1.184

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
+from protocol.conventions import GRAVITY
 from sim_vehicle.config import load_vehicle
-from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 

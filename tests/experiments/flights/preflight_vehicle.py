@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from onboard.preflight.checks import MAMBO_PLACES, MOTORS, MotorAnswer, Step
 from onboard.preflight.recorder import PoseSample
+from protocol.conventions import GRAVITY
 
 TICK_NS = 5_000_000
-GRAVITY = 9.81
 BIAS = np.array([0.09, -0.06, 0.3])
 PLACES = tuple(answer.place for answer in MOTORS.values())
 MOTION = {

@@ -13,10 +13,10 @@ from experiments.campaigns.flight_row import empty_row
 from experiments.flights.scenario import Choices, resolve
 from experiments.results.campaign_data import CampaignData
 from experiments.results.thrust_limit import LONG_AFTER_NS, limit_table, reserve
+from protocol.conventions import GRAVITY
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.disturbances.rotor_chip import chipped_rotors
 from sim_vehicle.physics.motors import drain_battery, lag_motors
-from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.vehicle import initial_state
 from sim_vehicle.world.world import World
 

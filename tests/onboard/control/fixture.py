@@ -12,7 +12,7 @@ from configs.loader import CONFIG_DIRECTORY, fill, load, merge
 from configs.parts import read_part
 from configs.vehicle import read_vehicle
 from onboard.control.actuators import ActuatorModel
-from onboard.control.airframe import GRAVITY, AirframeConfig
+from onboard.control.airframe import AirframeConfig
 from onboard.control.interface import ControllerConfig
 from onboard.control.mixer import Mixer
 from onboard.control.records import ControlInputs, ControlOutput, Target
@@ -20,6 +20,7 @@ from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import PathPoint
 from onboard.sampling.signal_vector import SignalVector
+from protocol.conventions import GRAVITY
 from protocol.feature_config import FeaturesConfig
 
 DT = 0.005

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from configs.loader import fill
 from configs.vehicle import read_vehicle
 from onboard.control.actuators import ActuatorModel
-from onboard.control.airframe import GRAVITY, AirframeConfig
+from onboard.control.airframe import AirframeConfig
 from onboard.control.mixer import Mixer
+from protocol.conventions import GRAVITY
 
 AIRFRAME = fill(AirframeConfig, read_vehicle("mambo").airframe, "mambo.yaml")
 DRIVEN = AIRFRAME.model_copy(update={"motor_response_s": 0.02})

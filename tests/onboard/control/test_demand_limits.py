@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from onboard.control.airframe import GRAVITY
 from onboard.control.demand_limits import FALL_MIN_M_S2, DemandLimits, DemandLimitsConfig
+from protocol.conventions import GRAVITY
 
 CONFIG = DemandLimitsConfig()
 accelerations = st.tuples(*(st.floats(-1e3, 1e3),) * 3)

@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.estimator import Estimator
+from protocol.conventions import GRAVITY
 from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading
 from protocol.messages import Pose
 
 RATE = 200
 STEP_NS = 10**9 // RATE
-GRAVITY = np.array([0.0, 0.0, 9.80665])
+DOWN = np.array([0.0, 0.0, GRAVITY])
 
 
 DEFAULTS = EstimatorConfig()
@@ -48,7 +49,7 @@ class Truth:
         dt = 1e-3
         middle = self.time_ns * 1e-9 - 0.5 / RATE
         acceleration = self._position(middle + dt) - 2 * self._position(middle) + self._position(middle - dt)
-        return self._rotation(middle).inv().apply(acceleration / dt**2 - GRAVITY)
+        return self._rotation(middle).inv().apply(acceleration / dt**2 - DOWN)
 
     def _position(self, t):
         s = np.clip((t - self.take_off_s) / 2.0, 0.0, 1.0)
@@ -63,7 +64,7 @@ class Truth:
     def _rotation(self, t):
         dt = 1e-3
         acceleration = (self._position(t + dt) - 2 * self._position(t) + self._position(t - dt)) / dt**2
-        down = GRAVITY - acceleration
+        down = DOWN - acceleration
         z = down / np.linalg.norm(down, axis=1, keepdims=True)
         yaw = self.yaw_start + 0.3 * np.sin(0.4 * np.maximum(t - self.take_off_s, 0.0)) ** 3
         heading = np.column_stack((np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)))

@@ -10,13 +10,14 @@ from scipy.signal import welch
 
 import sim_vehicle.physics.layout as at
 from configs.loader import ConfigError
+from protocol.conventions import GRAVITY
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.disturbances.cloth import Cloth
 from sim_vehicle.disturbances.fan_jet import FanJet
 from sim_vehicle.disturbances.gusts import Gusts
 from sim_vehicle.disturbances.rotor_chip import chipped_rotors
 from sim_vehicle.physics.compiled import compiled
-from sim_vehicle.physics.packing import GRAVITY, pack_parameters
+from sim_vehicle.physics.packing import pack_parameters
 from sim_vehicle.records import TRUTH
 from sim_vehicle.world.catalogue import AnyDisturbance
 from sim_vehicle.world.world import NEVER_NS, World

@@ -10,10 +10,11 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import GRAVITY
 from sim_vehicle.physics.advance import WORK_ROWS, advance
 from sim_vehicle.physics.compiled import python_twin
 from sim_vehicle.physics.dynamics import rotation
-from sim_vehicle.physics.packing import GRAVITY, set_mass
+from sim_vehicle.physics.packing import set_mass
 
 PAYLOAD = (0.012, (0.03, -0.02, 0.04))
 SIGNS = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))

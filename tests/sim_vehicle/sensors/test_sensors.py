@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import sim_vehicle.physics.layout as at
+from protocol.conventions import GRAVITY
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.physics.draws import BLOCK, Draws
-from sim_vehicle.physics.packing import GRAVITY
 from sim_vehicle.sensors.flow import Flow
 from sim_vehicle.sensors.imu import Imu, imu_settings, read_imu
 from sim_vehicle.sensors.motion_capture import MotionCapture
