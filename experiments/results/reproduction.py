@@ -165,6 +165,7 @@ def _provenance(plan: Reproduction, reports: Sequence[CampaignReport]) -> str:
     commits = commits_of(line for report in reports for line in report.data.flown_on)
     return (
         f"Flown with the code of commits {', '.join(commits) or 'unknown'}; each section lists its own. "
+        "Flights of other commits may differ ([the same to the bit](experiments.md#the-same-to-the-bit)). "
         f"Made by `{plan.command}`; no number or picture is edited by hand. "
         f"{flights} flights ({failed} failed), {sum(used) / 3600.0:.1f} core hours of flying.\n"
     )
