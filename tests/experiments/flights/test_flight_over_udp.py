@@ -92,7 +92,7 @@ def test_a_single_process_reports_an_error_in_one_line(tmp_path: Path) -> None:
     config = on_ports(resolve("hover"), 16460).to_yaml()
     path = tmp_path / "config.yaml"
     wrong = {
-        "onboard": (config.replace("priority: 40", "priority: 4000"), "runtime.pace.priority: 4000"),
+        "onboard": (config.replace("priority: 40", "priority: 4000"), "onboard.realtime.priority: 4000"),
         "offboard": (config.replace("offboard_link:", "offboard_lnk:"), "network.offboard_lnk: unknown key"),
         "sim_vehicle": (config.replace("seed: 1\n", "seed: one\n", 1), "seed 'one'"),
     }
