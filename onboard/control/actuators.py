@@ -37,13 +37,17 @@ class ActuatorModel:
 
     def step(self, commanded: Thrusts) -> Delivered:
         """Advance by one period under the thrusts [N] commanded during it."""
-        up, down, thrusts = self._up, self._down, self.delivered.thrusts_n
-        for index, now in enumerate(thrusts.tolist()):
-            command = commanded[index]
-            thrusts[index] = now + (up if command > now else down) * (command - now)
-        T, roll, pitch, yaw = wrench(self._config, thrusts.tolist())
-        self.delivered = Delivered(thrusts, T, (roll, pitch, yaw))
+        self.delivered = self.ahead(commanded)
         return self.delivered
+
+    def ahead(self, commanded: Thrusts) -> Delivered:
+        """What the motors will deliver one period later under these thrusts [N]; nothing changes."""
+        up, down = self._up, self._down
+        each_motor = zip(self.delivered.thrusts_n.tolist(), commanded, strict=True)
+        thrusts = [now + (up if command > now else down) * (command - now) for now, command in each_motor]
+        t1, t2, t3, t4 = thrusts
+        T, roll, pitch, yaw = wrench(self._config, (t1, t2, t3, t4))
+        return Delivered(np.array(thrusts), T, (roll, pitch, yaw))
 
     def overdriven(self, wanted: Thrusts) -> Thrusts:
         """The command [N] that brings the motors to `wanted` with motor_response_s, within their limits.

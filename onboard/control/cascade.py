@@ -30,6 +30,7 @@ from protocol.feature_set import FeatureSet
 from protocol.geometry import (
     Quaternion,
     Vector3,
+    add,
     attitude_for_thrust,
     quaternion_multiply,
     quaternion_to_rotation_vector,
@@ -66,6 +67,8 @@ class CascadeSettings(ConfigRecord):
     hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
     limits: DemandLimitsConfig = DemandLimitsConfig()
+    prediction: bool = False
+    gyro_delay_ticks: float = 1.0
     level_sink_speed_m_s: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
@@ -121,7 +124,7 @@ class CascadedController:
         """One tick of both loops."""
         self._read(inputs)
         self._advance_models(inputs)
-        acceleration = self._position_loop(inputs)
+        acceleration = add(self._position_loop(inputs), inputs.excitation[0])
         thrust, commanded = self._thrust_vector(inputs, acceleration)
         self._output.thrust_n = thrust
         self._output.commanded_quaternion = commanded
@@ -302,13 +305,36 @@ class CascadedController:
         thrust = self._airframe.mass_kg * (fx * r02 + fy * r12 + fz * r22)
         return max(thrust, 0.0), commanded
 
+    def _predicted(self, inputs: ControlInputs) -> tuple[Quaternion, Vector3]:
+        """Attitude and rates when the command of this tick acts: half a tick after the next one begins.
+
+        The rates are those of GYRO_DELAY_TICKS ago; the actuators' acceleration since then and until then is known, and
+        nu_ad of the last tick stands for the disturbance.
+        """
+        w, x, y, z = inputs.state.quaternion.tolist()
+        p, q, r = inputs.state.rates.tolist()
+        if not self._settings.prediction:
+            return (w, x, y, z), (p, q, r)
+        dt, (now, next_) = inputs.dt, inputs.coming
+        before = inputs.attitude.u_hat.tolist()
+        nu = self._output.attitude.adaptive_now.tolist()
+        delay = self._settings.gyro_delay_ticks
+        here = vector(w_i + delay * dt * (u0 + n) for w_i, u0, n in zip((p, q, r), before, nu, strict=True))
+        there = vector(
+            w_i + dt * (0.5 * (u1 + u2) + n) + 0.5 * dt * (u2 + n)
+            for w_i, u1, u2, n in zip(here, now, next_, nu, strict=True)
+        )
+        h = 0.5 * 1.5 * dt
+        turn = vector(h * 0.5 * (a + b) for a, b in zip(here, there, strict=True))
+        return quaternion_multiply((w, x, y, z), (1.0, *turn)), there
+
     def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
         """u = K_1 e_R - K_2 omega - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
         channel, telemetry = self._channels[1], self._output.attitude
-        w, x, y, z = inputs.state.quaternion.tolist()
+        (w, x, y, z), omega = self._predicted(inputs)
         ex, ey, ez = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
         e_R = ex, ey, min(max(ez, -YAW_ERROR_MAX_RAD), YAW_ERROR_MAX_RAD)
-        p, q, r = omega = inputs.state.rates.tolist()
+        p, q, r = omega
         channel.tracking_error[:] = (*e_R, -p, -q, -r)
         nu_ad = self.augmentations[1].step(channel, telemetry)
         telemetry.adaptive[:] = nu_ad
@@ -316,5 +342,6 @@ class CascadedController:
         u = vector(k1 * e1 - k2 * w_i - nu for k1, e1, k2, w_i, nu in each_axis)
         telemetry.demand[:] = u
         self._turn_command = vector(ui + nu for ui, nu in zip(u, telemetry.adaptive_now.tolist(), strict=True))
+        u = add(u, inputs.excitation[1])
         Jx, Jy, Jz = self._airframe.inertia_kg_m2
         return Jx * u[0] + (Jz - Jy) * q * r, Jy * u[1] + (Jx - Jz) * p * r, Jz * u[2] + (Jy - Jx) * p * q

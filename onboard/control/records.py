@@ -53,6 +53,10 @@ class ControlInputs:
     """Whether the motors could not deliver the last command."""
     adapt: bool
     """False on the ground and while an input is too old to learn from: change no adaptive state."""
+    coming: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    """Angular acceleration by the actuators, rad/s^2: now, and in one tick under the command that is already sent."""
+    excitation: tuple[Vector3, Vector3] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    """Added to u of the position (m/s^2) and the attitude channel (rad/s^2) after the law, to measure margins."""
     level_only: bool = False
     """True without a velocity estimate: hold level, sink slowly, do not control position."""
 

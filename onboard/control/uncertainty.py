@@ -37,6 +37,12 @@ class UncertaintyMeasurement:
         self._rotation(state, vector(tau))
         return self._position, self._attitude
 
+    def angular_acceleration(self, delivered: Delivered, rates: Vector3) -> Vector3:
+        """J^-1 (tau - omega x J omega), rad/s^2, for torque and rates of any time."""
+        Jx, Jy, Jz = self._airframe.inertia_kg_m2
+        (tx, ty, tz), (p, q, r) = delivered.torque_nm, rates
+        return (tx - (Jz - Jy) * q * r) / Jx, (ty - (Jx - Jz) * p * r) / Jy, (tz - (Jy - Jx) * p * q) / Jz
+
     def _translation(self, state: VehicleState, T: float) -> None:
         """u_hat = g e_3 - (T / m) R e_3;  r = R f + (T / m) R e_3, f the specific force."""
         lift = -T / self._airframe.mass_kg

@@ -1,0 +1,1 @@
+"""Gain, phase and delay margins of the control loops, measured in lockstep and predicted by a linear model."""

@@ -1,0 +1,56 @@
+"""Stability margins from the frequency response L(j omega) of an open loop."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.conventions import Array
+
+Complex = NDArray[np.complex128]
+
+
+class Margins(NamedTuple):
+    """Margins of one loop. Infinite where the loop has no such crossing in the band."""
+
+    gain_margin_db: float
+    """Smallest factor, up or down, that the gain may change by."""
+    phase_margin_deg: float
+    delay_margin_ms: float
+    """Delay that the loop tolerates in addition to its own."""
+    crossover_rad_s: float
+    """Highest frequency with |L| = 1."""
+
+
+def margins(omega: Array, L: Complex) -> Margins:
+    """Margins of L [n] at the frequencies omega [n], rad/s, ascending; linear between them in log-log.
+
+    The loop is closed by negative feedback: it is unstable where L = -1.
+    """
+    x = np.log(omega)
+    level = np.log(np.abs(L))
+    phase = np.unwrap(np.angle(L))
+    crossings = [(np.exp(at), share, i) for at, share, i in _zeros(x, level)]
+    phases = [(w, phase[i] + share * (phase[i + 1] - phase[i])) for w, share, i in crossings]
+    above = [(w, np.mod(p + np.pi, 2.0 * np.pi)) for w, p in phases]
+    distance = [(w, float(a), float(min(a, 2.0 * np.pi - a))) for w, a in above]
+    gains = [
+        abs(level[i] + share * (level[i + 1] - level[i])) * 20.0 / np.log(10.0)
+        for turn in range(-6, 7)
+        for _, share, i in _zeros(x, phase + np.pi + 2.0 * np.pi * turn)
+    ]
+    return Margins(
+        min((float(g) for g in gains), default=np.inf),
+        min((np.degrees(d) for _, _, d in distance), default=np.inf),
+        min((1e3 * a / w for w, a, _ in distance), default=np.inf),
+        max((float(w) for w, _, _ in distance), default=0.0),
+    )
+
+
+def _zeros(x: Array, y: Array) -> list[tuple[float, float, int]]:
+    """Where y(x) crosses zero: x there, the share of the interval before it, and the interval's index."""
+    found = []
+    for i in np.flatnonzero(np.sign(y[:-1]) * np.sign(y[1:]) < 0):
+        share = float(y[i] / (y[i] - y[i + 1]))
+        found.append((float(x[i] + share * (x[i + 1] - x[i])), share, int(i)))
+    return found
