@@ -24,11 +24,6 @@ def vector(values: Iterable[float]) -> Vector3:
     return x, y, z
 
 
-def add(a: Vector3, b: Vector3) -> Vector3:
-    """The sum a + b."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
 def cross(a: Vector3, b: Vector3) -> Vector3:
     """The vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -51,8 +51,10 @@ def _closed_attitude(config: FlightConfig, settings: CascadeSettings, axis: int,
     plant = _actuators(config, s) / s**2
     delay = np.exp(-_dead_time_s(config, config.onboard.estimator.gyro_delay_s) * s)
     K = _feedback(settings.attitude, axis, s)
-    k1 = settings.attitude.gains.stiffness()[axis]
-    return k1 * plant * delay / (1.0 + K * plant * (1.0 if settings.prediction else delay))
+    k1, k2 = settings.attitude.gains.stiffness()[axis], settings.attitude.gains.rate_gain()[axis]
+    filter_s = settings.command_rate_filter_s
+    command = k1 + k2 * s / (1.0 + filter_s * s) if filter_s > 0.0 else k1
+    return command * plant * delay / (1.0 + K * plant * (1.0 if settings.prediction else delay))
 
 
 def _attitude(config: FlightConfig, settings: CascadeSettings, axis: int, s: Any) -> Any:

@@ -7,6 +7,7 @@ Order within tick k: the reference models advance with the command of tick k-1 a
 and law at the present; then the command.
 """
 
+from math import exp
 from typing import Annotated
 
 import numpy as np
@@ -67,8 +68,11 @@ class CascadeSettings(ConfigRecord):
     hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
     limits: DemandLimitsConfig = DemandLimitsConfig()
-    prediction: bool = False
-    gyro_delay_ticks: float = 1.0
+    prediction: Annotated[bool, Field(description="attitude and rates predicted over the loop's dead time")] = False
+    gyro_delay_ticks: Annotated[float, Field(ge=0, le=10, description="age of the rates, for the prediction")] = 1.0
+    command_rate_filter_s: Annotated[
+        float, Field(ge=0, le=0.5, description="of the commanded attitude's rate, fed forward; 0: none")
+    ] = 0.0
     level_sink_speed_m_s: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
@@ -111,6 +115,8 @@ class CascadedController:
         self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
         self._command: Vector3 = (0.0, 0.0, 0.0)
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
+        self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self._command_rate: Vector3 = (0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
 
@@ -305,6 +311,19 @@ class CascadedController:
         thrust = self._airframe.mass_kg * (fx * r02 + fy * r12 + fz * r22)
         return max(thrust, 0.0), commanded
 
+    def _commanded_rate(self, commanded: Quaternion, inputs: ControlInputs) -> Vector3:
+        """Rate of the commanded attitude, rad/s, filtered; zero without that feed-forward and on the ground."""
+        before, self._commanded = self._commanded, commanded
+        if self._settings.command_rate_filter_s == 0.0 or not inputs.adapt:
+            self._command_rate = (0.0, 0.0, 0.0)
+            return self._command_rate
+        w, x, y, z = before
+        turn = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
+        share = 1.0 - exp(-inputs.dt / self._settings.command_rate_filter_s)
+        each_axis = zip(self._command_rate, turn, strict=True)
+        self._command_rate = vector(rate + share * (t / inputs.dt - rate) for rate, t in each_axis)
+        return self._command_rate
+
     def _predicted(self, inputs: ControlInputs) -> tuple[Quaternion, Vector3]:
         """Attitude and rates when the command of this tick acts: half a tick after the next one begins.
 
@@ -329,7 +348,7 @@ class CascadedController:
         return quaternion_multiply((w, x, y, z), (1.0, *turn)), there
 
     def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
-        """u = K_1 e_R - K_2 omega - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
+        """u = K_1 e_R - K_2 (omega - omega_d) - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
         channel, telemetry = self._channels[1], self._output.attitude
         (w, x, y, z), omega = self._predicted(inputs)
         ex, ey, ez = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
@@ -338,8 +357,9 @@ class CascadedController:
         channel.tracking_error[:] = (*e_R, -p, -q, -r)
         nu_ad = self.augmentations[1].step(channel, telemetry)
         telemetry.adaptive[:] = nu_ad
-        each_axis = zip(self._a1, e_R, self._a2, omega, nu_ad.tolist(), strict=True)
-        u = vector(k1 * e1 - k2 * w_i - nu for k1, e1, k2, w_i, nu in each_axis)
+        omega_d = self._commanded_rate(commanded, inputs)
+        each_axis = zip(self._a1, e_R, self._a2, omega, omega_d, nu_ad.tolist(), strict=True)
+        u = vector(k1 * e1 - k2 * (w_i - w_d) - nu for k1, e1, k2, w_i, w_d, nu in each_axis)
         telemetry.demand[:] = u
         self._turn_command = vector(ui + nu for ui, nu in zip(u, telemetry.adaptive_now.tolist(), strict=True))
         u = add(u, inputs.excitation[1])
