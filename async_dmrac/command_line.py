@@ -34,6 +34,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),
     "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep"),
+    "margins": Subcommand("async_dmrac.commands.margins", "measure the stability margins of a controller's loops"),
     "keygen": Subcommand("async_dmrac.commands.keygen", "make a key that protects the onboard/offboard link"),
     "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds"),
     "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds"),

@@ -74,6 +74,8 @@ class Choices:
     """For a real vehicle: configs/real_vehicle.yaml instead of configs/simulated_vehicle.yaml."""
     vehicle: int = 1
     """Its number where several fly at once: its id on the link, and which ports it has."""
+    vehicle_file: str | None = None
+    """Name in configs/vehicles, or a file: another vehicle than the scenario's."""
 
 
 def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
@@ -88,6 +90,8 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     _check_choices(choices)
     path = named_file("scenarios", scenario)
     file = read_scenario(scenario)
+    if choices.vehicle_file is not None:
+        file = file.model_copy(update={"vehicle": choices.vehicle_file})
     tree = compose(file, path.stem, choices)
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)

@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from onboard.config import OnboardConfig
-from onboard.control.actuators import ActuatorModel, Delivered
+from onboard.control.actuators import ActuatorModel
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.interface import LearningController
 from onboard.control.mixer import Mixer, Thrusts
@@ -36,7 +36,6 @@ from onboard.sampling.sampler import SampleQueue
 from onboard.sampling.signal_vector import SignalVector
 from protocol.clock import ForwardClock
 from protocol.conventions import GRAVITY, NEVER_NS, Array
-from protocol.geometry import Vector3
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading
 from protocol.messages import FeatureChunk
@@ -156,7 +155,7 @@ class OnboardCore:
         target = self._guide(state, mode)
         delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
         measured = self._uncertainty.step(state, delivered)
-        coming = self._coming(state, delivered)
+        coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
         adapt = self._may_adapt(state, mode, now_ns)
         version, feature_age_s = self._swap_features(now_ns)
@@ -298,15 +297,6 @@ class OnboardCore:
             north, east, down = (state.position - target.now.position).tolist()
             self._guidance.shift((north, east, down))
         return target
-
-    def _coming(self, state: VehicleState, delivered: Delivered) -> tuple[Vector3, Vector3]:
-        """Angular acceleration by the actuators now, and in one tick under the command that is already sent."""
-        p, q, r = state.rates.tolist()
-        ahead = self._actuators.ahead(self._command)
-        return (
-            self._uncertainty.angular_acceleration(delivered, (p, q, r)),
-            self._uncertainty.angular_acceleration(ahead, (p, q, r)),
-        )
 
     def _may_adapt(self, state: VehicleState, mode: FlightMode, now_ns: int) -> bool:
         """Whether what is measured now may be learnt from."""

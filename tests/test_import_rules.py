@@ -38,6 +38,7 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "flights": (),
     "replays": ("flights",),
     "timing": ("flights",),
+    "margins": ("flights",),
     "campaigns": ("flights",),
     "results": ("campaigns",),
     "link": ("flights", "replays", "campaigns", "results"),

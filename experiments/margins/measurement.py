@@ -38,6 +38,7 @@ class Band(NamedTuple):
     """Measured, after one that is not."""
 
 
+TAKE_OFF_AND_LANDING_S: Final = 14.0
 BANDS: Final = (Band(0.1, 4.0, 14, 0.06, 20.0, 3), Band(0.6, 24.0, 18, 1.2, 10.0, 4))
 
 
@@ -54,6 +55,11 @@ class Response(NamedTuple):
     def margins(self) -> Margins:
         """Its margins."""
         return margins(self.omega, self.L)
+
+
+def flight_time_s() -> float:
+    """Time of the longer of the two flights, with take-off and landing, s."""
+    return max((band.periods + 1) * band.period_s for band in BANDS) + TAKE_OFF_AND_LANDING_S
 
 
 class LoopMeasurementError(Exception):

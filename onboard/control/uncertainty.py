@@ -37,6 +37,11 @@ class UncertaintyMeasurement:
         self._rotation(state, vector(tau))
         return self._position, self._attitude
 
+    def coming(self, state: VehicleState, delivered: Delivered, ahead: Delivered) -> tuple[Vector3, Vector3]:
+        """Angular acceleration by the actuators now and one tick later, rad/s^2, at the present rates."""
+        rates = vector(state.rates.tolist())
+        return self.angular_acceleration(delivered, rates), self.angular_acceleration(ahead, rates)
+
     def angular_acceleration(self, delivered: Delivered, rates: Vector3) -> Vector3:
         """J^-1 (tau - omega x J omega), rad/s^2, for torque and rates of any time."""
         Jx, Jy, Jz = self._airframe.inertia_kg_m2

@@ -1,0 +1,73 @@
+"""Margins measured in flight: they agree with the linear prediction, and an unstable delay is one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from async_dmrac.command_line import main
+from configs.flight_tree import Choices
+from experiments.flights.lockstep_flight import fly_lockstep
+from experiments.flights.scenario import resolve
+from experiments.margins.linear import predicted_loop
+from experiments.margins.measurement import Band, LoopMeasurementError, measure
+from experiments.margins.stability import margins
+
+SHORT = Band(1.0, 16.0, 10, 0.6, 5.0, 3)
+FINE = 2.0 * np.pi * np.geomspace(0.1, 40.0, 400)
+PREDICTING = ("onboard.airframe.motor_response_s=0.02", "onboard.controller.settings.prediction=true")
+
+
+def attitude(assignments: tuple[str, ...] = ()) -> tuple[float, float]:
+    """Mean phase margin of roll and pitch of pid, measured and predicted, deg."""
+    config = resolve("hover", Choices("pid", 3, 35.0, assignments))
+    measured = [response.margins.phase_margin_deg for response in measure(config, 1, SHORT)[:2]]
+    predicted = margins(FINE, predicted_loop(config, 1, 0, FINE)).phase_margin_deg
+    return float(np.mean(measured)), predicted
+
+
+def test_measured_and_predicted_phase_margins_agree_and_prediction_over_the_dead_time_adds_to_both() -> None:
+    plain, predicted_plain = attitude()
+    better, predicted_better = attitude(PREDICTING)
+    assert plain == pytest.approx(predicted_plain, abs=8.0)
+    assert better == pytest.approx(predicted_better, abs=12.0)
+    assert better > plain + 15.0
+    assert predicted_better > predicted_plain + 15.0
+
+
+def test_a_delay_beyond_the_predicted_margin_loses_the_vehicle() -> None:
+    config = resolve("hover", Choices("pid", 3, 20.0))
+    margin_ms = margins(FINE, predicted_loop(config, 1, 0, FINE)).delay_margin_ms
+    late = resolve("hover", Choices("pid", 3, 20.0, (f"vehicle.motors.command_delay_s={1e-3 * margin_ms + 0.012}",)))
+    assert fly_lockstep(late, with_offboard=False).crash_reason
+    assert not fly_lockstep(config, with_offboard=False).crash_reason
+
+
+def test_a_flight_that_is_too_short_is_named() -> None:
+    with pytest.raises(LoopMeasurementError, match="too short"):
+        measure(resolve("hover", Choices("pid", 3, 10.0)), 1, SHORT)
+
+
+@pytest.mark.full
+def test_the_command_writes_table_json_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, picture = tmp_path / "m.json", tmp_path / "m.png"
+    assert main(["margins", "pid", "--json", str(out), "--bode", str(picture)]) == 0
+    entries = json.loads(out.read_text(encoding="utf-8"))
+    assert [entry["loop"] for entry in entries] == ["roll", "pitch", "yaw", "north", "east", "down"]
+    assert set(entries[0]) == {"controller", "loop", "gain_margin_db", "phase_margin_deg", "delay_margin_ms"}
+    assert picture.stat().st_size > 10_000
+    assert "phase margin" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("nobody",), "unknown controller 'nobody'"),
+        (("pid", "--vehicle", "boat"), "unknown vehicle 'boat'"),
+        (("pid", "--set", "onboard.no_such_key=1"), "no_such_key: unknown key"),
+    ],
+)
+def test_wrong_arguments_are_named(words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["margins", *words]) == 2
+    assert message in capsys.readouterr().err
