@@ -21,9 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac margins`."""
     parser.add_argument("controller", help="name in configs/controllers, or a file")
     parser.add_argument("--scenario", default="hover", help="scenario to fly (default: hover)")
-    parser.add_argument(
-        "--vehicle", metavar="NAME", help="in configs/vehicles, or a file (default: the scenario's)"
-    )
+    parser.add_argument("--vehicle", metavar="NAME", help="in configs/vehicles, or a file (default: the scenario's)")
     parser.add_argument("--seed", type=int, default=3, help="seed of all random values (default: 3)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments")
     parser.add_argument("--bode", type=Path, metavar="FILE", help="also draw the loops into a PNG")
