@@ -1,8 +1,9 @@
 """Pose relay: MAVLink from the motion capture in, Pose out.
 
 Each datagram holds one frame (protocol/mavlink/motion_capture.py). The relay maps the capture's clock to ours by the
-least delay seen, so a late datagram keeps the time of its pose. A capture that has lost the vehicle may repeat the last
-pose with new times; the relay then sends nothing, and onboard sees the pose become old.
+least delay of the last seconds (protocol/clock_map.py), so a late datagram keeps the time of its pose. A capture that
+has lost the vehicle may repeat the last pose with new times; the relay then sends nothing, and onboard sees the pose
+become old.
 """
 
 from collections import Counter, deque
@@ -12,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from offboard.config import PoseRelayConfig
+from protocol.clock_map import ClockMap
 from protocol.geometry import Quaternion, Vector3
 from protocol.mavlink.frames import FrameReader
 from protocol.mavlink.motion_capture import DECODERS, FRAME_BYTES_MAX, CapturedPose
@@ -27,8 +29,8 @@ LATE_SPREAD_NS: Final = 20_000_000
 """LATE_POSES_MAX poses in a row that are late by the same time within this spread mean that a clock jumped."""
 FROZEN_POSES: Final = 10
 """This many identical poses in a row mean that the capture is frozen."""
-CLOCK_DRIFT: Final = 1e-4
-"""Relative drift of the two clocks that the mapping follows."""
+AHEAD_POSES: Final = 3
+"""This many poses in a row with stamps ahead of their cause mean that the capture's clock jumped."""
 REPORT_PERIOD_NS: Final = 10**9
 """Least time between two events with the same reason."""
 REASONS: Final = {
@@ -41,6 +43,7 @@ REASONS: Final = {
     "quaternion": "length of the quaternion is not 1",
     "old": "time does not increase",
     "late": "late datagram",
+    "ahead": "time is ahead of the arrival",
     "frozen": "repeats one pose (frozen)",
 }
 """Reasons to refuse a datagram, and their text in the event."""
@@ -52,9 +55,9 @@ class PoseRelay:
     def __init__(self, config: PoseRelayConfig) -> None:
         self._config = config
         self._reader = FrameReader(DECODERS)
-        self._clock_offset_ns: int | None = None
+        self._clock = ClockMap()
         self._last_capture_ns: int | None = None
-        self._last_arrival_ns = 0
+        self._ahead = 0
         self._late: deque[int] = deque(maxlen=LATE_POSES_MAX)
         self._last_pose: tuple[Vector3, Quaternion] | None = None
         self._same = 0
@@ -128,23 +131,26 @@ class PoseRelay:
             raise _RejectedError("frozen")
 
     def _map_time(self, capture_ns: int, now_ns: int) -> int:
-        """The time of the pose in our clock; refuses a pose older than the last one."""
-        if self._clock_offset_ns is not None and abs(now_ns - capture_ns - self._clock_offset_ns) > CLOCK_JUMP_NS:
-            self._clock_offset_ns = None
+        """The time of the pose in our clock; refuses a pose older than the last one, a late one and one ahead."""
+        clock, delay_ns = self._clock, now_ns - capture_ns
+        if clock.known and abs(delay_ns - clock.offset_ns) > CLOCK_JUMP_NS:
+            clock.reset()
             self._last_capture_ns = None
         if self._last_capture_ns is not None and capture_ns <= self._last_capture_ns:
             raise _RejectedError("old")
-        delay_ns = now_ns - capture_ns
-        if self._clock_offset_ns is not None and delay_ns - self._clock_offset_ns > LATE_NS:
+        if clock.is_ahead(delay_ns):
+            self._ahead += 1
+            if self._ahead < AHEAD_POSES:
+                raise _RejectedError("ahead")
+            clock.reset()
+        elif clock.known and delay_ns - clock.offset_ns > LATE_NS:
             self._require_clock_jump(delay_ns)
+            clock.reset()
         self._late.clear()
-        if self._clock_offset_ns is None:
-            self._clock_offset_ns = delay_ns
-        else:
-            drifted = self._clock_offset_ns + int(CLOCK_DRIFT * (now_ns - self._last_arrival_ns))
-            self._clock_offset_ns = min(delay_ns, drifted)
-        self._last_capture_ns, self._last_arrival_ns = capture_ns, now_ns
-        return max(0, capture_ns + self._clock_offset_ns - int(self._config.latency_s * 1e9))
+        self._ahead = 0
+        clock.add(delay_ns, now_ns)
+        self._last_capture_ns = capture_ns
+        return max(0, clock.to_ours(capture_ns, now_ns) - int(self._config.latency_s * 1e9))
 
     def _require_clock_jump(self, delay_ns: int) -> None:
         """Refuse a late pose, unless many poses in a row are equally late: then the mapping starts again."""
@@ -152,7 +158,6 @@ class PoseRelay:
         late.append(delay_ns)
         if len(late) < LATE_POSES_MAX or max(late) - min(late) > LATE_SPREAD_NS:
             raise _RejectedError("late")
-        self._clock_offset_ns = min(late)
 
 
 class _RejectedError(Exception):

@@ -6,6 +6,8 @@ protocol/mavlink/ knows the messages. This file decides what is accepted:
   NaN, infinity, a value outside the sensor's range   the reading is dropped and counted; event
   frozen sensor (many identical readings)             further readings are dropped, so their age grows; event
   time goes backwards a little                        that sample is dropped (a late datagram)
+  time stamp ahead of its cause                       that sample is dropped (a wrong stamp)
+  either of them for three samples                    the vehicle's clock jumped: it is mapped again; event
   time goes backwards a lot, for three samples        the vehicle restarted: its clock is mapped again; event
   a second vehicle on the port                        only the first one counts, until it is silent for long; event
   two vehicles with one system id                     time jumps back and forth: `conflict` is set; event
@@ -53,7 +55,6 @@ class VehicleLinkConfig(ConfigRecord):
     frozen_flows: int = Field(default=8, ge=0, description="identical flows, not all 0, that mean frozen; 0: off")
     frozen_ranges: int = Field(default=75, ge=0, description="identical ranges that mean frozen; 0: off")
     frozen_pressures: int = Field(default=400, ge=0, description="identical pressures that mean frozen; 0: off")
-    clock_drift_ppm: float = Field(default=200.0, gt=0, description="1e-6; vehicle's clock against onboard's")
     clock_restart_s: float = Field(default=0.5, gt=0, description="s; a larger step back is a restarted vehicle")
     late_max_s: float = Field(default=0.5, gt=0, description="s; older stamps of slow sensors are replaced by arrival")
     release_s: float = Field(default=10.0, gt=0, description="s of silence after which another vehicle is accepted")
@@ -100,7 +101,7 @@ class VehicleLink:
         }
         self._reader = FrameReader(self._decoders, key, clock, config.signing_tolerance_s)
         self._writer = FrameWriter(config.own_system, config.own_component, key, clock)
-        self._clock = VehicleClock(config.clock_drift_ppm, int(config.clock_restart_s * 1e9))
+        self._clock = VehicleClock(int(config.clock_restart_s * 1e9))
         self._release_ns = int(config.release_s * 1e9)
         self._late_ns = int(config.late_max_s * 1e9)
         self._events: list[tuple[int, str]] = []
@@ -202,7 +203,7 @@ class VehicleLink:
             return self._refuse_frozen("imu", now_ns)
         if pressure_pa is not None:
             pressure_pa = self._checked_pressure(pressure_pa, now_ns)
-        time_ns = self._clock.to_onboard(stamp_ns)
+        time_ns = self._clock.to_onboard(stamp_ns, now_ns)
         self.health.add(stamp_ns, now_ns - time_ns, now_ns, inertial)
         return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
 
@@ -222,6 +223,9 @@ class VehicleLink:
         if self._clock.interleaved >= _CONFLICT_COUNT or (fault == "restart" and again):
             self.conflict = True
             self._report("conflict", "vehicle time jumps back and forth: two vehicles with one system id?", now_ns)
+        if fault == "jump":
+            self._report("jump", "vehicle's clock jumped: clock mapped again", now_ns)
+            return True
         if fault != "restart":
             self.rejected[fault] += 1
             self.health.count_backwards()
@@ -269,8 +273,8 @@ class VehicleLink:
 
     def _slow_time(self, stamp_ns: int, now_ns: int) -> int:
         """Onboard time of a slow sensor's stamp; the arrival if the stamp is not plausible."""
-        time_ns = self._clock.to_onboard(stamp_ns)
-        return time_ns if self._clock.known and 0 <= now_ns - time_ns <= self._late_ns else now_ns
+        time_ns = self._clock.to_onboard(stamp_ns, now_ns)
+        return time_ns if self._clock.known and now_ns - time_ns <= self._late_ns else now_ns
 
     def _refuse(self, reason: str) -> Reading | None:
         self.rejected[reason] += 1

@@ -1,70 +1,77 @@
-"""Maps the vehicle's clock to onboard's, and detects a vehicle that restarted."""
+"""Maps the vehicle's clock to onboard's, and detects a vehicle whose clock restarted or jumped."""
 
 from typing import Final
 
+from protocol.clock_map import ClockMap
 from protocol.conventions import NEVER_NS
 
-RESTART_SAMPLES: Final = 3
-"""This many samples in a row on an earlier time mean that the vehicle restarted."""
+SUSPECTS: Final = 3
+"""This many wrong stamps in a row mean that the vehicle's clock restarted or jumped."""
+AGREE_NS: Final = 4_000_000
+"""The delays of the stamps after a short step back differ by no more than this: others were held up on the way."""
 
 
 class VehicleClock:
-    """The offset of the clocks is the least (arrival - stamp) seen, and grows by the allowed drift.
+    """Accepts the IMU's time stamps. A stamp that is ahead of its cause, or goes back, is a suspect and is refused."""
 
-    The least delay is the one without queueing, so the mapped time is at most that delay after the true time.
-    """
-
-    def __init__(self, drift_ppm: float, restart_ns: int) -> None:
-        """`restart_ns`: a step back of more may be a restart; a smaller one is a late datagram."""
-        self._drift = drift_ppm * 1e-6
+    def __init__(self, restart_ns: int) -> None:
+        """`restart_ns`: a step back of more may be a restart; a smaller one is a late datagram or a jump."""
         self._restart_ns = restart_ns
-        self._offset_ns = 0
-        self._suspects = 0
+        self._map = ClockMap()
+        self._suspects: list[int] = []  # their delays
         self._suspect_ns = NEVER_NS
+        self._far = False
         self.newest_ns = NEVER_NS
         """The newest accepted stamp, vehicle's clock."""
         self.restarts = 0
         """How often the vehicle's clock restarted."""
         self.interleaved = 0
-        """How often stamps of an earlier time came between good ones."""
-        self.known = False
-        """Whether there is a mapping."""
+        """How often stamps of a time far away came between good ones."""
 
-    def accept(self, stamp_ns: int, now_ns: int) -> str:
-        """Check an IMU time stamp. Returns "" (good), "restart" (good, on a new clock) or why it is refused."""
-        step_ns = stamp_ns - self.newest_ns
-        if step_ns > 0:
-            latency_ns = now_ns - stamp_ns
-            if not self.known or latency_ns < self._offset_ns:
-                self._offset_ns = latency_ns
-                self.known = True
-            else:
-                drift_ns = int(self._drift * step_ns) + 1
-                self._offset_ns = min(latency_ns, self._offset_ns + drift_ns)
-            self.newest_ns = stamp_ns
-            if self._suspects:
-                self._suspects = 0
-                self.interleaved += 1
-            return ""
+    @property
+    def known(self) -> bool:
+        """Whether there is a mapping."""
+        return self._map.known
+
+    def accept(self, stamp_ns: int, arrival_ns: int) -> str:
+        """Check an IMU time stamp. Returns "" (good), "restart" or "jump" (good, on a new clock), or why it is refused.
+
+        A short step back is a jump only if the delays agree: those of datagrams that were held up differ.
+        """
+        step_ns, delay_ns = stamp_ns - self.newest_ns, arrival_ns - stamp_ns
         if step_ns == 0:
             return "time_repeated"
-        if -step_ns < self._restart_ns:
-            return "time_backwards"
-        self._suspects = self._suspects + 1 if stamp_ns > self._suspect_ns else 1
-        self._suspect_ns = stamp_ns
-        if self._suspects < RESTART_SAMPLES:
-            return "time_backwards"
+        ahead = self._map.is_ahead(delay_ns)
+        if step_ns > 0 and not ahead:
+            self.interleaved += bool(self._suspects) and self._far
+            self._suspects.clear()
+            self.newest_ns = stamp_ns
+            self._map.add(delay_ns, arrival_ns)
+            return ""
+        restart = step_ns <= -self._restart_ns
+        if not self._is_confirmed(stamp_ns, delay_ns, short_step_back=not restart and step_ns < 0):
+            self._far = abs(delay_ns - self._map.offset_ns) >= self._restart_ns
+            return "time_ahead" if step_ns > 0 else "time_backwards"
         self.reset()
-        self.restarts += 1
-        self.accept(stamp_ns, now_ns)
-        return "restart"
+        self.restarts += restart
+        self.accept(stamp_ns, arrival_ns)
+        return "restart" if restart else "jump"
 
-    def to_onboard(self, stamp_ns: int) -> int:
-        """Onboard time of a vehicle time stamp."""
-        return stamp_ns + self._offset_ns
+    def _is_confirmed(self, stamp_ns: int, delay_ns: int, short_step_back: bool) -> bool:
+        """Add a suspect; whether enough of them in a row are on one clock."""
+        if stamp_ns <= self._suspect_ns:
+            self._suspects.clear()
+        self._suspect_ns = stamp_ns
+        self._suspects = [*self._suspects[1 - SUSPECTS :], delay_ns]
+        agree = max(self._suspects) - min(self._suspects) <= AGREE_NS
+        return len(self._suspects) == SUSPECTS and (agree or not short_step_back)
+
+    def to_onboard(self, stamp_ns: int, arrival_ns: int) -> int:
+        """Onboard time of a vehicle time stamp: never after its arrival."""
+        return self._map.to_ours(stamp_ns, arrival_ns)
 
     def reset(self) -> None:
         """Forget the mapping; the next stamp starts a new one."""
         self.newest_ns = self._suspect_ns = NEVER_NS
-        self._suspects = 0
-        self.known = False
+        self._suspects.clear()
+        self._map.reset()

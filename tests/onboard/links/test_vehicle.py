@@ -331,9 +331,10 @@ def test_a_restarted_vehicle_is_used_again_and_reported(link):
 def test_one_wrong_time_stamp_is_recovered_from(link):
     vehicle = Vehicle(clock_ns=10**9)
     vehicle.tick(link, 50)
-    link.receive(vehicle.imu(10**15), link.now_ns)
+    assert link.receive(vehicle.imu(10**15), link.now_ns) == []
+    assert link.rejected["time_ahead"] == 1
     readings = vehicle.tick(link, 10)
-    assert len(readings) == 8
+    assert len(readings) == 10
     assert abs(readings[-1].time_ns - link.now_ns) < 1_000_000
 
 
