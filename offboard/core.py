@@ -80,9 +80,9 @@ class OffboardCore:
         self.learner.warm_start(load_version(version))
         self._versions.require_sending()
 
-    def receive_onboard(self, datagram: bytes, now_ns: int) -> None:
-        """Receive a datagram from onboard: samples, status, or a time sync message."""
-        now_ns = self._clock.at(now_ns)
+    def receive_onboard(self, datagram: bytes, now_ns: int, age_ns: int = 0) -> None:
+        """Receive a datagram from onboard, which arrived `age_ns` ago: samples, status, or a time sync message."""
+        now_ns = self._clock.at(now_ns) - age_ns
         message = self.endpoint.decode(datagram, now_ns)
         if self.endpoint.peer_session != self._peer_session:
             self._start_session(now_ns)
@@ -110,9 +110,9 @@ class OffboardCore:
         self.learner.start_flight()
         self._event(now_ns, f"onboard session {self._peer_session}")
 
-    def receive_motion_capture(self, datagram: bytes, now_ns: int) -> None:
-        """Receive a datagram from the motion capture; its pose is sent in the next step."""
-        now_ns = self._clock.at(now_ns)
+    def receive_motion_capture(self, datagram: bytes, now_ns: int, age_ns: int = 0) -> None:
+        """Receive a datagram of the motion capture, which arrived `age_ns` ago; the next step sends its pose."""
+        now_ns = self._clock.at(now_ns) - age_ns
         pose = self._relay.receive(datagram, now_ns)
         self._poses += [] if pose is None else [pose]
         self._out.events += self._relay.take_events()

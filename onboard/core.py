@@ -34,6 +34,7 @@ from onboard.preflight.certificate import CLEAR, Clearance
 from onboard.record.tick import TICK, age_s, write_tick
 from onboard.sampling.sampler import SampleQueue
 from onboard.sampling.signal_vector import SignalVector
+from protocol.arrival import Datagrams, at_times
 from protocol.clock import ForwardClock
 from protocol.conventions import GRAVITY, NEVER_NS, Array
 from protocol.mavlink.signing import SigningClock
@@ -128,9 +129,9 @@ class OnboardCore:
     def tick(
         self,
         now_ns: int,
-        from_vehicle: Sequence[bytes] = (),
-        from_offboard: Sequence[bytes] = (),
-        from_ground: Sequence[bytes] = (),
+        from_vehicle: Datagrams = (),
+        from_offboard: Datagrams = (),
+        from_ground: Datagrams = (),
         land: bool = False,
         missed_ticks: int = 0,
     ) -> OnboardOutput:
@@ -140,13 +141,13 @@ class OnboardCore:
         ----------
         now_ns: onboard's monotonic clock.
         from_vehicle, from_offboard, from_ground: datagrams received since the last tick, oldest first. They may hold
-            any bytes: a bad datagram is counted and dropped.
+            any bytes: a bad datagram is counted and dropped. An `Arrival` came `age_ns` before now, plain bytes now.
         land: the process is asked to end; land as soon as possible.
         missed_ticks: ticks that the loop has skipped since its start, for status and log.
         """
         now_ns = self._clock.at(now_ns)
         self._missed_ticks, output = missed_ticks, self._output.cleared()
-        readings = [one for datagram in from_vehicle for one in self._vehicle_link.receive(datagram, now_ns)]
+        readings = [one for came in at_times(from_vehicle, now_ns) for one in self._vehicle_link.receive(*came)]
         poses = self._receive_offboard(from_offboard, now_ns)
         self._receive_ground(from_ground, land, now_ns)
         state = self._estimate(readings, poses, now_ns)
@@ -192,11 +193,11 @@ class OnboardCore:
 
     # --- receive -------------------------------------------------------------------------------------------------
 
-    def _receive_offboard(self, datagrams: Sequence[bytes], now_ns: int) -> list[DatedPose]:
+    def _receive_offboard(self, datagrams: Datagrams, now_ns: int) -> list[DatedPose]:
         """Poses for the estimator; chunks of feature versions go to the reception."""
         poses: list[DatedPose] = []
-        for datagram in datagrams:
-            for message in self._offboard_link.receive(datagram, now_ns):
+        for datagram, arrival_ns in at_times(datagrams, now_ns):
+            for message in self._offboard_link.receive(datagram, arrival_ns):
                 match message:
                     case DatedPose():
                         poses.append(message)
@@ -206,12 +207,12 @@ class OnboardCore:
                         self._reception.restart()
         return poses
 
-    def _receive_ground(self, datagrams: Sequence[bytes], land: bool, now_ns: int) -> None:
+    def _receive_ground(self, datagrams: Datagrams, land: bool, now_ns: int) -> None:
         """Commands of the pilot, and the process's own wish to land, for the supervisor."""
         if land:
             self._supervisor.command(Command.LAND, now_ns)
-        for datagram in datagrams:
-            for command in self._ground_link.receive(datagram, now_ns):
+        for datagram, arrival_ns in at_times(datagrams, now_ns):
+            for command in self._ground_link.receive(datagram, arrival_ns):
                 refusal = self._supervisor.command(command.command, now_ns)
                 self._ground_link.acknowledge(command, refusal, now_ns)
 
@@ -237,7 +238,7 @@ class OnboardCore:
             else:
                 self._estimator.receive(reading)
         for dated in poses:
-            self._estimator.receive_pose(dated.pose, dated.taken_ns, now_ns, dated.time_sigma_s)
+            self._estimator.receive_pose(dated.pose, dated.taken_ns, dated.arrival_ns, dated.time_sigma_s)
             self._arming.receive_pose(dated.pose, self._vehicle_link.health.force, now_ns)
         return self._estimator.state
 

@@ -23,12 +23,13 @@ from onboard.core import OnboardCore, OnboardOutput
 from onboard.links.frame_stream import FrameStream
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
+from protocol.arrival import Arrival
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from runtime.kernel import resident_mb
 from runtime.pace import DurationStatistics, PaceKeeper
 from runtime.serial_port import SerialPort
 from runtime.signals import StopRequest
-from runtime.sockets import AddressInUseError, DatagramSocket
+from runtime.sockets import AddressInUseError, DatagramSocket, Stamped
 from runtime.status import StatusLines
 
 VEHICLE_DATAGRAMS_PER_TICK: Final = 16
@@ -109,29 +110,43 @@ class OnboardProcess:
         """Run until asked to end; returns the exit status: 0, or 1 if too many ticks failed."""
         now = time.monotonic_ns()
         while not self._ended(now):
-            now = self._pace.wait()
+            woke_ns = now = self._pace.wait()
             output: OnboardOutput | None
             escapes = self.escapes
             try:
-                output = self._core.tick(now, *self._receive(now), missed_ticks=self._pace.missed)
+                received = self._receive()
+                now = time.monotonic_ns()  # after the reads: no arrival is later
+                output = self._core.tick(now, *self._logged(received, now), missed_ticks=self._pace.missed)
             except Exception:
                 output = self._answer_escape(now)
             if output is not None:
                 self._send(output, now)
             self._log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, self._pace.missed, self.escapes > escapes))
-            self._note_loop(now)
+            self._note_loop(now, woke_ns)
         self._leave_safe(now)
         return int(self.escapes >= self._realtime.escapes_max)
 
-    def _receive(self, now: int) -> tuple[list[bytes], list[bytes], list[bytes], bool]:
-        """Datagrams of vehicle, offboard and ground station, and whether to land; all of it logged."""
+    def _receive(self) -> tuple[list[Stamped], list[Stamped], list[Stamped]]:
+        """Datagrams of vehicle, offboard and ground station, with their arrival times."""
         sockets = self._sockets
+        return (
+            sockets.vehicle.receive_stamped(VEHICLE_DATAGRAMS_PER_TICK),
+            sockets.offboard.receive_stamped(DATAGRAMS_PER_STEP_MAX),
+            sockets.ground.receive_stamped(GROUND_DATAGRAMS_PER_TICK),
+        )
+
+    def _logged(
+        self, received: tuple[list[Stamped], list[Stamped], list[Stamped]], now: int
+    ) -> tuple[list[Arrival], list[Arrival], list[Arrival], bool]:
+        """The datagrams with their ages, and whether to land; all of it logged."""
         land, self._land_pending = self._land_pending, False
         if land:
             self._datagrams.land_request()
-        from_vehicle = self._datagrams.put(Entry.FROM_VEHICLE, sockets.vehicle.receive(VEHICLE_DATAGRAMS_PER_TICK))
-        from_offboard = self._datagrams.put(Entry.FROM_OFFBOARD, sockets.offboard.receive(DATAGRAMS_PER_STEP_MAX))
-        from_ground = self._datagrams.put(Entry.FROM_GROUND, sockets.ground.receive(GROUND_DATAGRAMS_PER_TICK))
+        ages = [[Arrival(datagram, now - arrival_ns) for datagram, arrival_ns in one] for one in received]
+        from_vehicle, from_offboard, from_ground = ages
+        self._datagrams.put(Entry.FROM_VEHICLE, from_vehicle)
+        self._datagrams.put(Entry.FROM_OFFBOARD, from_offboard)
+        self._datagrams.put(Entry.FROM_GROUND, from_ground)
         if from_vehicle:
             self._last_vehicle_ns = now
         return from_vehicle, from_offboard, from_ground, land
@@ -155,8 +170,8 @@ class OnboardProcess:
         if self._status.due(now):
             self._status.write({**self._core.status(now), "missed_ticks": self._pace.missed, "escapes": self.escapes})
 
-    def _note_loop(self, now: int) -> None:
-        duration_ns = time.monotonic_ns() - now
+    def _note_loop(self, now: int, woke_ns: int) -> None:
+        duration_ns = time.monotonic_ns() - woke_ns
         self._ticks.add(duration_ns)
         self._lateness.add(self._pace.lateness_ns)
         record = self._loop_record

@@ -4,10 +4,12 @@ import errno
 import fcntl
 import os
 import termios
+import time
 from collections.abc import Callable
 from typing import Final
 
 from runtime.errors import StartError
+from runtime.sockets import Stamped
 
 READ_BYTES: Final = 4096
 READS_MAX: Final = 8
@@ -62,6 +64,12 @@ class SerialPort:
         frames, self._frames = self._frames[:limit], self._frames[limit:]
         self.received += len(frames)
         return frames
+
+    def receive_stamped(self, limit: int) -> list[Stamped]:
+        """The frames of `receive`, stamped after the read: a serial line has no time of arrival."""
+        frames = self.receive(limit)
+        now_ns = time.monotonic_ns()
+        return [Stamped(frame, now_ns) for frame in frames]
 
     def send(self, frame: bytes) -> None:
         """Send one frame; drop and count it while the one before is not completely sent."""

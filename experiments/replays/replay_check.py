@@ -195,7 +195,7 @@ class _Check:
 
     def _step(self, tick: LoggedTick) -> tuple[OnboardOutput, bool]:
         """One tick as the process does it; the safe output if it raises."""
-        vehicle, offboard, ground, land = map(tick.of, INPUTS)
+        vehicle, offboard, ground, land = map(tick.arrivals, INPUTS)
         self._in += len(vehicle) + len(offboard) + len(ground) + len(land)
         try:
             return self._core.tick(tick.now_ns, vehicle, offboard, ground, bool(land), tick.missed_ticks), False

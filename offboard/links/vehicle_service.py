@@ -16,7 +16,7 @@ from offboard.core import OffboardCore, OffboardOutput
 from offboard.training.job import TrainingResult
 from runtime.files import write_atomically
 from runtime.kernel import resident_mb
-from runtime.sockets import AddressInUseError, DatagramSocket
+from runtime.sockets import AddressInUseError, DatagramSocket, Stamped
 from runtime.status import StatusLines
 
 STEP_PERIOD_NS: Final = 10_000_000
@@ -90,7 +90,10 @@ class VehicleService:
         now = time.monotonic_ns()
         self._due_ns = now + STEP_PERIOD_NS
         try:
-            self._receive(now)
+            poses = self._poses.receive_stamped(POSE_DATAGRAMS_PER_STEP)
+            messages = self._link.receive_stamped(LINK_DATAGRAMS_PER_STEP)
+            now = time.monotonic_ns()  # after the reads: no arrival is later
+            self._receive(poses, messages, now)
             self._send(self._core.step(now), now)
         except Exception:
             self._note_escape(now)
@@ -113,11 +116,11 @@ class VehicleService:
         for socket in self.sockets:
             socket.close()
 
-    def _receive(self, now: int) -> None:
-        for datagram in self._poses.receive(POSE_DATAGRAMS_PER_STEP):
-            self._core.receive_motion_capture(datagram, now)
-        for datagram in self._link.receive(LINK_DATAGRAMS_PER_STEP):
-            self._core.receive_onboard(datagram, now)
+    def _receive(self, poses: list[Stamped], messages: list[Stamped], now: int) -> None:
+        for datagram, arrival_ns in poses:
+            self._core.receive_motion_capture(datagram, now, now - arrival_ns)
+        for datagram, arrival_ns in messages:
+            self._core.receive_onboard(datagram, now, now - arrival_ns)
         while isinstance(report := _taken(self._unwritten), str):
             self.failed_writes += 1
             self._report(now, report, f"a file could not be written ({self.failed_writes} times)")

@@ -26,10 +26,11 @@ ROUND_TRIP_TO_SIGMA: Final = 0.1
 
 
 class DatedPose(NamedTuple):
-    """A pose and its time in the onboard clock."""
+    """A pose and its times in the onboard clock."""
 
     pose: Pose
     taken_ns: int
+    arrival_ns: int
     time_sigma_s: float
     """Standard deviation of `taken_ns` on a slow link; 0 on a fast one."""
 
@@ -84,7 +85,7 @@ class OffboardLink:
             case Pose():
                 offset_ns = self.endpoint.clock_offset_ns
                 if offset_ns is not None:  # without it the pose has no time, and may be a recording
-                    received.append(DatedPose(message, message.time_ns - offset_ns, self._time_sigma_s()))
+                    received.append(DatedPose(message, message.time_ns - offset_ns, now_ns, self._time_sigma_s()))
             case FeatureChunk():
                 received.append(message)
             case TimeSyncRequest():

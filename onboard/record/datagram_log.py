@@ -1,19 +1,22 @@
 """The datagram log: every datagram in and out of the core, tick by tick, so that a flight can be run again exactly.
 
 One record a tick, written after the step: a head (time, number of the tick, missed ticks, whether the step failed),
-then entries in the order in which they happened: the kind (one byte), the length (two bytes) and the bytes. Whoever
+then entries in the order in which they happened: the kind (one byte), the length (two bytes), the age at the tick's
+time (eight bytes, ns) and the bytes. Whoever
 drives a core (the real-time process, lockstep) fills a `DatagramLogWriter`; `experiments.replays.replay_check` feeds
 what it holds to a fresh core. A datagram log holds what was on the wires, and no key.
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from protocol.arrival import Arrival
+
 TOPIC: Final = "onboard/datagrams"
 HEAD: Final = struct.Struct("<qIIB")
-ENTRY: Final = struct.Struct("<BH")
+ENTRY: Final = struct.Struct("<BHq")
 ENTRY_MAX_BYTES: Final = 0xFFFF
 
 
@@ -39,11 +42,15 @@ class LoggedTick(NamedTuple):
     missed_ticks: int
     failed: bool
     """The tick raised, and the safe output was sent instead."""
-    entries: tuple[tuple[Entry, bytes], ...]
+    entries: tuple[tuple[Entry, Arrival], ...]
 
     def of(self, kind: Entry) -> list[bytes]:
-        """The entries of one kind."""
-        return [data for entry, data in self.entries if entry is kind]
+        """The datagrams of one kind."""
+        return [arrival.datagram for arrival in self.arrivals(kind)]
+
+    def arrivals(self, kind: Entry) -> list[Arrival]:
+        """The datagrams of one kind with their ages."""
+        return [arrival for entry, arrival in self.entries if entry is kind]
 
 
 class DatagramLogWriter:
@@ -55,12 +62,12 @@ class DatagramLogWriter:
         self._parts: list[bytes] = []
         self._number = 0
 
-    def put(self, kind: Entry, datagrams: list[bytes]) -> list[bytes]:
-        """Add datagrams of one kind to the current tick; returns them."""
-        for datagram in datagrams:
-            self._parts.append(ENTRY.pack(kind, len(datagram)))
+    def put(self, kind: Entry, datagrams: Sequence[bytes | Arrival]) -> None:
+        """Add datagrams of one kind to the current tick. Plain bytes have age 0."""
+        for one in datagrams:
+            datagram, age_ns = one if isinstance(one, Arrival) else (one, 0)
+            self._parts.append(ENTRY.pack(kind, len(datagram), age_ns))
             self._parts.append(datagram)
-        return datagrams
 
     def land_request(self) -> None:
         """Add the request to land."""
@@ -89,12 +96,12 @@ def read_tick(record: bytes) -> LoggedTick:
         raise ValueError(f"not a record of a datagram log: {error}") from None
 
 
-def _entries(record: bytes) -> Iterator[tuple[Entry, bytes]]:
+def _entries(record: bytes) -> Iterator[tuple[Entry, Arrival]]:
     at = HEAD.size
     while at < len(record):
-        kind, length = ENTRY.unpack_from(record, at)
+        kind, length, age_ns = ENTRY.unpack_from(record, at)
         start = at + ENTRY.size
         at = start + length
         if at > len(record):
             raise ValueError("a record of a datagram log that ends too early")
-        yield Entry(kind), record[start:at]
+        yield Entry(kind), Arrival(record[start:at], age_ns)

@@ -1,5 +1,6 @@
 """The onboard loop around a stand-in core: failures, requests to end, and that the last word is motors off."""
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +11,7 @@ from configs.realtime import RealtimeConfig
 from onboard.core import OnboardOutput
 from onboard.process import FINAL_SAFE_COMMANDS, OnboardProcess
 from onboard.record.datagram_log import Entry, LoggedTick, read_tick
+from runtime.sockets import Stamped
 
 PERIOD_NS = 1_000_000
 REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)
@@ -32,7 +34,9 @@ class FakeCore:
         self.steps += 1
         *datagrams, land = received
         self.land_requests += land
-        self.received += [(name, one) for name, many in zip(PEERS, datagrams, strict=True) for one in many]
+        arrivals = [(name, one) for name, many in zip(PEERS, datagrams, strict=True) for one in many]
+        assert all(0 <= one.age_ns < PERIOD_NS for _, one in arrivals), "no arrival is later than now"
+        self.received += [(name, one.datagram) for name, one in arrivals]
         self.script(self)
         return OnboardOutput([b"motors"], [b"sample"], [b"telemetry"], events=[(now_ns, "event")])
 
@@ -51,8 +55,8 @@ class FakeSocket:
         self.talks = talks
         self.sent: list[bytes] = []
 
-    def receive(self, limit: int) -> list[bytes]:
-        return [b"hello"] if self.talks else []
+    def receive_stamped(self, limit: int) -> list[Stamped]:
+        return [Stamped(b"hello", time.monotonic_ns())] if self.talks else []
 
     def send(self, datagram: bytes) -> None:
         self.sent.append(datagram)

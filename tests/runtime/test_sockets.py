@@ -1,7 +1,11 @@
 """Datagram sockets: limited, filtered, non-blocking, and with a clear message for an address in use."""
 
+import socket
+import time
+
 import pytest
 
+from runtime import sockets
 from runtime.sockets import AddressInUseError, DatagramSocket, require_free
 
 
@@ -22,6 +26,41 @@ def test_carries_datagrams_in_order_and_stops_at_the_limit(pair) -> None:
     assert first.receive(3) == [b"\x03", b"\x04"]
     assert first.receive(3) == []
     assert (second.sent, first.received) == (5, 5)
+
+
+def test_a_datagram_has_the_time_of_its_arrival_not_of_the_read(pair) -> None:
+    first, second = pair
+    before_ns = time.monotonic_ns()
+    second.send(b"early")
+    after_ns = time.monotonic_ns()
+    time.sleep(0.03)
+    second.send(b"late")
+    (early, early_ns), (late, late_ns) = first.receive_stamped(4)
+    assert (early, late) == (b"early", b"late")
+    assert before_ns <= early_ns <= after_ns + 5_000_000
+    assert early_ns + 25_000_000 <= late_ns <= time.monotonic_ns()
+
+
+@pytest.mark.parametrize("step_s", [-3600, 3600])
+def test_a_step_of_the_clock_of_the_day_moves_no_arrival_out_of_its_bounds(pair, monkeypatch, step_s: int) -> None:
+    first, second = pair
+    day_ns = time.time_ns
+    assert first.receive_stamped(4) == []
+    empty_ns = time.monotonic_ns()
+    second.send(b"between")
+    monkeypatch.setattr(sockets.time, "time_ns", lambda: day_ns() + step_s * 10**9)
+    ((_, arrival_ns),) = first.receive_stamped(4)
+    assert empty_ns - 1_000_000 <= arrival_ns <= time.monotonic_ns()
+
+
+def test_without_a_stamp_of_the_kernel_the_time_after_the_read_counts(pair) -> None:
+    first, second = pair
+    first._socket.setsockopt(socket.SOL_SOCKET, sockets.SO_TIMESTAMPNS, 0)
+    second.send(b"unstamped")
+    time.sleep(0.01)
+    read_ns = time.monotonic_ns()
+    ((_, arrival_ns),) = first.receive_stamped(4)
+    assert read_ns <= arrival_ns <= time.monotonic_ns()
 
 
 def test_receives_only_from_its_peer(pair) -> None:

@@ -135,10 +135,10 @@ def spoil(flight: RecordedFlight, change: Callable[[list[tuple[int, bytes]], np.
 def with_entries(record: bytes, change: Callable[[Entry, bytes], bytes | None]) -> bytes:
     """A record of the datagram log with its entries changed, or removed if `change` returns None."""
     tick, writer = read_tick(record), DatagramLogWriter()
-    for kind, data in tick.entries:
-        changed = change(kind, data)
+    for kind, arrival in tick.entries:
+        changed = change(kind, arrival.datagram)
         if changed is not None:
-            writer.put(kind, [changed])
+            writer.put(kind, [arrival._replace(datagram=changed)])
     return record[: HEAD.size] + writer.end_tick(0, 0)[HEAD.size :]
 
 

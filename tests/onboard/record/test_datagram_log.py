@@ -5,13 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.record.datagram_log import ENTRY_MAX_BYTES, HEAD, DatagramLogWriter, Entry, read_tick
+from protocol.arrival import Arrival
 
-entries = st.lists(st.tuples(st.sampled_from(Entry), st.binary(max_size=300)), max_size=20)
+arrivals = st.builds(Arrival, st.binary(max_size=300), st.integers(0, 2**62))
+entries = st.lists(st.tuples(st.sampled_from(Entry), arrivals), max_size=20)
 
 
 @given(st.lists(entries, max_size=5), st.integers(0, 2**62), st.integers(0, 2**31), st.booleans())
 def test_what_goes_on_the_datagram_log_comes_back(
-    ticks: list[list[tuple[Entry, bytes]]], now_ns: int, missed: int, failed: bool
+    ticks: list[list[tuple[Entry, Arrival]]], now_ns: int, missed: int, failed: bool
 ) -> None:
     writer = DatagramLogWriter()
     for number, put in enumerate(ticks):
@@ -28,6 +30,14 @@ def test_a_request_to_land_is_logged() -> None:
     tick = read_tick(writer.end_tick(20, 0))
     assert len(tick.of(Entry.LAND_REQUEST)) == 1
     assert tick.of(Entry.FROM_VEHICLE) == []
+
+
+def test_plain_bytes_have_age_0() -> None:
+    writer = DatagramLogWriter()
+    writer.put(Entry.FROM_VEHICLE, [b"now", Arrival(b"before", 7)])
+    tick = read_tick(writer.end_tick(20, 0))
+    assert tick.of(Entry.FROM_VEHICLE) == [b"now", b"before"]
+    assert tick.arrivals(Entry.FROM_VEHICLE) == [Arrival(b"now", 0), Arrival(b"before", 7)]
 
 
 @pytest.mark.parametrize("cut", [1, HEAD.size + 1, HEAD.size + 5])
