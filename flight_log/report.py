@@ -119,6 +119,8 @@ def _configured_duration_s(flight: Flight) -> float:
 def _outcome(summary: Mapping[str, Any]) -> str:
     if not summary:
         return paragraph("no flight summary (summary.json): the flight did not end in order", "bad")
+    if summary.get("outcome") == "invalid":
+        return paragraph(f"invalid flight: {summary.get('invalid_reason')}", "bad")
     if summary.get("survived"):
         return paragraph(f"vehicle alive after {text_of(summary.get('duration_s'))} s, {summary.get('mode')}", "good")
     return paragraph(f"vehicle lost: {summary.get('crash_reason') or 'no reason recorded'}", "bad")

@@ -2,8 +2,9 @@
 
 Theory of operation. Flight time starts with the first motor command (onboard sends them at 200 Hz, armed or not), so
 that a slow start of a process does not shift the scenario. The vehicle then steps on an absolute grid, with a fixed
-phase after onboard's ticks. Motor commands act when they arrive. After a stall, one step integrates the vehicle to the
-present: no physics is lost, only sensor datagrams arrive late. Radio datagrams leave when they are due.
+phase after onboard's ticks. Motor commands act when they arrived, by the kernel's stamp. After a stall, one step
+integrates the vehicle to the present: no physics is lost, only sensor datagrams arrive late. Radio datagrams leave when
+they are due. No real vehicle stalls so: a flight with a long stall, or with a crash soon after a stall, is invalid.
 """
 
 import select
@@ -22,6 +23,7 @@ from runtime.sockets import AddressInUseError, DatagramSocket
 from runtime.status import StatusLines
 from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, Direction, Radio, delivery_vector
 from sim_vehicle.records import TRUTH
+from sim_vehicle.stalls import Stalls
 from sim_vehicle.vehicle import PERIOD_NS, SimVehicle
 
 START_PHASE_NS: Final = 1_000_000
@@ -66,6 +68,7 @@ class SimProcess:
         self._deliveries_logged: dict[Direction, int] = {"up": 0, "down": 0}
         self.steps = 0
         self.stalled_steps = 0
+        self.stalls = Stalls()
 
     def _open(self, network: Addresses) -> None:
         sockets: list[DatagramSocket] = []
@@ -92,11 +95,15 @@ class SimProcess:
             self._wait()
             now = time.monotonic_ns() - self._start_ns
             self._carry_radio(now)
-            for datagram in self._motors.receive(MOTOR_DATAGRAMS_PER_WAKE):
-                self._vehicle.receive(datagram, now)
+            for datagram, arrival_ns in self._motors.receive_stamped(MOTOR_DATAGRAMS_PER_WAKE):
+                self._vehicle.receive(datagram, self._flight_time(arrival_ns))
             if now >= self._next_step_ns:
                 self._step(now)
         return 0
+
+    def _flight_time(self, arrival_ns: int) -> int:
+        """Flight time of an arrival; 0 before the flight."""
+        return max(0, arrival_ns - self._start_ns)
 
     def close(self) -> None:
         """Close the sockets."""
@@ -131,10 +138,10 @@ class SimProcess:
         select.select(self._inputs, (), (), max(0.0, ahead_ns * 1e-9))
 
     def _carry_radio(self, now: int) -> None:
-        for datagram in self._onboard_side.receive(RADIO_DATAGRAMS_PER_WAKE):
-            self._radio.send("up", datagram, now)
-        for datagram in self._offboard_side.receive(RADIO_DATAGRAMS_PER_WAKE):
-            self._radio.send("down", datagram, now)
+        for datagram, arrival_ns in self._onboard_side.receive_stamped(RADIO_DATAGRAMS_PER_WAKE):
+            self._radio.send("up", datagram, self._flight_time(arrival_ns))
+        for datagram, arrival_ns in self._offboard_side.receive_stamped(RADIO_DATAGRAMS_PER_WAKE):
+            self._radio.send("down", datagram, self._flight_time(arrival_ns))
         for datagram in self._radio.due("up", now):
             self._offboard_side.send(datagram)
         for datagram in self._radio.due("down", now):
@@ -145,6 +152,7 @@ class SimProcess:
         late_ns = now - self._next_step_ns
         stalled = late_ns // PERIOD_NS
         self.stalled_steps += stalled
+        self.stalls.note(now, late_ns)
         step_ns = self._next_step_ns + stalled * PERIOD_NS
         output = self._vehicle.step(step_ns)
         for datagram in output.to_onboard:
@@ -165,6 +173,7 @@ class SimProcess:
         self._record_deliveries(at_ns)
         if self._vehicle.crash_reason and self._crash_ns == 0:
             self._crash_ns = step_ns
+            self.stalls.note_crash(step_ns)
             text = f"vehicle lost at {step_ns * 1e-9:.2f} s: {self._vehicle.crash_reason}"
             self._log.event(at_ns, text)
             self._status.report(text)
@@ -206,6 +215,7 @@ class SimProcess:
             "link": self._counts(),
             "steps": self.steps,
             "stalled_steps": self.stalled_steps,
+            "invalid_reason": self.stalls.invalid_reason,
             "rss_mb": round(resident_mb(), 1),
         }
 

@@ -22,7 +22,11 @@ EXAMPLES = """examples:
   dmrac fly figure8_wind --lockstep --seed 7  in virtual time: repeatable, several times faster
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
   dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
+
+exit status: 0 vehicle alive, 1 vehicle lost, 2 bad usage, 3 invalid flight (the simulator stood still)
 """
+EXIT_STATUS = {"alive": 0, "lost": 1, "invalid": 3}
+"""By the outcome in summary.json."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly; return 0 (the vehicle survived) or 1 (it crashed). Raises ConfigError before anything is started."""
+    """Fly; return the exit status of the outcome. Raises ConfigError before anything is started."""
     choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments)
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
@@ -69,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
                 wait_for_viewer()
     except (FlightStartError, ConfigError) as error:
         raise type(error)(f"{error}{clear_folder(folder, earlier)}") from None
-    return 0 if summary["survived"] else 1
+    return EXIT_STATUS[summary["outcome"]]
 
 
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:

@@ -22,6 +22,7 @@ def build_summary(
     onboard: dict[str, Any],
     offboard: dict[str, Any] | None,
     radio: dict[str, dict[str, int]],
+    invalid_reason: str = "",
 ) -> dict[str, Any]:
     """Return the content of summary.json.
 
@@ -32,6 +33,7 @@ def build_summary(
     onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, features, rejected.
     offboard: offboard's own summary; None without an offboard side.
     radio: sent, delivered, lost by direction.
+    invalid_reason: why the flight says nothing about the vehicle; "" if it is valid.
     """
     metrics = flight_metrics(trace, config.onboard.guidance.trajectory) if trace is not None else None
     rejected = Counter(onboard.get("rejected", {}))
@@ -42,6 +44,8 @@ def build_summary(
         "seed": config.seed,
         "mode": mode,
         "duration_s": round(float(trace.time_s[-1]), 3) if trace is not None else 0.0,
+        "outcome": "invalid" if invalid_reason else "lost" if crash_reason else "alive",
+        "invalid_reason": invalid_reason,
         "survived": crash_reason == "",
         "crash_reason": crash_reason,
         "position_rmse_m": _number(metrics.position_rmse_m if metrics else math.nan),
@@ -91,6 +95,8 @@ def _title(summary: dict[str, Any]) -> str:
 def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the lines of the table: name and text."""
     outcome = "vehicle alive" if summary["survived"] else f"VEHICLE LOST: {summary['crash_reason']}"
+    if summary["outcome"] == "invalid":
+        outcome = f"INVALID FLIGHT: {summary['invalid_reason']}"
     attitude, features, onboard = summary["attitude_rmse_rad"], summary["features"], summary["onboard"]
     rows = [
         ("flight", f"{summary['duration_s']:.1f} s, {outcome}"),

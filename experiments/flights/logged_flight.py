@@ -82,7 +82,9 @@ def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tu
         direction: {name: counts[name] for name in ("sent", "delivered", "lost")}
         for direction, counts in sim.get("link", {}).items()
     }
-    summary = build_summary(config, "realtime", trace, crash, onboard, result.offboard, radio)
+    summary = build_summary(
+        config, "realtime", trace, crash, onboard, result.offboard, radio, sim.get("invalid_reason", "")
+    )
     summary["interrupted"] = result.interrupted
     summary["notes"] = result.notes
     return summary, trace

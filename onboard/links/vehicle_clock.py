@@ -7,6 +7,8 @@ from protocol.conventions import NEVER_NS
 
 SUSPECTS: Final = 3
 """This many wrong stamps in a row mean that the vehicle's clock restarted or jumped."""
+SHORT_STEP_SUSPECTS: Final = 5
+"""The same for a short step back, which a late datagram makes too."""
 AGREE_NS: Final = 4_000_000
 """The delays of the stamps after a short step back differ by no more than this: others were held up on the way."""
 
@@ -62,9 +64,11 @@ class VehicleClock:
         if stamp_ns <= self._suspect_ns:
             self._suspects.clear()
         self._suspect_ns = stamp_ns
-        self._suspects = [*self._suspects[1 - SUSPECTS :], delay_ns]
+        self._suspects = [*self._suspects[1 - SHORT_STEP_SUSPECTS :], delay_ns]
+        if not short_step_back:
+            return len(self._suspects) >= SUSPECTS
         agree = max(self._suspects) - min(self._suspects) <= AGREE_NS
-        return len(self._suspects) == SUSPECTS and (agree or not short_step_back)
+        return agree and len(self._suspects) == SHORT_STEP_SUSPECTS
 
     def to_onboard(self, stamp_ns: int, arrival_ns: int) -> int:
         """Onboard time of a vehicle time stamp: never after its arrival."""

@@ -71,6 +71,9 @@ def test_the_page_reports_a_crash_a_truncated_log_and_a_missing_summary(full_fli
     text = write_report(full_flight).read_text(encoding="utf-8")
     assert "vehicle lost: hit the floor" in text
     assert "onboard.mcap: not closed" in text
+    summary |= {"outcome": "invalid", "invalid_reason": "the simulator stood still"}
+    (full_flight / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    assert "invalid flight: the simulator stood still" in write_report(full_flight).read_text(encoding="utf-8")
     (full_flight / "summary.json").unlink()
     assert "no flight summary" in write_report(full_flight).read_text(encoding="utf-8")
 

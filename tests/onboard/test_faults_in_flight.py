@@ -160,6 +160,28 @@ def test_a_restarted_vehicle_clock_is_reported_and_the_flight_goes_on():
     assert np.abs(flight.errors[1300:]).max() < 0.3
 
 
+@pytest.mark.parametrize("ahead_s", [0.06, 0.2, 0.51])
+def test_the_flight_goes_on_after_one_stamp_ahead(ahead_s):
+    def fault(t, frames):
+        ahead = FAULT_S < t < FAULT_S + 0.006
+        return [rewrite(f, time_usec=round((t + ahead_s) * 1e6)) if ahead else f for f in frames]
+
+    flight = FlightTest(fault=fault).fly(9.0)
+    assert flight.core._vehicle_link.rejected["time_ahead"] == 1
+    assert flight.modes[-1] is FlightMode.FLYING
+    assert np.abs(flight.errors[1300:]).max() < 0.3
+
+
+@pytest.mark.parametrize("jump_s", [0.06, 0.2, 0.51, -0.2])
+def test_the_flight_goes_on_when_the_clock_of_the_vehicle_jumps(jump_s):
+    jump = f"vehicle.disturbances=[{{kind: clock_jump, jump_s: {jump_s}, onset_s: {FAULT_S}}}]"
+    flight = FlightTest(assignments=(jump,)).fly(9.0)
+    assert flight.said("vehicle's clock jumped")
+    assert not flight.said("IMU silent")
+    assert flight.modes[-1] is FlightMode.FLYING
+    assert np.abs(flight.errors[1300:]).max() < 0.3
+
+
 def test_the_flight_goes_on_when_time_goes_backwards_for_some_samples():
     def fault(t, frames):
         late = 0.02 if FAULT_S < t < FAULT_S + 0.02 else 0.0

@@ -35,7 +35,7 @@ class FakeCore:
         *datagrams, land = received
         self.land_requests += land
         arrivals = [(name, one) for name, many in zip(PEERS, datagrams, strict=True) for one in many]
-        assert all(0 <= one.age_ns < PERIOD_NS for _, one in arrivals), "no arrival is later than now"
+        assert all(one.age_ns >= 0 for _, one in arrivals), "no arrival is later than now"
         self.received += [(name, one.datagram) for name, one in arrivals]
         self.script(self)
         return OnboardOutput([b"motors"], [b"sample"], [b"telemetry"], events=[(now_ns, "event")])
