@@ -86,6 +86,15 @@ def test_stalls_of_offboard_do_not_disturb_the_flight(fly: Callable[..., dict[st
     assert with_stalls["position_rmse_m"] <= RATIO_MAX * without["position_rmse_m"] + ABSOLUTE_M
 
 
+@pytest.mark.parametrize(("name", "stall_s"), [("onboard", 0.03), ("sim", 0.03), ("offboard", 0.05)])
+def test_a_flight_survives_stalls_of_each_process(
+    fly: Callable[..., dict[str, Any]], name: str, stall_s: float
+) -> None:
+    summary = fly(Stalls(name, stall_s, PERIOD_S, first_s=1.0), 14.0)
+    assert summary["outcome"] == "alive", summary["crash_reason"] or summary["invalid_reason"]
+    assert summary["position_rmse_m"] < 0.03
+
+
 def test_a_long_stall_of_the_simulator_is_an_invalid_flight(fly: Callable[..., dict[str, Any]]) -> None:
     summary = fly(Stalls("sim", 0.4, 2.0, first_s=4.0), 10.0)
     assert summary["outcome"] == "invalid"
