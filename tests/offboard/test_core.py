@@ -164,6 +164,23 @@ def test_answers_time_sync_and_relays_poses_in_the_next_step() -> None:
     assert core.step(103 * MS).to_onboard == []
 
 
+def test_a_step_that_comes_late_uses_the_arrival_times() -> None:
+    """A stall of 30 ms between arrival and step: time sync and pose have the times of a step without it."""
+    relay = {"latency_s": 0.008}
+    core, onboard = OffboardCore(offboard_config(pose_relay=relay), 7, None), Onboard()
+    core.step(99 * MS)
+    request = onboard.endpoint.encode(TimeSyncRequest(5 * MS), 5 * MS)
+    core.receive_onboard(request, 130 * MS, age_ns=30 * MS)
+    pose = mavlink.MAVLink_att_pos_mocap_message(80_000, [1.0, 0.0, 0.0, 0.0], 0.5, 0.25, -1.0)
+    core.receive_motion_capture(bytes(pose.pack(mavlink.MAVLink(None, srcSystem=1))), 130 * MS, age_ns=32 * MS)
+    for datagram in core.step(131 * MS).to_onboard:
+        onboard.receive(datagram, 36 * MS)
+    assert [(reply.receive_ns, reply.transmit_ns) for reply in onboard.replies] == [(100 * MS, 131 * MS)]
+    assert onboard.poses[0].time_ns == 90 * MS
+    core.receive_onboard(request, 132 * MS, age_ns=40 * MS)
+    assert core._clock.jumps == 0, "an arrival before the last step is no jump of the clock"
+
+
 def test_one_job_at_a_time() -> None:
     core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
     core.receive_onboard(onboard.endpoint.encode(TimeSyncRequest(0), 0), 0)

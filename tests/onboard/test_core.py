@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from onboard.flight.supervisor import FlightMode
+from protocol.arrival import Arrival
 from protocol.messages import Pose
 from sim_vehicle.records import TRUTH
 from tests.onboard.loop import CLOCK_NS, ON_THE_FLOOR, PERIOD_NS, Loop, Peer, armed, in_flight
@@ -111,6 +112,27 @@ def test_a_failed_step_does_not_spoil_the_next():
         loop.core.tick(loop.now_ns)
     loop.core.controller.step = step
     loop.fly(1.0)
+    assert loop.mode is FlightMode.FLYING
+    assert loop.vehicle.crash_reason == ""
+
+
+def test_a_tick_after_a_stall_uses_the_arrival_times_of_its_datagrams():
+    loop = in_flight("pid")
+    received, clock = [], loop.core._vehicle_link.receive
+    loop.core._vehicle_link.receive = lambda datagram, now_ns: received.append(now_ns) or clock(datagram, now_ns)
+    arrivals, began_ns = [], loop.now_ns
+    for _ in range(8):  # onboard stands still for 40 ms
+        now = loop.now_ns
+        arrivals += [(now, datagram) for datagram in loop.vehicle.step(now).to_onboard]
+        loop.now_ns += PERIOD_NS
+    now = loop.now_ns - PERIOD_NS
+    loop.core.tick(now, [Arrival(datagram, now - came_ns) for came_ns, datagram in arrivals])
+    assert received == [came_ns for came_ns, _ in arrivals]
+    assert received[0] == began_ns
+    assert loop.core._clock.jumps == 0
+    assert loop.core._estimator.state.last_imu_ns == now
+    loop.core._vehicle_link.receive = clock
+    loop.fly(2.0)
     assert loop.mode is FlightMode.FLYING
     assert loop.vehicle.crash_reason == ""
 
