@@ -119,11 +119,8 @@ class OnboardCore:
         self._command_before: Thrusts = ZERO
         self._saturated = False
         self._land_requested = False
-        self._ticks = 0
-        self._missed_ticks = 0
-        self._resets_seen = 0
-        self._posed = False
-        self._posed_in_time = False
+        self._ticks = self._missed_ticks = self._resets_seen = 0
+        self._posed = self._posed_in_time = False
         self._tracking_error_m = 0.0
 
     def tick(

@@ -30,14 +30,11 @@ def test_carries_datagrams_in_order_and_stops_at_the_limit(pair) -> None:
 
 def test_a_datagram_has_the_time_of_its_arrival_not_of_the_read(pair) -> None:
     first, second = pair
-    before_ns = time.monotonic_ns()
     second.send(b"early")
-    after_ns = time.monotonic_ns()
     time.sleep(0.03)
     second.send(b"late")
     (early, early_ns), (late, late_ns) = first.receive_stamped(4)
     assert (early, late) == (b"early", b"late")
-    assert before_ns <= early_ns <= after_ns + 5_000_000
     assert early_ns + 25_000_000 <= late_ns <= time.monotonic_ns()
 
 
