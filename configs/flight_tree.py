@@ -149,7 +149,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     vehicle = read_vehicle(file.vehicle)
     law = read_part("controllers", controller)
     features = merge(read_tree(FEATURES_FILE), law.pop("features", {}))
-    guidance = merge(_guidance(file, duration), law.pop("guidance", {}))  # leads that were tuned with the controller
+    guidance = merge(_guidance(file, duration, seed), law.pop("guidance", {}))  # leads tuned with the controller
     onboard = {"seed": seed, "airframe": vehicle.airframe, "controller": law, "guidance": guidance}
     return {
         "scenario": name,
@@ -177,9 +177,14 @@ def _onboard(onboard: Mapping[str, Any], file: ScenarioFile, real: bool) -> dict
     return merge(merge(onboard, read_tree(CONFIG_DIRECTORY / "simulated_vehicle.yaml")), file.onboard)
 
 
-def _guidance(file: ScenarioFile, duration_s: float) -> dict[str, Any]:
-    """Guidance whose landing begins early enough for the vehicle to be down when the flight's time is over."""
+def _guidance(file: ScenarioFile, duration_s: float, seed: int) -> dict[str, Any]:
+    """Guidance whose landing begins early enough for the vehicle to be down when the flight's time is over.
+
+    A lissajous path without a seed of its own gets the flight's.
+    """
     guidance = merge(read_tree(GUIDANCE_FILE), file.guidance)
+    if value_at(guidance, "trajectory.path.kind") == "lissajous":
+        guidance = merge({"trajectory": {"path": {"seed": seed}}}, guidance)
     height, speed = (value_at(guidance, f"trajectory.{key}") for key in ("altitude_m", "landing_speed_m_s"))
     try:
         landing_s = float(height) / float(speed) + 3.0

@@ -79,7 +79,7 @@ def flight_row(config: FlightConfig, outcome: LockstepOutcome, link: LinkBytes) 
         "position_rmse_m": metrics.position_rmse_m,
         "attitude_rmse_rad": metrics.attitude_rmse_rad,
         "lap_rmse_m": list(metrics.lap_rmse_m),
-        "first_lap_rmse_m": metrics.lap_rmse_m[0] if metrics.lap_rmse_m else math.nan,
+        "first_lap_rmse_m": metrics.first_lap_rmse_m,
         "settled_rmse_m": metrics.settled_rmse_m,
         "worst_error_m": _worst(trace),
         "trace_sha256": outcome.trace_sha256,

@@ -51,6 +51,7 @@ def build_summary(
         "position_rmse_m": _number(metrics.position_rmse_m if metrics else math.nan),
         "attitude_rmse_rad": _number(metrics.attitude_rmse_rad if metrics else math.nan),
         "lap_rmse_m": [_number(value) for value in metrics.lap_rmse_m] if metrics else [],
+        "first_lap_rmse_m": _number(metrics.first_lap_rmse_m if metrics else math.nan),
         "settled_rmse_m": _number(metrics.settled_rmse_m if metrics else math.nan),
         "features": onboard.get("features", {}),
         "link": {**radio, "rejected": dict(rejected)},
@@ -128,7 +129,8 @@ def _laps(summary: dict[str, Any]) -> str:
     laps = summary["lap_rmse_m"]
     if not laps:
         return ""
-    return f" (first lap {_metres(laps[0])}, settled {_metres(summary['settled_rmse_m'])}, {len(laps)} laps)"
+    first, settled = _metres(summary["first_lap_rmse_m"]), _metres(summary["settled_rmse_m"])
+    return f" (first lap {first}, settled {settled}, {len(laps)} laps)"
 
 
 def _link_rows(link: dict[str, Any]) -> list[tuple[str, str]]:

@@ -17,11 +17,13 @@ from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
 from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
+from onboard.control.laws.ilc import IterativeLearning, IterativeLearningConfig
 from onboard.control.laws.indi import Indi, IndiConfig
 from onboard.control.laws.integral import Integral, IntegralConfig
 from onboard.control.laws.l1 import L1, L1Config
 from onboard.control.laws.law import Augmentation, ChannelState
 from onboard.control.laws.none import NoAugmentation, NoneConfig
+from onboard.control.laws.repetitive import Repetitive, RepetitiveConfig
 from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
 from onboard.flight.trajectory import PathPoint
@@ -40,7 +42,8 @@ from protocol.geometry import (
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
 AugmentationConfig = Annotated[
-    NoneConfig | IntegralConfig | L1Config | IndiConfig | AdaptiveConfig, Field(discriminator="kind")
+    NoneConfig | IntegralConfig | L1Config | IndiConfig | RepetitiveConfig | IterativeLearningConfig | AdaptiveConfig,
+    Field(discriminator="kind"),
 ]
 
 POSITION_N = SIGNAL_INDEX["position_n"]
@@ -88,12 +91,16 @@ def _augmentation(settings: CascadeSettings, channel: ChannelName, rng: np.rando
             return L1(config)
         case IndiConfig():
             return Indi(config)
+        case RepetitiveConfig():
+            return Repetitive(config)
+        case IterativeLearningConfig():
+            return IterativeLearning(config, one.gains)
         case NoneConfig():
             return NoAugmentation(config)
 
 
 class CascadedController:
-    """PID, MRAC, DMRAC, L1 and INDI, by its settings."""
+    """PID, MRAC, DMRAC, L1, INDI, repetitive control and iterative learning, by its settings."""
 
     Settings = CascadeSettings
 
@@ -192,6 +199,7 @@ class CascadedController:
         for channel, one, rate in zip(self._channels, measured, rates, strict=True):
             channel.dt, channel.adapt, channel.saturated = inputs.dt, inputs.adapt, inputs.saturated
             channel.u_hat, channel.residual, channel.rate = one.u_hat, one.residual, rate
+            channel.lap_phase, channel.lap_s = inputs.target.lap_phase, inputs.target.lap_s
         if self._has_features:
             self._look_ahead(inputs)
         self._track(inputs)

@@ -23,6 +23,10 @@ class Target(NamedTuple):
     attitude_ahead: PathPoint
     """The same for the attitude channel, with a shorter t_ahead."""
     yaw_rad: float
+    lap_phase: float = -1.0
+    """Share of the lap flown, in [0, 1); negative while the path does not repeat."""
+    lap_s: float = 0.0
+    """Duration of a lap, s; 0 for a path without laps."""
 
 
 class ChannelMeasurement:

@@ -65,7 +65,10 @@ class Guidance:
         ahead = self._at(self._config.look_ahead_s)
         attitude_ahead = self._at(self._config.attitude_look_ahead_s)
         lead = self._at(self._config.feed_forward_lead_s)
-        return Target(now, lead.acceleration, ahead, attitude_ahead, self._config.trajectory.yaw_rad)
+        # On a hold or landing the target no longer moves as in the laps before.
+        phase = self.path.lap_phase(self._clock.time_s) if self._clock.steady else -1.0
+        yaw_rad = self._config.trajectory.yaw_rad
+        return Target(now, lead.acceleration, ahead, attitude_ahead, yaw_rad, phase, self.path.lap_s)
 
     def _at(self, lead_s: float) -> PathPoint:
         clock, descent = self._clock, self._descent_speed

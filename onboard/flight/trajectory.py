@@ -6,15 +6,19 @@ stop and start again (hold) without a jump of the target's velocity.
 
 from collections.abc import Sequence
 from math import cos, pi, sin
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
 from configs.loader import ConfigRecord
 from protocol.geometry import Vector3
 
 Positive = Annotated[float, Field(gt=0)]
 Coordinate = Annotated[float, Field(ge=-8, le=8, description="m")]
+LISSAJOUS_STREAM: Final = 211
+FREQUENCY_RATIOS: Final = ((1.6, 1.9), (2.1, 2.4))
+"""East frequency by north frequency of a Lissajous path; 2 would be a figure that repeats."""
 
 
 class PathPoint(NamedTuple):
@@ -43,6 +47,19 @@ class Figure8(ConfigRecord):
     period_s: Annotated[float, Field(ge=2, le=120, description="one lap")]
 
 
+class Lissajous(ConfigRecord):
+    """Path without laps: north A sin(omega_n t + phi_n), east B/2 sin(omega_e t + phi_e); frequencies drawn by seed.
+
+    It has the extent and the RMS speed of a figure-8 with the same three values.
+    """
+
+    kind: Literal["lissajous"]
+    length_m: Annotated[float, Field(gt=0, le=10, description="north extent, tip to tip")]
+    width_m: Annotated[float, Field(gt=0, le=10, description="east extent")]
+    period_s: Annotated[float, Field(ge=2, le=120, description="one lap of the figure-8 with the same RMS speed")]
+    seed: Annotated[int, Field(ge=0, lt=2**31, description="of frequencies and phases; default: the flight's seed")] = 1
+
+
 class Circle(ConfigRecord):
     """Circle through the take-off point, its centre to the north."""
 
@@ -64,13 +81,21 @@ class Waypoints(ConfigRecord):
 class TrajectoryConfig(ConfigRecord):
     """Take-off, hover, path, landing."""
 
-    path: Annotated[Hover | Figure8 | Circle | Waypoints, Field(discriminator="kind")]
+    path: Annotated[Hover | Figure8 | Lissajous | Circle | Waypoints, Field(discriminator="kind")]
     altitude_m: Annotated[float, Field(ge=0.3, le=8)]
     takeoff_s: Annotated[float, Field(ge=1, le=30)]
     settle_s: Annotated[float, Field(ge=0, le=60, description="hover between take-off and path")]
     ramp_s: Annotated[float, Field(ge=0, le=60, description="time in which a periodic path reaches its speed")]
     landing_speed_m_s: Annotated[float, Field(gt=0.05, le=1)]
     yaw_rad: Annotated[float, Field(ge=-pi, le=pi)]
+
+    @model_validator(mode="after")
+    def _start_is_smooth(self) -> Self:
+        if isinstance(self.path, Lissajous) and self.ramp_s <= 0.0:
+            raise ValueError(
+                f"ramp_s {self.ramp_s:g}: expected more than 0, because a lissajous path starts off centre"
+            )
+        return self
 
 
 def smooth_step(s: float) -> tuple[float, float, float]:
@@ -99,6 +124,7 @@ class Path:
         # Stored once: a failed isinstance of a pydantic record costs more than the whole path.
         self._figure8 = path if isinstance(path, Figure8) else None
         self._circle = path if isinstance(path, Circle) else None
+        self._lissajous = _drawn(path) if isinstance(path, Lissajous) else None
         self._omega = 2.0 * pi / path.period_s if isinstance(path, Figure8 | Circle) else 0.0
 
     @property
@@ -112,9 +138,20 @@ class Path:
         path = self._config.path
         return path.period_s if isinstance(path, Figure8 | Circle) else 0.0
 
+    @property
+    def window_s(self) -> float:
+        """Length of the windows of a flight's metrics, s: one lap, or as long on a lissajous path; 0 for none."""
+        path = self._config.path
+        return path.period_s if isinstance(path, Lissajous) else self.lap_s
+
     def laps_from_s(self) -> float:
         """Path time at which the first lap at full speed begins."""
         return self._start_s + self._config.ramp_s
+
+    def lap_phase(self, t: float) -> float:
+        """Share of the lap flown at path time t, in [0, 1); -1 before the first full lap and on a path without laps."""
+        since, lap_s = t - self.laps_from_s(), self.lap_s
+        return since / lap_s % 1.0 if lap_s > 0.0 and since >= 0.0 else -1.0
 
     def at(self, t: float) -> PathPoint:
         """Target at path time t [s], relative to the take-off point on the floor."""
@@ -123,6 +160,9 @@ class Path:
         if since > 0.0:
             if self._figure8 is not None:
                 return _figure8(self._figure8, *_phase(since, self._omega, self._ramp_s), d, vd, ad)
+            if self._lissajous is not None:
+                (north, v_n, a_n), (east, v_e, a_e) = (_swing(one, since, self._ramp_s) for one in self._lissajous)
+                return PathPoint((north, east, d), (v_n, v_e, vd), (a_n, a_e, ad))
             if self._circle is not None:
                 return _circle(self._circle, *_phase(since, self._omega, self._ramp_s), d, vd, ad)
             if self._legs:
@@ -170,6 +210,33 @@ def _circle(path: Circle, th: float, th1: float, th2: float, d: float, vd: float
         (R * s * th1, R * c * th1, vd),
         (R * (s * th2 + c * th1 * th1), R * (c * th2 - s * th1 * th1), ad),
     )
+
+
+class Swing(NamedTuple):
+    """A harmonic motion along one axis."""
+
+    amplitude_m: float
+    omega_rad_s: float
+    phase_rad: float
+
+
+def _drawn(path: Lissajous) -> tuple[Swing, Swing]:
+    """Draw the north and the east motion of a Lissajous path from its seed."""
+    rng = np.random.default_rng([path.seed, LISSAJOUS_STREAM])
+    ratio = float(rng.uniform(*FREQUENCY_RATIOS[int(rng.integers(2))]))
+    north_rad, east_rad = rng.uniform(-pi, pi, 2).tolist()
+    A, B = 0.5 * path.length_m, 0.5 * path.width_m
+    omega = 2.0 * pi / path.period_s * ((A * A + 4.0 * B * B) / (A * A + ratio * ratio * B * B)) ** 0.5
+    return Swing(A, omega, north_rad), Swing(B, ratio * omega, east_rad)
+
+
+def _swing(swing: Swing, t: float, ramp_s: float) -> Vector3:
+    """Position, velocity and acceleration along one axis; the amplitude grows over ramp_s along a smooth step."""
+    A, omega, phase = swing
+    p, v = A * sin(omega * t + phase), A * omega * cos(omega * t + phase)
+    share, rise, change = smooth_step(t / ramp_s)
+    rise, change = rise / ramp_s, change / ramp_s**2
+    return share * p, rise * p + share * v, change * p + 2.0 * rise * v - share * omega * omega * p
 
 
 Leg = tuple[float, float, Vector3, Vector3]

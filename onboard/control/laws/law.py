@@ -33,6 +33,10 @@ class ChannelState:
     """What the actuators deliver: m/s^2 or rad/s^2."""
     residual: Array = field(default_factory=lambda: np.zeros(3))
     """x_dot - A x - B u_hat, unfiltered."""
+    lap_phase: float = -1.0
+    """Share of the lap flown, in [0, 1); negative while the path does not repeat."""
+    lap_s: float = 0.0
+    """Duration of a lap, s."""
     signals: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """[SIGNAL_COUNT, 2]: signals at the present, and predicted for t_ahead later."""
 

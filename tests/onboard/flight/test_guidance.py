@@ -83,6 +83,17 @@ def test_a_held_target_has_no_lead():
     assert held.feed_forward == (0.0, 0.0, 0.0)
 
 
+def test_the_lap_phase_is_known_only_while_the_target_moves_as_in_the_laps_before():
+    flight = started()
+    assert fly(flight, (True, False, 6.4))[-1].lap_phase < 0.0
+    full_speed = fly(flight, (True, False, 2.0))[-1]
+    assert full_speed.lap_phase == pytest.approx((8.4 - 6.5) / 6.0)
+    assert full_speed.lap_s == 6.0
+    assert all(target.lap_phase < 0.0 for target in fly(flight, (False, False, 1.5)))
+    assert fly(flight, (True, False, 1.5))[-1].lap_phase >= 0.0
+    assert fly(flight, (False, True, 1.5))[-1].lap_phase < 0.0
+
+
 def test_a_shift_moves_target_and_look_ahead_alike():
     one, other = started(), started()
     other.shift((1.0, 2.0, -0.5))

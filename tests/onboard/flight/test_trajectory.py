@@ -21,6 +21,7 @@ COMMON = {
 PATHS = {
     "hover": {"kind": "hover"},
     "figure8": {"kind": "figure8", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0},
+    "lissajous": {"kind": "lissajous", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0, "seed": 7},
     "circle": {"kind": "circle", "radius_m": 0.8, "period_s": 5.0},
     "waypoints": {
         "kind": "waypoints",
@@ -38,7 +39,7 @@ def path(kind, **over):
 @pytest.mark.parametrize("kind", PATHS)
 @pytest.mark.parametrize("ramp_s", [0.0, 3.0])
 def test_derivatives_equal_finite_differences(kind, ramp_s):
-    flown = path(kind, ramp_s=ramp_s)
+    flown = path(kind, ramp_s=ramp_s or (0.5 if kind == "lissajous" else 0.0))
     h = 1e-5
     for t in np.random.default_rng(1).uniform(0.01, 25.0, 300):
         if abs(t - flown.start_s) < 0.01:
@@ -79,6 +80,54 @@ def test_laps_repeat_and_have_the_stated_size():
     points = np.array([flown.at(start + t).position for t in np.linspace(0, 6, 1201)])
     np.testing.assert_allclose(np.ptp(points, axis=0), (2.0, 1.0, 0.0), atol=1e-4)
     assert path("hover").lap_s == 0.0
+
+
+def lissajous(seed):
+    return path("lissajous", path={**PATHS["lissajous"], "seed": seed})
+
+
+def test_a_lissajous_path_is_drawn_by_its_seed_within_the_figure_8s_size_and_as_fast():
+    times = np.arange(0.0, 600.0, 0.05)
+    reference = path("figure8")
+    speed = rms_speed(reference, times)
+    for seed in range(8):
+        flown = lissajous(seed)
+        points = np.array([flown.at(flown.laps_from_s() + t).position for t in times])
+        assert np.abs(points[:, :2]).max(axis=0) == pytest.approx((1.0, 0.5), abs=0.01)
+        assert rms_speed(flown, times) == pytest.approx(speed, rel=0.01)
+    assert lissajous(3).at(9.0) == lissajous(3).at(9.0)
+    assert lissajous(3).at(9.0) != lissajous(4).at(9.0)
+
+
+def rms_speed(flown, times):
+    velocity = np.array([flown.at(flown.laps_from_s() + t).velocity for t in times])
+    return float(np.sqrt((velocity**2).sum(axis=1).mean()))
+
+
+def test_a_lissajous_path_does_not_come_back_with_the_figure_8s_lap():
+    """A lap later the target is somewhere else, and there is no phase to learn by."""
+    for seed in range(8):
+        flown = lissajous(seed)
+        times = flown.laps_from_s() + np.arange(0.0, 18.0, 0.05)
+        apart = np.array([np.subtract(flown.at(t + 6.0).position, flown.at(t).position) for t in times])
+        assert np.sqrt((apart**2).sum(axis=1).mean()) > 0.15
+        assert flown.lap_s == 0.0
+        assert flown.window_s == 6.0
+        assert flown.lap_phase(20.0) == -1.0
+
+
+def test_a_lissajous_path_needs_a_ramp():
+    with pytest.raises(ConfigError, match="ramp_s"):
+        path("lissajous", ramp_s=0.0)
+
+
+def test_the_lap_phase_runs_from_the_first_lap_at_full_speed():
+    flown = path("figure8")
+    start = flown.laps_from_s()
+    assert flown.lap_phase(start - 0.01) == -1.0
+    assert flown.lap_phase(start) == 0.0
+    assert flown.lap_phase(start + 7.5) == pytest.approx(0.25)
+    assert path("hover").lap_phase(20.0) == -1.0
 
 
 def test_the_circle_keeps_its_radius():
