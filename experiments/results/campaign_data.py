@@ -24,7 +24,10 @@ REPORT_SEED = 20_000
 """Seed of the resampling: each number has its own generator, so that a report is repeatable."""
 OURS = "dmrac"
 """The controller that the others are compared with."""
-CONTROLLER_ORDER = ("none", "pid", "indi", "l1", "bias", "paper_mrac", "mrac", "paper_dmrac", "dmrac")
+CONTROLLER_ORDER = (
+    *("none", "pid", "indi", "l1", "repetitive", "ilc"),
+    *("bias", "paper_mrac", "mrac", "paper_dmrac", "dmrac"),
+)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ STYLES: Final = {
     "pid": Style("#e69f00", "--", "s"),
     "indi": Style("#cc79a7", (0, (5, 1, 1, 1)), "v"),
     "l1": Style("#56b4e9", "-.", "^"),
+    "repetitive": Style("#000000", (0, (2, 1)), "*"),
+    "ilc": Style("#555555", (0, (6, 2)), "<"),
     "bias": Style("#009e73", (0, (3, 1, 1, 1, 1, 1)), "D"),
     "mrac": Style("#d55e00", (0, (4, 2)), "P"),
     "dmrac": Style("#0072b2", "-", "o"),

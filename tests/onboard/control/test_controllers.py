@@ -31,7 +31,7 @@ from tests.onboard.control.fixture import (
     shipped_controller,
 )
 
-BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi")
+BUILT_IN = ("none", "pid", "bias", "mrac", "dmrac", "l1", "indi", "repetitive", "ilc")
 NO_TRAINING = "offboard.trainer.minimum_samples=1000000"
 ROOT = Path(__file__).parents[3]
 DOCUMENT = ROOT / "docs" / "control.md"
@@ -117,7 +117,7 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_place(path: str, wha
 # --- constant disturbances -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["pid", "bias", "mrac", "dmrac", "indi"])
+@pytest.mark.parametrize("name", ["pid", "bias", "mrac", "dmrac", "indi", "repetitive", "ilc"])
 def test_a_constant_disturbance_is_cancelled(name: str) -> None:
     rows = Rig(shipped_controller(name), FORCE, TORQUE).fly(5.0)
     np.testing.assert_allclose(rows[-1]["position"], (0.0, 0.0, -1.0), atol=2e-3)
@@ -237,7 +237,7 @@ def test_nothing_adapts_while_it_must_hold_still(name: str) -> None:
     assert np.abs(column(rows, "position_e")).max() == 0.0
 
 
-@pytest.mark.parametrize("name", ["pid", "l1", "indi"])
+@pytest.mark.parametrize("name", ["pid", "l1", "indi", "repetitive", "ilc"])
 def test_reset_forgets_integrals_and_filters(name: str) -> None:
     rig = Rig(shipped_controller(name), FORCE, TORQUE)
     rig.fly(1.0)
