@@ -1,23 +1,33 @@
-"""`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep."""
+"""`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
+
+`dmrac bench sensors` compares the noise of the simulated IMU with real flight logs instead.
+"""
 
 import argparse
 import json
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
+SENSORS: Final = "sensors"
 EXAMPLES: Final = """examples:
   dmrac bench
+  dmrac bench sensors --set vehicle.sensors.imu.noise=measured
   dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac bench`."""
-    parser.add_argument("scenario", nargs="?", default=DEFAULT_SCENARIO, help="scenario to fly (default: %(default)s)")
+    parser.add_argument(
+        "scenario",
+        nargs="?",
+        default=DEFAULT_SCENARIO,
+        help="scenario to fly (default: %(default)s); sensors: compare the IMU's noise in hover with real flight logs",
+    )
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value by path")
@@ -26,12 +36,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0. Raises ConfigError for bad options."""
-    from experiments.timing.benchmark import measure
-
     if not 2.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
-    choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
-    report = measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console().print)
+    report = _sensors(arguments) if arguments.scenario == SENSORS else _times(arguments)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return 0
+
+
+def _times(arguments: argparse.Namespace) -> dict[str, Any]:
+    from experiments.timing.benchmark import measure
+
+    choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
+    return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console().print)
+
+
+def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:
+    from experiments.flights.sensor_noise import NOT_MEASURED_S, as_json, compare_noise, noise_table
+
+    choices = Choices(arguments.controller, None, arguments.seconds + NOT_MEASURED_S, tuple(arguments.set))
+    config = resolve("hover", choices)
+    rows = compare_noise(config)
+    plain_console().print(noise_table(config, rows))
+    return as_json(config, rows)

@@ -1,6 +1,6 @@
 """Several sub-steps in one call: disturbances, motors, battery, rigid body, sums for sensors and truth. Compiled."""
 
-from math import acos
+from math import acos, cos, sin
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import Array
@@ -85,6 +85,20 @@ def account_flow(state: Array, R: Rotation, P: Array, sums: Array) -> None:
 
 
 @compiled
+def account_tones(state: Array, P: Array, sums: Array) -> None:
+    """Add one sub-step to the rotors' tones that the IMU feels (sim_vehicle/sensors/vibration.py)."""
+    if P[at.SUM_TONES] <= 0.0:
+        return
+    for i in range(4):
+        c, s = cos(state[at.ROTOR_PHASE + i]), sin(state[at.ROTOR_PHASE + i])
+        thrust, first = state[at.THRUST + i], at.IMU_TONES + 4 * i
+        sums[first] += thrust * c
+        sums[first + 1] += thrust * s
+        sums[first + 2] += thrust * (c * c - s * s)
+        sums[first + 3] += thrust * 2.0 * s * c
+
+
+@compiled
 def watch_floor(state: Array, sinking: float, R: Rotation, P: Array, sums: Array) -> None:
     """Update the airborne flag, and speed and tilt of touch-downs. sinking: m/s at the start of the sub-step."""
     lowest = lowest_point(state, R, P) if state[at.POSITION + 2] > -FLOOR_REACH else -1.0
@@ -136,6 +150,7 @@ def advance(
         middle = rotation(q0 + state[6], q1 + state[7], q2 + state[8], q3 + state[9])
         account(state, before, middle, nominal, P, sums)
         account_flow(state, middle, P, sums)
+        account_tones(state, P, sums)
         watch_floor(state, p2, middle, P, sums)
 
 

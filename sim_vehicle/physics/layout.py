@@ -34,10 +34,11 @@ TRUTH_FORCE: Final = 11  # N s, [3] integral of the disturbance force, NED
 TRUTH_TORQUE: Final = 14  # N m s, [3] integral of the disturbance torque, body FRD
 TRUTH_VELOCITY: Final = 17  # m/s, [3] velocity gained
 TRUTH_RATES: Final = 20  # rad/s, [3] rates gained
-TOUCH_SPEED: Final = 23  # m/s, greatest sinking speed at a touch-down
-TOUCH_TILT: Final = 24  # rad, greatest tilt at a touch-down
-CURRENT: Final = 25  # A, last battery current
-SUMS_SIZE: Final = 26
+IMU_TONES: Final = 23  # N, [4, 4] thrust of each rotor times cos, sin of its phase and of twice its phase
+TOUCH_SPEED: Final = 39  # m/s, greatest sinking speed at a touch-down
+TOUCH_TILT: Final = 40  # rad, greatest tilt at a touch-down
+CURRENT: Final = 41  # A, last battery current
+SUMS_SIZE: Final = 42
 
 # --- parameters: constant until a disturbance begins or ends ----------------------------------------------------
 MASS: Final = 0  # kg, with payload
@@ -84,7 +85,9 @@ NOMINAL_MAX_THRUST: Final = 66  # N
 NOMINAL_TORQUE_RATIO: Final = 67  # m
 NOMINAL_ARM_X: Final = 68  # m
 NOMINAL_ARM_Y: Final = 69  # m
-PARAMETERS_SIZE: Final = 70
+SUM_TONES: Final = 70  # 1: sum IMU_TONES; 0: leave them at 0
+ROTOR_SPEED: Final = 71  # [4] factor of the speed that a rotor needs for its thrust
+PARAMETERS_SIZE: Final = 75
 
 # --- one row per disturbance that acts in every sub-step --------------------------------------------------------
 ROW_NUMBER: Final = 0  # place of its class in world.catalogue.acting_classes

@@ -40,7 +40,8 @@ def lag_motors(state: Array, commands: Array, P: Array, thrust: Array) -> None:
         thrust[1, i] = middle
         thrust[2, i] = end
         state[at.THRUST + i] = end
-        phase = state[at.ROTOR_PHASE + i] + sqrt(middle / P[at.THRUST_SLOPE]) * P[at.STEP]
+        speed = sqrt(middle / P[at.THRUST_SLOPE]) * P[at.ROTOR_SPEED + i]
+        phase = state[at.ROTOR_PHASE + i] + speed * P[at.STEP]
         state[at.ROTOR_PHASE + i] = phase - TWO_PI * int(phase / TWO_PI)
         nominal = state[at.NOMINAL_THRUST + i]
         target = commands[i] * P[at.NOMINAL_MAX_THRUST]

@@ -1,8 +1,8 @@
 """Constants of the vehicle as typed records, with units. Values and their sources: configs/vehicles/*.yaml."""
 
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from configs.loader import ConfigRecord
 from protocol.geometry import Vector3
@@ -11,6 +11,8 @@ PositiveVector3 = tuple[
     Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]
 ]
 UnitVector3 = tuple[Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)]]
+
+RotorSpeed = Annotated[float, Field(ge=0.8, le=1.2)]
 
 
 class BodyConfig(ConfigRecord):
@@ -84,6 +86,29 @@ class NominalConfig(ConfigRecord):
     motors: MotorConfig
 
 
+class MeasuredNoiseConfig(ConfigRecord):
+    """Noise of accelerometer and gyro with the spectrum of real flights (sim_vehicle/sensors/vibration.py).
+
+    Axes: x, y, z, body FRD. White noise is per sample at the IMU's rate. The others are standard deviations in hover
+    of the signal that the sensor samples at 1 kHz; the IMU sends means of five such samples. They grow with thrust.
+    """
+
+    accelerometer_white_m_s2: UnitVector3 = Field(description="m/s^2, white")
+    accelerometer_tone_m_s2: UnitVector3 = Field(description="m/s^2, of all rotors, once per revolution")
+    accelerometer_broad_m_s2: UnitVector3 = Field(description="m/s^2, broad band, white before its high-pass")
+    gyroscope_white_rad_s: UnitVector3 = Field(description="rad/s, white")
+    gyroscope_tone_rad_s: UnitVector3 = Field(description="rad/s, of all rotors, once per revolution")
+    gyroscope_broad_rad_s: UnitVector3 = Field(description="rad/s, broad band, white before its high-pass")
+    blade_share: float = Field(ge=0.0, description="tone twice per revolution (two blades), share of the other")
+    rotor_spread: float = Field(ge=0.0, lt=1.0, description="share by which the tones of the rotors differ, uniform")
+    rotor_speed: tuple[RotorSpeed, RotorSpeed, RotorSpeed, RotorSpeed] = Field(
+        description="factor of the speed that each rotor needs for its thrust, PX4 order; the tones of equal rotors "
+        "would add up, or cancel, for a whole flight"
+    )
+    broad_above_hz: float = Field(gt=0.0, le=400.0, description="Hz, corner of the broad band's high-pass")
+    factor: float = Field(default=1.0, ge=0.0, description="of all noise above")
+
+
 class ImuConfig(ConfigRecord):
     """Accelerometer, gyro and barometer, which share HIL_SENSOR.
 
@@ -91,6 +116,12 @@ class ImuConfig(ConfigRecord):
     with the given sigmas, gyro uniform within plus or minus the given bounds.
     """
 
+    noise: Literal["white", "measured"] = Field(
+        default="white",
+        description="of accelerometer and gyro; white: accelerometer_noise_m_s2, accelerometer_vibration_m_s2 and "
+        "gyroscope_noise_rad_s; measured: the section measured",
+    )
+    measured: MeasuredNoiseConfig | None = Field(default=None, description="needed with noise: measured")
     accelerometer_bias_sigma_m_s2: UnitVector3 = Field(description="m/s^2")
     accelerometer_noise_m_s2: float = Field(ge=0.0, description="m/s^2, motors off")
     accelerometer_vibration_m_s2: float = Field(ge=0.0, description="m/s^2, at hover thrust, added in square")
@@ -105,6 +136,17 @@ class ImuConfig(ConfigRecord):
     pressure_bias_sigma_pa: float = Field(ge=0.0, description="Pa, drawn once")
     pressure_step_pa: float = Field(gt=0.0, description="Pa, quantisation")
     pressure_at_floor_pa: float = Field(gt=0.0, description="Pa at d = 0")
+
+    @property
+    def vibration(self) -> MeasuredNoiseConfig | None:
+        """The noise as measured, if that is chosen."""
+        return self.measured if self.noise == "measured" else None
+
+    @model_validator(mode="after")
+    def _measured_is_there(self) -> Self:
+        if self.noise == "measured" and self.measured is None:
+            raise ValueError("noise: measured needs the section measured")
+        return self
 
 
 class UltrasonicConfig(ConfigRecord):

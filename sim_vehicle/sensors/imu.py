@@ -11,23 +11,29 @@ from protocol.conventions import GRAVITY, Array
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.draws import NormalRows
 from sim_vehicle.physics.parameters import ImuConfig
+from sim_vehicle.sensors.vibration import Vibration
 
 AIR_DENSITY = 1.184
 """kg/m^3, the value of the thrust map."""
 PRESSURE_RANGE = 2.0e5
 """Pa, full scale."""
+NO_VIBRATION: Array = np.zeros(6)
+NO_SHAKING: Array = np.zeros((4, 2))
 ACCELEROMETER_NOISE, VIBRATION, HOVER_THRUST, GYROSCOPE_NOISE, PRESSURE_NOISE, FLOOR_PRESSURE = 0, 1, 2, 3, 4, 5
 ACCELEROMETER_STEP, ACCELEROMETER_RANGE, GYROSCOPE_STEP, GYROSCOPE_RANGE, PRESSURE_STEP = 6, 7, 8, 9, 10
 
 
 def imu_settings(config: ImuConfig, hover_thrust_n: float) -> Array:
     """[11] settings of `read_imu`. hover_thrust_n: of one motor."""
+    white = config.accelerometer_noise_m_s2, config.accelerometer_vibration_m_s2, config.gyroscope_noise_rad_s
+    if config.vibration is not None:  # it contains white noise of its own
+        white = 0.0, 0.0, 0.0
     return np.array(
         [
-            config.accelerometer_noise_m_s2,
-            config.accelerometer_vibration_m_s2,
+            white[0],
+            white[1],
             hover_thrust_n,
-            config.gyroscope_noise_rad_s,
+            white[2],
             config.pressure_noise_pa,
             config.pressure_at_floor_pa,
             config.accelerometer_step_m_s2,
@@ -47,18 +53,26 @@ def quantised(value: float, step: float, full: float) -> float:
 
 @compiled
 def read_imu(
-    state: Array, sums: Array, shaking: Array, bias: Array, noise: Array, settings: Array, reading: Array
+    state: Array,
+    sums: Array,
+    shaking: Array,
+    vibration: Array,
+    bias: Array,
+    noise: Array,
+    settings: Array,
+    reading: Array,
 ) -> None:
     """Write accelerometer (m/s^2) and gyro (rad/s), both body FRD, and pressure (Pa) into reading[7]; zero the sums.
 
     shaking: [4, 2] amplitude of each rotor's imbalance at hover speed, m/s^2 and rad/s. It turns with the rotor's
     phase, so that 200 Hz sampling aliases it as in a real IMU without a filter. It grows with the squared rotor speed.
-    bias: [7]. noise: [7] unit normal draws. settings: see imu_settings.
+    vibration: [6] m/s^2 and rad/s to add, see Vibration. bias: [7]. noise: [7] unit normal draws.
+    settings: see imu_settings.
     """
     time = max(sums[at.IMU_TIME], 1.0e-9)
     for i in range(3):
-        reading[i] = sums[at.IMU_FORCE + i] / time
-        reading[3 + i] = state[at.RATES + i]
+        reading[i] = sums[at.IMU_FORCE + i] / time + vibration[i]
+        reading[3 + i] = state[at.RATES + i] + vibration[3 + i]
     sums[at.IMU_TIME : at.IMU_FORCE + 3] = 0.0
     level = 0.0
     for i in range(4):
@@ -70,8 +84,8 @@ def read_imu(
             reading[1] += shaking[i, 0] * s
             reading[3] += shaking[i, 1] * s
             reading[4] += shaking[i, 1] * c
-    vibration = settings[VIBRATION] * level
-    sigma = sqrt(settings[ACCELEROMETER_NOISE] ** 2 + vibration * vibration)
+    shaken = settings[VIBRATION] * level
+    sigma = sqrt(settings[ACCELEROMETER_NOISE] ** 2 + shaken * shaken)
     for i in range(3):
         value = reading[i] + bias[i] + sigma * noise[i]
         reading[i] = quantised(value, settings[ACCELEROMETER_STEP], settings[ACCELEROMETER_RANGE])
@@ -109,11 +123,17 @@ class Imu:
         self._settings = imu_settings(config, hover_thrust_n)
         self._noise = NormalRows(rng, 7)
         self._reading = np.zeros(7)
+        self._vibration: Vibration | None = None
+        if config.vibration is not None:
+            self._vibration = Vibration(config.vibration, hover_thrust_n, seed, stream)
         self._delayed: deque[list[float]] = deque(maxlen=config.gyroscope_delay_samples + 1)
 
     def sample(self, state: Array, sums: Array, shaking: Array) -> ImuSample:
         """Read the sensors and zero the IMU's sums. shaking: [4, 2], see `read_imu`."""
-        read_imu(state, sums, shaking, self.bias, self._noise.take(), self._settings, self._reading)
+        vibration = NO_VIBRATION
+        if self._vibration is not None:
+            vibration, shaking = self._vibration.sample(state, sums, shaking), NO_SHAKING
+        read_imu(state, sums, shaking, vibration, self.bias, self._noise.take(), self._settings, self._reading)
         ax, ay, az, *gyroscope, pressure = self._reading.tolist()
         self._delayed.append(gyroscope)
         p, q, r = self._delayed[0]

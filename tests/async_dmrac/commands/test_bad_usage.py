@@ -27,6 +27,11 @@ from flight_log import viewer
         ("config --vehicle 0", "--vehicle 0: Input should be greater than or equal to 1"),
         ("config --vehicle 101", "--vehicle 101: Input should be less than or equal to 100"),
         ("bench --seconds 0", "--seconds 0: allowed are 2 to 600"),
+        ("bench sensors --seconds 1", "--seconds 1: allowed are 2 to 600"),
+        (
+            "bench sensors --set vehicle.sensors.imu.noise=pink",
+            "imu.noise: 'pink': Input should be 'white' or 'measured'",
+        ),
         ("bench no_such_scenario", "unknown scenario 'no_such_scenario': allowed are blackout, "),
         ("tune magic --controller pid --trials 1", "unknown campaign 'magic': allowed are ablations, "),
         ("campaign magic", "unknown campaign 'magic': allowed are ablations, "),

@@ -119,7 +119,7 @@ def test_imbalance_aliases_rotor_speed():
     for k in range(2000):
         sums[at.IMU_TIME] = 0.005
         state[at.ROTOR_PHASE + 2] = (speed * 0.005 * k) % (2 * pi)
-        read_imu(state, sums, shaking, np.zeros(7), noise, settings, reading)
+        read_imu(state, sums, shaking, np.zeros(6), np.zeros(7), noise, settings, reading)
         values[k] = reading
     spectrum = np.abs(np.fft.rfft(values, axis=0)) / 1000
     frequency = np.fft.rfftfreq(2000, 0.005)
