@@ -11,4 +11,3 @@ class RealtimeConfig(ConfigRecord):
     priority: int = Field(default=40, ge=0, le=90, description="SCHED_FIFO priority to request; 0: none")
     spin_us: int = Field(default=0, ge=0, le=2000, description="us of busy waiting before each deadline; 0: sleep")
     escapes_max: int = Field(default=20, ge=1, le=1000, description="exceptions of a step after which the flight ends")
-    landing_limit_s: float = Field(default=8.0, gt=0, le=60, description="s that a landing on request may take")

@@ -3,8 +3,8 @@
     wait -> receive -> tick -> send
 
 If a tick raises, the process sends the safe motor command, logs the exception and counts it. After a limited number of
-such ticks the flight ends with the motors off. The first SIGINT or SIGTERM makes the core land; the second ends the
-process at once.
+such ticks the flight ends with the motors off. The first SIGINT or SIGTERM makes the core land, from any height: the
+supervisor limits how long a landing may take (onboard/flight/supervisor.py). The second ends the process at once.
 """
 
 import contextlib
@@ -101,7 +101,7 @@ class OnboardProcess:
         self._loop_record = np.zeros(len(LOOP.fields))
         self._datagrams = DatagramLogWriter()
         self._last_vehicle_ns = 0
-        self._landing_until_ns = 0
+        self._stopping = False
         self._land_pending = False
         self._latest_report = ""
         self.escapes = 0
@@ -117,6 +117,7 @@ class OnboardProcess:
                 received = self._receive()
                 now = time.monotonic_ns()  # after the reads: no arrival is later
                 output = self._core.tick(now, *self._logged(received, now), missed_ticks=self._pace.missed)
+                self._land_pending = False  # a request in a tick that raised is repeated
             except Exception:
                 output = self._answer_escape(now)
             if output is not None:
@@ -139,7 +140,7 @@ class OnboardProcess:
         self, received: tuple[list[Stamped], list[Stamped], list[Stamped]], now: int
     ) -> tuple[list[Arrival], list[Arrival], list[Arrival], bool]:
         """The datagrams with their ages, and whether to land; all of it logged."""
-        land, self._land_pending = self._land_pending, False
+        land = self._land_pending
         if land:
             self._datagrams.land_request()
         ages = [[Arrival(datagram, now - arrival_ns) for datagram, arrival_ns in one] for one in received]
@@ -199,11 +200,10 @@ class OnboardProcess:
             return True
         if self._stop.count == 0:
             return False
-        if self._landing_until_ns == 0:
-            self._landing_until_ns = now + round(self._realtime.landing_limit_s * 1e9)
-            self._land_pending = True
+        if not self._stopping:
+            self._stopping = self._land_pending = True
         silent = now - self._last_vehicle_ns > VEHICLE_SILENT_NS
-        return silent or now > self._landing_until_ns or not self._core.airborne
+        return silent or not self._core.airborne
 
     def _leave_safe(self, now: int) -> None:
         for _ in range(FINAL_SAFE_COMMANDS):

@@ -30,7 +30,7 @@ START_PHASE_NS: Final = 1_000_000
 """From a motor command to the sensors, which are then 3 to 4 ms old at the next onboard tick."""
 MOTOR_DATAGRAMS_PER_WAKE: Final = 16
 RADIO_DATAGRAMS_PER_WAKE: Final = 64
-LANDING_OVERTIME_NS: Final = 8_000_000_000
+LANDING_OVERTIME_NS: Final = 25_000_000_000
 """Time to land for a vehicle that is still in the air at the end of the flight."""
 _AIRBORNE: Final = TRUTH.names.index("airborne")
 AFTER_CRASH_NS: Final = 500_000_000

@@ -46,6 +46,7 @@ class Event(Enum):
     """Everything that can change the mode; the value is its text in the log."""
 
     TERMINATE = "flight terminated by command"
+    IMU_SILENT_LANDED = "IMU silent on the floor"
     IMU_SILENT = "IMU silent"
     FAULT = "fault in the flight computation"
     TILTED = "tilt beyond the limit"
@@ -77,6 +78,7 @@ _MOTORS_OFF: Final[Row] = (
     (E.FAULT, M.EMERGENCY),
     (E.TILTED, M.EMERGENCY),
 )
+_MOTORS_OFF_DESCENDING: Final[Row] = (_MOTORS_OFF[0], (E.IMU_SILENT_LANDED, M.LANDED), *_MOTORS_OFF[1:])
 _COME_DOWN: Final[Row] = (
     (E.VELOCITY_LOST, M.HOLD_LEVEL),
     (E.LAND, M.LANDING),
@@ -100,8 +102,18 @@ TRANSITIONS: Final[dict[FlightMode, Row]] = {
     M.TAKE_OFF: (*_MOTORS_OFF, *_COME_DOWN, (E.TIME_UP, M.LANDING), (E.AT_HEIGHT, M.FLYING)),
     M.FLYING: (*_MOTORS_OFF, *_COME_DOWN, (E.POSITION_LOST, M.HOLD)),
     M.HOLD: (*_MOTORS_OFF, *_COME_DOWN, (E.POSITION_BACK, M.FLYING), (E.TIME_UP, M.LANDING)),
-    M.HOLD_LEVEL: (*_MOTORS_OFF, (E.TOUCHED_DOWN, M.LANDED), (E.VELOCITY_BACK, M.LANDING), (E.TIME_UP, M.LANDED)),
-    M.LANDING: (*_MOTORS_OFF, (E.TOUCHED_DOWN, M.LANDED), (E.VELOCITY_LOST, M.HOLD_LEVEL), (E.TIME_UP, M.HOLD_LEVEL)),
+    M.HOLD_LEVEL: (
+        *_MOTORS_OFF_DESCENDING,
+        (E.TOUCHED_DOWN, M.LANDED),
+        (E.VELOCITY_BACK, M.LANDING),
+        (E.TIME_UP, M.LANDED),
+    ),
+    M.LANDING: (
+        *_MOTORS_OFF_DESCENDING,
+        (E.TOUCHED_DOWN, M.LANDED),
+        (E.VELOCITY_LOST, M.HOLD_LEVEL),
+        (E.TIME_UP, M.HOLD_LEVEL),
+    ),
     M.LANDED: ((E.TERMINATE, M.TERMINATED), (E.DISARM, M.BOOT), (E.TIME_UP, M.BOOT)),
     M.EMERGENCY: ((E.TERMINATE, M.TERMINATED), (E.DISARM, M.BOOT)),
     M.TERMINATED: (),

@@ -1,7 +1,8 @@
 """Supervisor: chooses the flight mode by the table in modes.py.
 
 In every step the row of the present mode is read from the left, and the first event whose condition is true decides.
-Some conditions must be true without a break, in one mode, for a given time.
+Some conditions must be true without a break, in one mode, for a given time. The time limits of a descent count from
+the last progress, so a descent from any height ends on the floor.
 
 Reactions in flight when an input is silent: IMU, 50 ms: motors off. Velocity aid (pose or flow), 2 s: level and
 descend. Pose, 0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). Battery
@@ -26,6 +27,9 @@ LEVEL_MAX_RAD: Final = 0.35
 """A vehicle with more tilt is not armed."""
 _QUEUE_MAX: Final = 8
 """Commands that may wait for the next steps."""
+_DESCENDING: Final = frozenset({M.HOLD_LEVEL, M.LANDING})
+_PROGRESS_M: Final = 0.05
+"""A descent that gets lower by this has made progress: its time limit starts again."""
 _NOT_READY_NS: Final = 2 * 10**9
 """A reason against arming that lasts this long is reported."""
 
@@ -57,8 +61,8 @@ class SupervisorConfig(ConfigRecord):
     take_off_max_s: float = Field(default=8.0, gt=0, description="s; then landing")
     armed_max_s: float = Field(default=10.0, gt=0, description="s on the ground with idle motors; then disarmed")
     hold_max_s: float = Field(default=20.0, gt=0, description="s on flow alone; then landing")
-    level_max_s: float = Field(default=8.0, gt=0, description="s of level descent; then motors off")
-    landing_max_s: float = Field(default=20.0, gt=0, description="s; then level descent")
+    level_max_s: float = Field(default=8.0, gt=0, description="s of level descent without progress; then motors off")
+    landing_max_s: float = Field(default=20.0, gt=0, description="s without getting lower; then level descent")
     landed_s: float = Field(default=1.0, gt=0, description="s after touch-down until the next flight may be prepared")
     touch_down_height_m: float = Field(default=0.12, gt=0, description="m; below it and slow is touch-down")
     touch_down_speed_m_s: float = Field(default=0.15, gt=0, description="m/s")
@@ -107,7 +111,8 @@ class Supervisor:
     def __init__(self, config: SupervisorConfig) -> None:
         self._config = config
         self._since_ns: dict[Event, int] = {}
-        self._entered_ns: int | None = None
+        self._timed_from_ns: int | None = None
+        self._lowest_m = math.inf
         self._offboard_silent = True
         self._not_ready_kind = ""
         self._not_ready_since_ns = 0
@@ -188,8 +193,10 @@ class Supervisor:
 
     def step(self, inputs: SupervisorInputs) -> FlightMode:
         """Read the row of the present mode and make at most one transition."""
-        if self._entered_ns is None:
-            self._entered_ns = inputs.now_ns
+        if self._timed_from_ns is None:
+            self._timed_from_ns = inputs.now_ns
+        if self.mode in _DESCENDING:
+            self._note_progress(inputs)
         self._inputs = inputs
         self._command = self._next_command()
         for condition, event, target in _RULES[self.mode]:
@@ -203,6 +210,12 @@ class Supervisor:
         if self.mode is M.BOOT:
             self._report_readiness(inputs)
         return self.mode
+
+    def _note_progress(self, inputs: SupervisorInputs) -> None:
+        """Start the time limit again when the descent has got lower. Below the floor nothing counts as progress."""
+        if 0.0 < inputs.height_m < self._lowest_m - _PROGRESS_M:
+            self._lowest_m = inputs.height_m
+            self._timed_from_ns = inputs.now_ns
 
     def _next_command(self) -> Command | None:
         """The next command; termination goes before all others."""
@@ -222,7 +235,8 @@ class Supervisor:
         why = f": {self.arming_refusal(inputs)}" if event is E.UNHEALTHY else ""
         self._events.append((inputs.now_ns, f"{self.mode.name} -> {mode.name}: {event.value}{why}"))
         self.mode = mode
-        self._entered_ns = inputs.now_ns
+        self._timed_from_ns = inputs.now_ns
+        self._lowest_m = inputs.height_m
         self._since_ns.clear()
         self._not_ready_kind = ""
         if mode is M.TAKE_OFF:
@@ -285,8 +299,8 @@ class Supervisor:
         return inputs.distance_m > self._config.fence_m or inputs.height_m > self._config.ceiling_m
 
     def _time_up(self, inputs: SupervisorInputs) -> bool:
-        assert self._entered_ns is not None
-        return inputs.now_ns - self._entered_ns >= self._time_limit_ns[self.mode]
+        assert self._timed_from_ns is not None
+        return inputs.now_ns - self._timed_from_ns >= self._time_limit_ns[self.mode]
 
     def _at_height(self, inputs: SupervisorInputs) -> bool:
         return inputs.height_m >= self._config.take_off_height_m - self._config.take_off_tolerance_m
@@ -294,6 +308,9 @@ class Supervisor:
 
 _CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] = {
     E.TERMINATE: lambda s, i: s._command is Command.TERMINATE,
+    E.IMU_SILENT_LANDED: lambda s, i: (
+        i.imu_age_s > s._config.imu_silent_s and i.height_m < s._config.touch_down_height_m
+    ),
     E.IMU_SILENT: lambda s, i: i.imu_age_s > s._config.imu_silent_s,
     E.FAULT: lambda s, i: i.fault,
     E.TILTED: lambda s, i: not i.tilt_rad <= s._config.tilt_max_rad,

@@ -14,7 +14,7 @@ from onboard.record.datagram_log import Entry, LoggedTick, read_tick
 from runtime.sockets import Stamped
 
 PERIOD_NS = 1_000_000
-REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3, landing_limit_s=0.2)
+REALTIME = RealtimeConfig(priority=0, spin_us=0, escapes_max=3)
 
 
 PEERS = ("vehicle", "offboard", "ground")
@@ -151,12 +151,28 @@ def test_a_core_that_cannot_even_be_safe_does_not_hold_the_loop(capsys: pytest.C
     assert bench.sockets.vehicle.sent == []
 
 
-def test_the_first_request_lands_and_the_limit_ends_it() -> None:
-    bench = Bench(lambda core: setattr(bench.stop, "count", 1) if core.steps == 5 else None)
+def test_the_first_request_lands_and_the_motors_run_until_the_vehicle_is_on_the_floor() -> None:
+    def script(core: FakeCore) -> None:
+        bench.stop.count = int(core.steps >= 5)
+        core.airborne = core.steps < 1000
+
+    bench = Bench(script)
     assert bench.process.fly() == 0
     assert bench.core.land_requests == 1
-    assert bench.core.steps > 5 + 0.1 * REALTIME.landing_limit_s * 1e9 / PERIOD_NS
+    assert bench.core.steps == 1000
     assert bench.sockets.vehicle.sent[-1] == b"off"
+
+
+def test_a_request_to_land_in_a_step_that_fails_is_repeated() -> None:
+    def script(core: FakeCore) -> None:
+        bench.stop.count = int(core.steps >= 5)
+        core.airborne = core.steps < 10
+        if core.steps == 6:
+            raise RuntimeError("broken once")
+
+    bench = Bench(script)
+    assert bench.process.fly() == 0
+    assert bench.core.land_requests == 2
 
 
 def test_the_second_request_ends_at_once() -> None:

@@ -37,6 +37,7 @@ QUIET = {
 """Inputs without an event in a mode, where they differ from GOOD."""
 
 CAUSES = {
+    E.IMU_SILENT_LANDED: {"imu_age_s": 0.06, "height_m": 0.1},
     E.IMU_SILENT: {"imu_age_s": 0.06},
     E.FAULT: {"fault": True},
     E.TILTED: {"tilt_rad": 1.5},
@@ -119,6 +120,8 @@ def test_every_mode_against_every_event(mode, event):
         if mode not in (M.LANDED,):  # a second passes, and LANDED lasts no longer
             pilot.step(1.01)
     reached = [text.split()[2].rstrip(":") for text in pilot.texts() if "->" in text]
+    if event is E.IMU_SILENT_LANDED and event not in row:
+        event = E.IMU_SILENT  # which it is, too
     if (mode, event) == (M.READY, E.IMU_SILENT):
         event = E.UNHEALTHY  # which a silent IMU is, too
     if event in row:
@@ -264,6 +267,11 @@ STORIES = {
     "an emergency ends by disarming": (M.EMERGENCY, {}, (30.0, {}, M.EMERGENCY), (0.0, Command.DISARM, M.BOOT)),
     "land on the ground": (M.READY, {}, (0.0, Command.LAND, M.READY)),
     "land in flight": (M.FLYING, {}, (0.0, Command.LAND, M.LANDING)),
+    "a landed vehicle that falls silent has landed": (
+        *(M.LANDING, {}, (0.2, {"height_m": 0.05}, M.LANDING), (0.0, {"imu_age_s": 0.06}, M.LANDED)),
+        (1.1, {"imu_age_s": 1.2, "pose_age_s": 9.0, "ground_age_s": 9.0, "initialised": False}, M.BOOT),
+    ),
+    "silent in a landing at 0.3 m": (M.LANDING, {}, (0.0, {"height_m": 0.3, "imu_age_s": 0.06}, M.EMERGENCY)),
     "land when armed": (M.ARMED, {}, (0.0, Command.LAND, M.READY)),
     **{f"tilt {tilt}": (M.FLYING, {}, (0.0, {"tilt_rad": tilt}, M.EMERGENCY)) for tilt in (1.41, math.pi, math.nan)},
 }
@@ -280,6 +288,18 @@ def test_a_story(name):
         else:
             pilot.step(seconds, **cause)
         assert pilot.mode is expected
+
+
+@pytest.mark.parametrize(
+    ("mode", "age_s", "next_mode"), [(M.LANDING, 0.02, M.HOLD_LEVEL), (M.HOLD_LEVEL, 5.0, M.LANDED)]
+)
+def test_a_descent_has_the_time_that_its_height_needs(mode, age_s, next_mode):
+    pilot = Pilot(M.FLYING, landing_max_s=4.0, level_max_s=4.0)
+    pilot.command(Command.LAND)
+    assert pilot.step(height_m=8.0, climb_m_s=-0.2, velocity_aid_age_s=age_s) is mode
+    for decimetres in range(79, 4, -1):  # 75 s
+        assert pilot.step(1.0, height_m=0.1 * decimetres - 0.01) is mode
+    assert pilot.step(3.3) is next_mode
 
 
 # -- ages -------------------------------------------------------------------------------------------------------------
