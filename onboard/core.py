@@ -37,6 +37,7 @@ from onboard.sampling.signal_vector import SignalVector
 from protocol.arrival import Datagrams, at_times
 from protocol.clock import ForwardClock
 from protocol.conventions import GRAVITY, NEVER_NS, Array
+from protocol.geometry import vector
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading
 from protocol.messages import FeatureChunk
@@ -102,6 +103,7 @@ class OnboardCore:
         self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
+        self._touch_down_height_m = config.supervisor.touch_down_height_m
         self._arming = ArmingChecks(config, clearance)
         self._guidance = Guidance(config.guidance)
         self._actuators = ActuatorModel(config.airframe, self._dt)
@@ -119,8 +121,8 @@ class OnboardCore:
         self._command_before: Thrusts = ZERO
         self._saturated = False
         self._land_requested = False
-        self._ticks = self._missed_ticks = self._resets_seen = 0
-        self._posed = self._posed_in_time = False
+        self._ticks = self._missed_ticks = 0
+        self._posed = False
         self._tracking_error_m = 0.0
 
     def tick(
@@ -180,7 +182,7 @@ class OnboardCore:
             motors=motors,
             motor_thrusts_n=delivered.thrusts_n,
         )
-        self._tracking_error_m = dist(state.position.tolist(), target.now.position)
+        self._tracking_error_m = dist(state.position.tolist(), target.path.position)
         self._ticks += 1
         return output
 
@@ -214,11 +216,10 @@ class OnboardCore:
                 self._ground_link.acknowledge(command, refusal, now_ns)
 
     def _collect_events(self, output: OnboardOutput) -> None:
-        """Events of the blocks that received; those of the vehicle link also go to the pilot's screen."""
+        """Events of the blocks that received; those of vehicle link and estimator also go to the pilot's screen."""
         output.events += self._offboard_link.take_events()
-        for when_ns, text in self._vehicle_link.take_events():
+        for when_ns, text in (*self._vehicle_link.take_events(), *self._estimator.take_events()):
             self._announce(when_ns, text)
-        output.events += self._estimator.take_events()
 
     def _announce(self, when_ns: int, text: str) -> None:
         """Log an event and show it on the pilot's screen."""
@@ -283,17 +284,12 @@ class OnboardCore:
         )
 
     def _guide(self, state: VehicleState, mode: FlightMode) -> Target:
-        """The target of this tick. A first pose that arrives in flight shifts the path, not the vehicle."""
-        if state.position_reset_count != self._resets_seen:
-            self._resets_seen = state.position_reset_count
-            if not self._posed_in_time:
-                north, east, down = state.position_jump.tolist()
-                self._guidance.shift((north, east, down))
-            self._posed_in_time = self._posed
-        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt)
+        """The target of this tick."""
+        self._guidance.follow_jump(state, self._posed)
+        low = mode not in AIRBORNE or -float(state.position[2]) < self._touch_down_height_m
+        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt, low)
         if mode is HOLD_LEVEL:  # the vehicle drifts: a landing that follows begins where the vehicle is then
-            north, east, down = (state.position - target.now.position).tolist()
-            self._guidance.shift((north, east, down))
+            self._guidance.place(vector(state.position.tolist()))
         return target
 
     def _may_adapt(self, state: VehicleState, mode: FlightMode, now_ns: int) -> bool:

@@ -23,6 +23,8 @@ class Target(NamedTuple):
     attitude_ahead: PathPoint
     """The same for the attitude channel, with a shorter t_ahead."""
     yaw_rad: float
+    path: PathPoint
+    """The path itself: `now` without the way back to the path after a jump of the position estimate."""
     lap_phase: float = -1.0
     """Share of the lap flown, in [0, 1); negative while the path does not repeat."""
     lap_s: float = 0.0

@@ -45,6 +45,7 @@ def test_a_request_to_land_is_obeyed():
     loop.fly(4.5)
     assert loop.mode in ON_THE_FLOOR
     assert loop.core.airborne is False
+    assert loop.vector("target")[-1][2] == pytest.approx(loop.truths[-1][2], abs=0.03)  # it does not sink further
 
 
 def is_no_flow(datagram):
@@ -195,6 +196,32 @@ def test_a_first_pose_that_comes_in_flight_moves_the_path_and_not_the_vehicle():
     np.testing.assert_allclose(loop.vector("target")[-1][:2], (0.8, -0.6), atol=0.3)
     # The jump was told to the controller, too: its error did not see it.
     assert np.abs(loop.vector("position_error")[-400:]).max() < 0.1
+
+
+class JumpingPeer(Peer):
+    """Its poses jump for good when the test says so."""
+
+    jump = 0.0
+
+    def say(self, truth, tick, now_ns):
+        truth = np.array(truth)
+        truth[0] += self.jump
+        return super().say(truth, tick, now_ns)
+
+
+def test_after_a_jump_of_the_pose_the_vehicle_flies_back_slowly_and_reports_it():
+    loop = Loop("mrac", peer=JumpingPeer()).fly(5.0)
+    loop.peer.jump = 2.0
+    start = loop.tick
+    loop.fly(0.3)
+    assert loop.said("position estimate jumped 2.0")
+    assert loop.core.status(loop.now_ns)["tracking_error_m"] == pytest.approx(2.0, abs=0.05)
+    loop.fly(5.7)
+    assert loop.core.status(loop.now_ns)["tracking_error_m"] < 0.05
+    north, speed = np.array(loop.truths)[start:, 0], np.array(loop.truths)[start:, 3]
+    assert north[-1] == pytest.approx(-2.0, abs=0.05)
+    assert north.min() > -2.1
+    assert -0.9 < speed.min() < -0.4  # without the limit: -4.5
 
 
 def test_arming_waits_for_the_first_pose_but_not_for_ever():

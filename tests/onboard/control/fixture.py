@@ -100,7 +100,7 @@ class Rig:
         return ControlInputs(
             dt=DT,
             state=self.state,
-            target=Target(point, REST, point, point, self.yaw),
+            target=Target(point, REST, point, point, self.yaw, point),
             signals=signals,
             position=position,
             attitude=attitude,

@@ -57,6 +57,21 @@ def test_landing_descends_at_its_speed_from_the_present_target():
     assert np.hypot(*(np.array(down[-1].now.position) - top)[:2]) < 0.7
 
 
+def test_the_target_of_a_landing_stops_on_the_floor():
+    flight = started()
+    fly(flight, (True, False, 9))
+    while (target := flight.step(False, True, DT)).now.position[2] < -0.12:
+        pass
+    targets = [flight.step(False, True, DT, low=True) for _ in range(400)]
+    down, speed = columns(targets, "position")[:, 2], columns(targets, "velocity")[:, 2]
+    assert target.now.velocity[2] == pytest.approx(0.4)
+    assert down.max() < -0.02 + 0.005
+    assert down[-1] == pytest.approx(-0.02, abs=0.005)
+    assert speed[-1] < 0.01
+    pressed = fly(flight, (False, True, 1))  # it does not stand on the floor: the target goes on
+    assert pressed[-1].now.position[2] > 0.1
+
+
 def test_an_interrupted_landing_comes_to_rest():
     flight = started()
     fly(flight, (True, False, 9), (False, True, 2))
@@ -102,6 +117,40 @@ def test_a_shift_moves_target_and_look_ahead_alike():
         moved = np.array(getattr(b, which).position) - getattr(a, which).position
         np.testing.assert_allclose(moved, (1.0, 2.0, -0.5))
     assert a.now.velocity == b.now.velocity
+
+
+def jumped(flight, state, posed, jump):
+    state.position_reset_count += 1
+    state.position_jump[:] = jump
+    flight.follow_jump(state, posed)
+
+
+def test_after_a_jump_the_target_returns_to_the_path_at_a_limited_speed():
+    flight, undisturbed, state = started(), started(), VehicleState()
+    for each in (flight, undisturbed):
+        fly(each, (True, False, 8))
+    jumped(flight, state, True, (0.0, 0.0, 0.0))  # the first pose
+    jumped(flight, state, True, (2.0, -1.0, 0.5))
+    targets, plain = fly(flight, (True, False, 6)), fly(undisturbed, (True, False, 6))
+    way = columns(targets, "position") - columns(plain, "position")
+    np.testing.assert_allclose(way[0], (2.0, -1.0, 0.5), atol=0.01)
+    speed = np.linalg.norm(np.diff(way, axis=0), axis=1) / DT
+    assert 0.45 < speed.max() < 0.51
+    assert np.abs(np.diff(speed)).max() < 0.06
+    np.testing.assert_allclose(way[-1], 0.0, atol=1e-9)
+    expected = np.gradient(way, DT, axis=0)[5:-5]
+    np.testing.assert_allclose((columns(targets, "velocity") - columns(plain, "velocity"))[5:-5], expected, atol=0.03)
+    for one, other in zip(targets, plain, strict=True):
+        assert one.path == other.now
+    ahead = np.array([one.ahead.position for one in targets])[100:600]
+    np.testing.assert_allclose(ahead, columns(targets, "position")[100 + 34 : 600 + 34], atol=0.03)
+
+
+def test_the_first_pose_moves_the_path():
+    flight, other, state = started(), started(), VehicleState()
+    jumped(flight, state, True, (0.8, -0.6, 0.0))
+    moved = np.subtract(flight.step(True, False, DT).path.position, other.step(True, False, DT).path.position)
+    np.testing.assert_allclose(moved, (0.8, -0.6, 0.0))
 
 
 def test_the_flight_is_finished_when_its_path_time_is_over():

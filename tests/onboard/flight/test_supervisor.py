@@ -295,11 +295,10 @@ def test_a_story(name):
 )
 def test_a_descent_has_the_time_that_its_height_needs(mode, age_s, next_mode):
     pilot = Pilot(M.FLYING, landing_max_s=4.0, level_max_s=4.0)
-    pilot.command(Command.LAND)
     assert pilot.step(height_m=8.0, climb_m_s=-0.2, velocity_aid_age_s=age_s) is mode
     for decimetres in range(79, 4, -1):  # 75 s
         assert pilot.step(1.0, height_m=0.1 * decimetres - 0.01) is mode
-    assert pilot.step(3.3) is next_mode
+    assert pilot.step(3.1) is next_mode
 
 
 # -- ages -------------------------------------------------------------------------------------------------------------
