@@ -32,7 +32,8 @@ class OnboardConfig(ConfigRecord):
     period_ns: Annotated[int, Field(ge=1_000_000, le=50_000_000, description="ns, one tick")] = 5_000_000
     status_period_s: Annotated[float, Field(ge=0.02, le=5, description="s between two Status messages")] = 0.1
     time_sync_period_s: Annotated[float, Field(ge=0.1, le=60, description="s between two requests")] = 1.0
-    pose_wait_s: Annotated[float, Field(ge=0, le=600, description="s, arming waits so long for a first pose")] = 4.0
+    pose_wait_s: Annotated[float, Field(ge=0, le=600, description="s")] | None = None
+    """Arming waits no longer for a first pose; null: until it comes; 0: for flights without motion capture."""
     airframe: AirframeConfig
     estimator: EstimatorConfig = EstimatorConfig()
     supervisor: SupervisorConfig = SupervisorConfig()

@@ -48,8 +48,8 @@ ADAPT_HEIGHT_M: Final = 0.2
 """No adaptation below this height: ground effect and contact are not disturbances to learn."""
 VELOCITY_AID_MAX_S: Final = 0.3
 """No adaptation when velocity has had no aid for longer than this."""
-ARMED, TAKE_OFF, FLYING, HOLD_LEVEL, LANDING = (
-    FlightMode[name] for name in ("ARMED", "TAKE_OFF", "FLYING", "HOLD_LEVEL", "LANDING")
+ARMED, TAKE_OFF, FLYING, HOLD_LEVEL, LANDING, LANDED = (
+    FlightMode[name] for name in ("ARMED", "TAKE_OFF", "FLYING", "HOLD_LEVEL", "LANDING", "LANDED")
 )
 """Enum members as module constants: attribute access on an Enum is slow before Python 3.12."""
 
@@ -103,7 +103,6 @@ class OnboardCore:
         self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
-        self._touch_down_height_m = config.supervisor.touch_down_height_m
         self._arming = ArmingChecks(config, clearance)
         self._guidance = Guidance(config.guidance)
         self._actuators = ActuatorModel(config.airframe, self._dt)
@@ -286,8 +285,9 @@ class OnboardCore:
     def _guide(self, state: VehicleState, mode: FlightMode) -> Target:
         """The target of this tick."""
         self._guidance.follow_jump(state, self._posed)
-        low = mode not in AIRBORNE or -float(state.position[2]) < self._touch_down_height_m
-        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt, low)
+        if mode is LANDED:
+            self._guidance.rest(vector(state.position.tolist()))
+        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt)
         if mode is HOLD_LEVEL:  # the vehicle drifts: a landing that follows begins where the vehicle is then
             self._guidance.place(vector(state.position.tolist()))
         return target
@@ -363,6 +363,7 @@ class OnboardCore:
         statistics = self._offboard_link.statistics
         return {
             "mode": self._mode.name,
+            "not_ready": self._supervisor.not_ready,
             "tracking_error_m": self._tracking_error_m,
             "feature_version": self._reception.version,
             "feature_age_s": self._reception.age_s(now_ns),

@@ -46,7 +46,7 @@ class FlightStatus:
         onboard, offboard, sim = (self.of(name) for name in ("onboard", "offboard", "sim"))
         return [
             ("time", _number(sim.get("time_s"), "s", 1)),
-            ("mode", str(onboard.get("mode", "-"))),
+            ("mode", _mode(onboard)),
             ("tracking error", _number(onboard.get("tracking_error_m"), "m", 3)),
             ("features", _features(onboard)),
             ("link loss", f"up {_loss(sim, 'up')}, down {_loss(sim, 'down')}"),
@@ -119,6 +119,12 @@ def _number(value: Any, unit: str, digits: int) -> str:
     if not isinstance(value, int | float) or value != value:
         return "-"
     return f"{value:.{digits}f} {unit}".rstrip()
+
+
+def _mode(onboard: dict[str, Any]) -> str:
+    """The flight mode, and what the vehicle waits for before it can be armed."""
+    reason = onboard.get("not_ready")
+    return f"{onboard.get('mode', '-')}, {reason}" if reason else str(onboard.get("mode", "-"))
 
 
 def _features(onboard: dict[str, Any]) -> str:

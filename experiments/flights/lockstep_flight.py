@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.flights.carried_experience import dump_learnt, read_experience, start_from
 from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
-from experiments.flights.scenario import FlightConfig
+from experiments.flights.scenario import FlightConfig, with_pose_wait
 from experiments.flights.trace import Columns, FlightTrace
 from flight_log.schema import RecordType
 from offboard.core import OffboardCore
@@ -62,8 +62,10 @@ def build(
 ) -> tuple[Lockstep[TrainingResult], OnboardCore, OffboardCore | None, Radio]:
     """Return the connected cores of a flight: lockstep, onboard, offboard (None if absent) and radio.
 
+    with_offboard: without it no pose comes, and the vehicle is armed without one.
     recorded: deliveries that replace those of the configured radio.
     """
+    config = config if with_offboard else with_pose_wait(config, 0.0)
     network = config.network
     keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
     vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle)

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from experiments.flights.flight_summary import build_summary, write_summary
 from experiments.flights.lockstep_flight import LockstepOutcome
-from experiments.flights.scenario import FlightConfig
+from experiments.flights.scenario import FlightConfig, with_pose_wait
 from experiments.flights.trace import FlightTrace
 from protocol.conventions import Array
 
@@ -37,6 +37,7 @@ def fly_logged(
     from experiments.flights.flight_figure import draw_flight
     from flight_log.report import write_report
 
+    config = config if with_offboard else with_pose_wait(config, 0.0)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
     if lockstep:

@@ -30,7 +30,7 @@ from sim_vehicle.link.radio import RadioConfig
 
 COPIES: Final = {"onboard": {"features"}, "offboard": {"features"}}
 """The copies of `features` that both processes hold; they are not written."""
-__all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "fill_flight", "resolve"]
+__all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "fill_flight", "resolve", "with_pose_wait"]
 
 
 class FlightConfig(ConfigRecord):
@@ -88,6 +88,16 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
     controller = completed.build(flight.onboard.airframe, flight.features, flight.seed, law)
     learns = isinstance(controller, LearningController) and controller.accepts_features
     return flight if learns else _without_training(flight)
+
+
+def with_pose_wait(flight: FlightConfig, seconds: float) -> FlightConfig:
+    """The same flight, in which arming waits at most so long for a first pose, unless its configuration says how long.
+
+    For flights in which no pose ever comes: without the offboard side, or with a dead link.
+    """
+    if flight.onboard.pose_wait_s is not None:
+        return flight
+    return flight.model_copy(update={"onboard": flight.onboard.model_copy(update={"pose_wait_s": seconds})})
 
 
 def fill_flight(tree: Mapping[str, Any], source: str) -> FlightConfig:

@@ -8,12 +8,14 @@ from typing import Final
 
 from experiments.campaigns.worker_pools import LocalPool
 from experiments.flights.lockstep_flight import fly_lockstep
-from experiments.flights.scenario import Choices, resolve
+from experiments.flights.scenario import Choices, resolve, with_pose_wait
 from experiments.link.dropout_trace import load_trace, trace_names
 from experiments.replays.replay import figures
 
 PERFECT: Final = "perfect"
 """Name of the row without dropouts."""
+POSE_WAIT_S: Final = 4.0
+"""Arming does not wait longer for a first pose: a dead link brings none."""
 HEADINGS: Final = (
     "trace",
     "lost up",
@@ -84,7 +86,7 @@ def flights_with(traces: Sequence[str], scenario: str, choices: Choices) -> list
 
 def fly_one(job: DropoutFlight) -> DropoutRow:
     """Fly with one trace. Raises ConfigError."""
-    config = resolve(job.scenario, job.choices)
+    config = with_pose_wait(resolve(job.scenario, job.choices), POSE_WAIT_S)
     if job.trace == PERFECT:
         name, description, radio, deliveries = PERFECT, "Nothing is lost, nothing is late.", None, None
     else:

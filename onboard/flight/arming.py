@@ -4,6 +4,8 @@ They cover the vehicle's stream, its sensors at rest, optical flow, the pose aga
 certificate (onboard/preflight/certificate.py).
 """
 
+import math
+
 from onboard.config import OnboardConfig
 from onboard.estimation.pose_health import PoseHealth
 from onboard.links.vehicle import VehicleLink
@@ -19,7 +21,7 @@ class ArmingChecks:
         self._clearance = clearance
         self._needs_pose = config.supervisor.arm_needs_pose
         self._pose_stale_ns = round(config.supervisor.pose_stale_s * 1e9)
-        self._pose_wait_ns = round(config.pose_wait_s * 1e9)
+        self._pose_wait_ns = math.inf if config.pose_wait_s is None else round(config.pose_wait_s * 1e9)
         self._flow_silent_ns = round(config.vehicle_link.health.flow_silent_s * 1e9)
         self._pose_health = PoseHealth(config.pose_health)
         self._last_pose_ns = NEVER_NS

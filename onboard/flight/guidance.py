@@ -1,7 +1,8 @@
 """Guidance: the target of each tick from the flight mode, continuous over take-off, path, hold and landing.
 
 When the position estimate jumps, the path stays at its place in the world frame of the new poses. The target moves with
-the vehicle and returns to the path at a limited speed. The target of a landing ends on the floor.
+the vehicle and returns to the path at a limited speed. The target of a landing sinks, and presses the vehicle
+onto the floor, until touch-down. Then it is where the vehicle stands.
 """
 
 from math import hypot, sqrt
@@ -17,8 +18,6 @@ from protocol.geometry import ZERO, Vector3, subtract, vector
 
 RETURN_M_S2: Final = 2.0
 """Acceleration of the target on its way back to the path."""
-BRAKE_M_S2: Final = 1.0
-"""Deceleration of a landing's target above the floor."""
 
 
 class GuidanceConfig(ConfigRecord):
@@ -92,20 +91,17 @@ class Guidance:
         self._offset = ZERO
         self.shift(subtract(position, self._at(0.0, ZERO, 0.0).position))
 
-    def step(self, run: bool, landing: bool, dt: float, low: bool = False) -> Target:
-        """Target of this tick.
+    def rest(self, position: Vector3) -> None:
+        """End a landing: the target stays at `position`."""
+        self._descent_speed = 0.0
+        self.place(position)
 
-        run: path time advances. landing: the target descends from where it is. low: the vehicle is at the floor, and
-        the target descends no further than the place of the take-off. A vehicle that is higher is pressed down: the
-        floor may be lower than the estimate's zero, or higher.
-        """
+    def step(self, run: bool, landing: bool, dt: float) -> Target:
+        """Target of this tick. `run`: path time advances; `landing`: the target descends from where it is."""
         self._clock.step(run and not landing, dt)
         speed = self._config.trajectory.landing_speed_m_s  # reached within a second, and left as fast
         change = dt * speed if landing else -dt * speed
         self._descent_speed = min(max(self._descent_speed + change, 0.0), speed)
-        if low:
-            above_m = self._origin[2] - self._at(0.0, ZERO, 0.0).position[2]
-            self._descent_speed = min(self._descent_speed, sqrt(2.0 * BRAKE_M_S2 * max(above_m, 0.0)))
         self._descent_m += dt * self._descent_speed
         rate = self._return(dt)
         config, offset = self._config, self._offset

@@ -139,6 +139,11 @@ class Supervisor:
         }
         self.mode = M.BOOT
 
+    @property
+    def not_ready(self) -> str:
+        """What the vehicle waits for on the ground before it can be armed; "" if nothing."""
+        return self.arming_refusal(self._inputs) if self.mode is M.BOOT and self._inputs is not None else ""
+
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
         events, self._events = self._events, []

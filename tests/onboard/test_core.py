@@ -224,13 +224,26 @@ def test_after_a_jump_of_the_pose_the_vehicle_flies_back_slowly_and_reports_it()
     assert -0.9 < speed.min() < -0.4  # without the limit: -4.5
 
 
-def test_arming_waits_for_the_first_pose_but_not_for_ever():
+def test_arming_waits_for_the_first_pose_and_reports_it():
     early = Loop(peer=Peer()).fly(3.0)
     assert early.mode not in (FlightMode.BOOT, FlightMode.READY)
-    late = Loop().fly(3.5)
+    assert early.core.status(early.now_ns)["not_ready"] == ""
+    late = Loop(peer=Peer())
+    late.peer.relays = False
+    late.fly(30.0)
     assert late.mode is FlightMode.BOOT
-    late.fly(1.5)
+    assert late.said("not ready to arm: waiting for the first pose")
+    assert late.core.status(late.now_ns)["not_ready"] == "waiting for the first pose"
+    late.peer.relays = True
+    late.fly(2.0)
     assert late.mode in (FlightMode.TAKE_OFF, FlightMode.FLYING)
+
+
+def test_without_motion_capture_arming_does_not_wait_for_a_pose():
+    loop = Loop(assignments=("onboard.pose_wait_s=2.0",)).fly(1.9)
+    assert loop.mode is FlightMode.BOOT
+    loop.fly(1.0)
+    assert loop.mode in (FlightMode.TAKE_OFF, FlightMode.FLYING)
 
 
 def test_a_lost_pose_stream_does_not_end_the_flight_in_simulation():

@@ -57,19 +57,13 @@ def test_landing_descends_at_its_speed_from_the_present_target():
     assert np.hypot(*(np.array(down[-1].now.position) - top)[:2]) < 0.7
 
 
-def test_the_target_of_a_landing_stops_on_the_floor():
+def test_after_touch_down_the_target_is_where_the_vehicle_stands():
     flight = started()
-    fly(flight, (True, False, 9))
-    while (target := flight.step(False, True, DT)).now.position[2] < -0.12:
-        pass
-    targets = [flight.step(False, True, DT, low=True) for _ in range(400)]
-    down, speed = columns(targets, "position")[:, 2], columns(targets, "velocity")[:, 2]
-    assert target.now.velocity[2] == pytest.approx(0.4)
-    assert down.max() < -0.02 + 0.005
-    assert down[-1] == pytest.approx(-0.02, abs=0.005)
-    assert speed[-1] < 0.01
-    pressed = fly(flight, (False, True, 1))  # it does not stand on the floor: the target goes on
-    assert pressed[-1].now.position[2] > 0.1
+    fly(flight, (True, False, 9), (False, True, 5))
+    flight.rest((0.1, -0.2, -0.021))
+    for target in fly(flight, (False, False, 3)):
+        np.testing.assert_allclose(target.now.position, (0.1, -0.2, -0.021), atol=1e-9)
+        np.testing.assert_allclose(target.now.velocity, 0.0, atol=1e-9)
 
 
 def test_an_interrupted_landing_comes_to_rest():
