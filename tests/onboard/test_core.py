@@ -255,6 +255,16 @@ def test_a_lost_pose_stream_does_not_end_the_flight_in_simulation():
     assert loop.vehicle.crash_reason == ""
 
 
+@pytest.mark.parametrize("seed", [3, 10])
+def test_without_the_pose_for_12_s_it_drifts_little_on_flow_and_range(seed):
+    loop = Loop("mrac", peer=Peer(), assignments=(f"seed={seed}", "onboard.guidance.land_after_s=30")).fly(5.0)
+    loop.peer.relays, start = False, loop.tick
+    loop.fly(12.0)
+    assert loop.mode is FlightMode.FLYING
+    away = (loop.vector("position") - np.array(loop.truths)[:, :3])[start:, :2]
+    assert np.linalg.norm(away, axis=1).max() < 0.5  # 2 m are allowed
+
+
 # --- reports ---------------------------------------------------------------------------------------------------------
 
 
