@@ -74,11 +74,11 @@ class Guidance:
             return
         self._resets_seen = state.position_reset_count
         jump = vector(state.position_jump.tolist())
-        if self._posed:
+        if posed and not self._posed:
+            self.shift(jump)
+        else:
             self._offset = vector(off + step for off, step in zip(self._offset, jump, strict=True))
             self._return_speed = 0.0
-        else:
-            self.shift(jump)
         self._posed = posed
 
     def shift(self, jump: Vector3) -> None:

@@ -140,8 +140,10 @@ def test_after_a_jump_the_target_returns_to_the_path_at_a_limited_speed():
     np.testing.assert_allclose(ahead, columns(targets, "position")[100 + 34 : 600 + 34], atol=0.03)
 
 
-def test_the_first_pose_moves_the_path():
+def test_the_first_pose_moves_the_path_and_a_jump_before_it_does_not():
     flight, other, state = started(), started(), VehicleState()
+    jumped(flight, state, False, (0.0, 0.0, -0.4))  # by range
+    assert fly(flight, (True, False, 3))[-1].now == fly(other, (True, False, 3))[-1].now
     jumped(flight, state, True, (0.8, -0.6, 0.0))
     moved = np.subtract(flight.step(True, False, DT).path.position, other.step(True, False, DT).path.position)
     np.testing.assert_allclose(moved, (0.8, -0.6, 0.0))
