@@ -33,7 +33,7 @@ class OnboardConfig(ConfigRecord):
     status_period_s: Annotated[float, Field(ge=0.02, le=5, description="s between two Status messages")] = 0.1
     time_sync_period_s: Annotated[float, Field(ge=0.1, le=60, description="s between two requests")] = 1.0
     pose_wait_s: Annotated[float, Field(ge=0, le=600, description="s")] | None = None
-    """Arming waits no longer for a first pose; null: until it comes; 0: for flights without motion capture."""
+    """Arming waits no longer for a first pose; null: until it comes. For flights without motion capture."""
     airframe: AirframeConfig
     estimator: EstimatorConfig = EstimatorConfig()
     supervisor: SupervisorConfig = SupervisorConfig()

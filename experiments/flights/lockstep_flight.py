@@ -65,7 +65,7 @@ def build(
     with_offboard: without it no pose comes, and the vehicle is armed without one.
     recorded: deliveries that replace those of the configured radio.
     """
-    config = config if with_offboard else with_pose_wait(config, 0.0)
+    config = config if with_offboard else with_pose_wait(config)
     network = config.network
     keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
     vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle)

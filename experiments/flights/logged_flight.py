@@ -37,7 +37,7 @@ def fly_logged(
     from experiments.flights.flight_figure import draw_flight
     from flight_log.report import write_report
 
-    config = config if with_offboard else with_pose_wait(config, 0.0)
+    config = config if with_offboard else with_pose_wait(config)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
     if lockstep:

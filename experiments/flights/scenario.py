@@ -30,6 +30,8 @@ from sim_vehicle.link.radio import RadioConfig
 
 COPIES: Final = {"onboard": {"features"}, "offboard": {"features"}}
 """The copies of `features` that both processes hold; they are not written."""
+POSE_WAIT_S: Final = 4.0
+"""Wait for a pose that may never come. In this time at rest the gyroscope's bias is found."""
 __all__ = ["DEFAULT_SCENARIO", "Choices", "FlightConfig", "complete", "fill_flight", "resolve", "with_pose_wait"]
 
 
@@ -90,14 +92,14 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
     return flight if learns else _without_training(flight)
 
 
-def with_pose_wait(flight: FlightConfig, seconds: float) -> FlightConfig:
-    """The same flight, in which arming waits at most so long for a first pose, unless its configuration says how long.
+def with_pose_wait(flight: FlightConfig) -> FlightConfig:
+    """The same flight, in which arming waits POSE_WAIT_S for a first pose, unless its configuration says how long.
 
     For flights in which no pose ever comes: without the offboard side, or with a dead link.
     """
     if flight.onboard.pose_wait_s is not None:
         return flight
-    return flight.model_copy(update={"onboard": flight.onboard.model_copy(update={"pose_wait_s": seconds})})
+    return flight.model_copy(update={"onboard": flight.onboard.model_copy(update={"pose_wait_s": POSE_WAIT_S})})
 
 
 def fill_flight(tree: Mapping[str, Any], source: str) -> FlightConfig:

@@ -14,8 +14,6 @@ from experiments.replays.replay import figures
 
 PERFECT: Final = "perfect"
 """Name of the row without dropouts."""
-POSE_WAIT_S: Final = 4.0
-"""Arming does not wait longer for a first pose: a dead link brings none."""
 HEADINGS: Final = (
     "trace",
     "lost up",
@@ -86,7 +84,7 @@ def flights_with(traces: Sequence[str], scenario: str, choices: Choices) -> list
 
 def fly_one(job: DropoutFlight) -> DropoutRow:
     """Fly with one trace. Raises ConfigError."""
-    config = with_pose_wait(resolve(job.scenario, job.choices), POSE_WAIT_S)
+    config = with_pose_wait(resolve(job.scenario, job.choices))
     if job.trace == PERFECT:
         name, description, radio, deliveries = PERFECT, "Nothing is lost, nothing is late.", None, None
     else:

@@ -83,10 +83,7 @@ WITHOUT = tuple(
 
 
 def survivors(*assignments: str) -> int:
-    flights = (
-        resolve("rotor_chip", Choices("mrac", seed, 11.0, (WEAK, "onboard.pose_wait_s=4.0", *assignments)))
-        for seed in range(7)
-    )
+    flights = (resolve("rotor_chip", Choices("mrac", seed, 11.0, (WEAK, *assignments))) for seed in range(7))
     return sum(not fly_lockstep(flight, with_offboard=False).crash_reason for flight in flights)
 
 
