@@ -137,16 +137,16 @@ def test_the_datagrams_of_a_tick_are_limited() -> None:
     """However many datagrams wait in the sockets, the loop reads a limited number and steps."""
     asked: list[int] = []
 
-    def receive(limit: int) -> list[bytes]:
+    def receive(limit: int) -> list[tuple[bytes, int]]:
         asked.append(limit)
-        return [b"rubbish"] * limit
+        return [(b"rubbish", 0)] * limit
 
-    socket = SimpleNamespace(receive=receive, send=lambda datagram: None)
+    socket = SimpleNamespace(receive_stamped=receive, send=lambda datagram: None)
     make: Any = OnboardProcess
     realtime = resolve("hover").onboard.realtime
     sockets = SimpleNamespace(vehicle=socket, offboard=socket, ground=socket)
     process = make(None, realtime, 5 * MS, sockets, None, None, SimpleNamespace(count=0))
-    _, from_offboard, _, _ = process._receive(0)
+    _, from_offboard, _ = process._receive()
     assert len(from_offboard) == DATAGRAMS_PER_STEP_MAX == 64
     assert max(asked) <= DATAGRAMS_PER_STEP_MAX
     assert DATAGRAMS_PER_STEP_MAX * 200 > 2 * 5_000, "a flood of 5,000/s leaves no queue behind which a pose waits"
