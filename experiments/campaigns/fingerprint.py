@@ -27,9 +27,9 @@ EARLIER: Final[dict[str, str]] = {
     "f8b5b3e4d0682ab823f6867de46c53dcc6aea93ffba4970765d8e2a0ea1c907d": "51f875890c8a39140e9d8e89918608db",
     "0ebf3dd0a54231e98fa9206b308c17ae9cf617799e1bed71e3bf1cba2bfafa29": "075319b46fb0dbdf77fe678d130fcc6f",
 }
-"""Today's fingerprint of the campaigns in docs/data, by the one they were flown under: the files that hold the settings
-were arranged differently then. Only settings are compared, not the code: protocol version 2 and the one value of gravity
-have changed the flights themselves (docs/experiments.md).
+"""Today's fingerprint of the campaigns in docs/data, by the one they were flown under: their files were arranged
+differently then. Only settings are compared, not the code: protocol version 2 and the one value of gravity have changed
+the flights themselves (docs/experiments.md).
 """
 
 
