@@ -40,12 +40,14 @@ class UncertaintyMeasurement:
     def coming(self, state: VehicleState, delivered: Delivered, ahead: Delivered) -> tuple[Vector3, Vector3]:
         """Angular acceleration by the actuators now and one tick later, rad/s^2, at the present rates."""
         rates = vector(state.rates.tolist())
-        return self.angular_acceleration(delivered, rates), self.angular_acceleration(ahead, rates)
+        return self._angular_acceleration(delivered.torque_nm, rates), self._angular_acceleration(
+            ahead.torque_nm, rates
+        )
 
-    def angular_acceleration(self, delivered: Delivered, rates: Vector3) -> Vector3:
-        """J^-1 (tau - omega x J omega), rad/s^2, for torque and rates of any time."""
+    def _angular_acceleration(self, tau: Vector3, rates: Vector3) -> Vector3:
+        """J^-1 (tau - omega x J omega), rad/s^2."""
         Jx, Jy, Jz = self._airframe.inertia_kg_m2
-        (tx, ty, tz), (p, q, r) = delivered.torque_nm, rates
+        (tx, ty, tz), (p, q, r) = tau, rates
         return (tx - (Jz - Jy) * q * r) / Jx, (ty - (Jx - Jz) * p * r) / Jy, (tz - (Jy - Jx) * p * q) / Jz
 
     def _translation(self, state: VehicleState, T: float) -> None:
@@ -62,12 +64,9 @@ class UncertaintyMeasurement:
     def _rotation(self, state: VehicleState, tau: Vector3) -> None:
         """u_hat = J^-1 (tau - omega x J omega);  r = omega_dot - u_hat."""
         dt = self._dt
-        Jx, Jy, Jz = self._airframe.inertia_kg_m2
         p, q, r = state.rates.tolist()
         last_p, last_q, last_r = self._last_rates
-        up = (tau[0] - (Jz - Jy) * q * r) / Jx
-        uq = (tau[1] - (Jx - Jz) * p * r) / Jy
-        ur = (tau[2] - (Jy - Jx) * p * q) / Jz
+        up, uq, ur = self._angular_acceleration(tau, (p, q, r))
         self._attitude.u_hat[:] = up, uq, ur
         self._attitude.residual[:] = (p - last_p) / dt - up, (q - last_q) / dt - uq, (r - last_r) / dt - ur
         self._last_rates = (p, q, r)

@@ -9,7 +9,7 @@ from onboard.flight.modes import FlightMode
 
 @pytest.mark.parametrize("controller", ["pid", "mrac"])
 def test_it_takes_off(controller: str) -> None:
-    """Its motors give 17 % less than believed and it weighs 11 % more; nothing makes up for that before it flies."""
+    """Its motors give 17 % less than nominal and it weighs 11 % more; nothing compensates that before it flies."""
     outcome = fly_lockstep(resolve("figure8_real", Choices(controller, 11, 9.0)), with_offboard=False)
     assert FlightMode.FLYING in outcome.trace.mode
 

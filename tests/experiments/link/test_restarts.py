@@ -32,7 +32,7 @@ def test_a_flight_survives_a_trainer_that_is_killed_and_restarted_repeatedly() -
     assert flight.mode is FlightMode.FLYING
     assert max(flight.errors_m[-200:]) < 0.3
     assert flight.last("pose_age") < 0.1
-    assert flight.offboard.learner.samples >= 5, "the last one is heard and taught, too"
+    assert flight.offboard.learner.samples >= 5, "the last one is received and trained for as well"
 
 
 def test_both_sides_reconnect_after_restarts_with_the_wall_clock_set_back() -> None:

@@ -153,23 +153,21 @@ class Flight:
                 if estimator.state.position_reset_count != count:
                     jumps.append((t, estimator.state.position_jump.copy(), estimator.state.yaw_jump))
             state = estimator.state
-            phi = (truth.rotation[k] * Rotation.from_matrix(state.rotation).inv()).as_rotvec() if k % 20 == 0 else None
-            errors.append(
-                np.concatenate(
-                    (
-                        truth.position[k] - state.position,
-                        truth.velocity[k] - state.velocity,
-                        np.full(3, np.nan) if phi is None else phi,
-                        bias_g - state.gyro_bias,
-                        bias_a - state.accelerometer_bias,
-                    )
-                )
-            )
+            errors.append(self._error(k, state, bias_g, bias_a))
             sigmas.append(state.position_sigma_m)
             covariances.append(estimator.covariance.copy() if k % 20 == 0 else None)
         self.estimator, self.errors, self.covariances = estimator, np.array(errors), covariances
         self.sigmas, self.jumps, self.events = np.array(sigmas), jumps, estimator.take_events()
         return self
+
+    def _error(self, k, state, bias_g, bias_a):
+        """[15] true minus estimated state at sample k; the attitude only at every 20th."""
+        truth = self.truth
+        phi = (truth.rotation[k] * Rotation.from_matrix(state.rotation).inv()).as_rotvec() if k % 20 == 0 else None
+        position, velocity = truth.position[k] - state.position, truth.velocity[k] - state.velocity
+        attitude = np.full(3, np.nan) if phi is None else phi
+        biases = bias_g - state.gyro_bias, bias_a - state.accelerometer_bias
+        return np.concatenate((position, velocity, attitude, *biases))
 
     def _note(self, aid, estimator):
         """Record the newest score of an aid, after the first 4 s."""

@@ -41,7 +41,7 @@ def test_the_integral_holds_while_it_may_not_adapt() -> None:
 
 
 def test_what_nu_ad_makes_up_for_comes_on_top_of_the_climb_limit() -> None:
-    """Motors that give a third less than believed: the climb limit alone would not lift the vehicle's own weight."""
+    """Motors that give a third less than the nominal thrust: the climb limit alone would not lift the vehicle."""
     rig = Rig(shipped_controller("bias", {"limits": {"climb_acceleration_max_m_s2": 3.0}}), force=(0.0, 0.0, 5.0))
     down = column(rig.fly(6.0), "position")[:, 2]
     assert abs(float(down[-1]) + 1.0) < 0.05
