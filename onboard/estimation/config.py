@@ -9,14 +9,14 @@ class EstimatorConfig(ConfigRecord):
     """Sigmas are standard deviations. The defaults fit the Mambo's bench and flight logs."""
 
     accelerometer_sigma: float = Field(
-        default=0.3, gt=0, description="m/s^2 per sample, motors off; grows with vibration"
+        default=0.15, gt=0, description="m/s^2 per sample, motors off; grows with vibration"
     )
     accelerometer_sigma_max: float = Field(default=3.0, gt=0, description="m/s^2, limit of that growth")
-    vibration_to_sigma: float = Field(default=0.74, ge=0, description="1; accelerometer sigma per vibration level")
+    vibration_to_sigma: float = Field(default=0.05, ge=0, description="1; accelerometer sigma per vibration level")
     vibration_white_max_m_s2: float = Field(
         default=4.0, gt=0, description="m/s^2; above it, poses that disagree mean a wrong velocity"
     )
-    gyro_sigma: float = Field(default=0.03, gt=0, description="rad/s per sample, in flight")
+    gyro_sigma: float = Field(default=0.015, gt=0, description="rad/s per sample, in flight")
     gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
     accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")
     gyro_delay_s: float = Field(default=0.005, ge=0, le=0.05, description="s; age of the rates at their time stamp")
@@ -31,11 +31,11 @@ class EstimatorConfig(ConfigRecord):
         default=0.02, gt=0, description="m; without pose the start defines the origin"
     )
 
-    pose_position_sigma_m: float = Field(default=0.0007, gt=0, description="m, per axis")
-    pose_attitude_sigma_rad: float = Field(default=0.01, gt=0, description="rad, per axis")
-    pose_time_sigma_s: float = Field(default=0.0005, ge=0, description="s, error of the capture time")
+    pose_position_sigma_m: float = Field(default=0.0005, gt=0, description="m, per axis")
+    pose_attitude_sigma_rad: float = Field(default=0.005, gt=0, description="rad, per axis")
+    pose_time_sigma_s: float = Field(default=0.0003, ge=0, description="s, error of the capture time")
     pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
-    pose_turn_time_sigma_s: float = Field(default=0.003, ge=0, description="s, the same for the attitude")
+    pose_turn_time_sigma_s: float = Field(default=0.001, ge=0, description="s, the same for the attitude")
     pose_time_error_max_s: float = Field(
         default=0.1, ge=0, description="s; an attitude that such an error of the capture time explains is left out"
     )
@@ -46,13 +46,13 @@ class EstimatorConfig(ConfigRecord):
     pose_agree_m: float = Field(default=0.2, gt=0, description="m between successive refused poses that agree")
     jump_threshold_m: float = Field(default=0.05, gt=0, description="m; a larger correction is announced as a jump")
 
-    flow_rate_sigma_rad_s: float = Field(default=0.1, gt=0, description="rad/s, per axis, of the flow rate")
-    flow_scale_sigma: float = Field(default=0.05, ge=0, description="1; relative error of the flow velocity")
+    flow_rate_sigma_rad_s: float = Field(default=0.08, gt=0, description="rad/s, per axis, of the flow rate")
+    flow_scale_sigma: float = Field(default=0.02, ge=0, description="1; relative error of the flow velocity")
     flow_quality_min: int = Field(default=30, ge=0, le=255, description="flow of lower quality is ignored")
     flow_height_min_m: float = Field(default=0.12, gt=0, description="m; flow below this height is ignored")
     flow_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
-    range_sigma_m: float = Field(default=0.04, gt=0, description="m")
+    range_sigma_m: float = Field(default=0.021, gt=0, description="m")
     range_floor_m: float = Field(default=0.44, gt=0, description="m; least distance of the ultrasonic sensor")
     range_margin_m: float = Field(default=0.04, ge=0, description="m above that distance, from which readings count")
     range_max_m: float = Field(default=4.0, gt=0, description="m")

@@ -106,7 +106,7 @@ class MeasuredNoiseConfig(ConfigRecord):
         "would add up, or cancel, for a whole flight"
     )
     broad_above_hz: float = Field(gt=0.0, le=400.0, description="Hz, corner of the broad band's high-pass")
-    factor: float = Field(default=1.0, ge=0.0, description="of all noise above")
+    factor: float = Field(ge=0.0, description="of all noise above")
 
 
 class ImuConfig(ConfigRecord):
