@@ -392,4 +392,5 @@ class OnboardCore:
             "vehicle_rejected": dict(self._vehicle_link.rejected),
             "samples": self._samples.counts,
             "estimator": dict(self._estimator.counts),
+            "nis": self._estimator.mean_scores,
         }

@@ -1,6 +1,6 @@
 """`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
 
-`dmrac bench sensors` compares the noise of the simulated IMU with real flight logs instead.
+`dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 SENSORS: Final = "sensors"
 EXAMPLES: Final = """examples:
   dmrac bench
-  dmrac bench sensors --set vehicle.sensors.imu.noise=measured
+  dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
 """
 
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "scenario",
         nargs="?",
         default=DEFAULT_SCENARIO,
-        help="scenario to fly (default: %(default)s); sensors: compare the IMU's noise in hover with real flight logs",
+        help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs",
     )
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
@@ -52,10 +52,11 @@ def _times(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:
-    from experiments.flights.sensor_noise import NOT_MEASURED_S, as_json, compare_noise, noise_table
+    from experiments.flights.sensor_noise import NOT_MEASURED_S, as_json, compare_noise, nis_table, noise_table
 
     choices = Choices(arguments.controller, None, arguments.seconds + NOT_MEASURED_S, tuple(arguments.set))
     config = resolve("hover", choices)
-    rows = compare_noise(config)
-    plain_console().print(noise_table(config, rows))
-    return as_json(config, rows)
+    comparison, console = compare_noise(choices), plain_console()
+    console.print(noise_table(config, comparison.rows))
+    console.print(nis_table(comparison.nis))
+    return as_json(config, comparison)

@@ -6,7 +6,7 @@ from configs.loader import ConfigRecord
 
 
 class EstimatorConfig(ConfigRecord):
-    """Sigmas are standard deviations. The defaults fit the Mambo's bench and flight logs."""
+    """Sigmas are standard deviations. The defaults fit the simulated sensors in flight: `dmrac bench sensors`."""
 
     accelerometer_sigma: float = Field(
         default=0.15, gt=0, description="m/s^2 per sample, motors off; grows with vibration"
@@ -35,7 +35,7 @@ class EstimatorConfig(ConfigRecord):
     pose_attitude_sigma_rad: float = Field(default=0.005, gt=0, description="rad, per axis")
     pose_time_sigma_s: float = Field(default=0.0003, ge=0, description="s, error of the capture time")
     pose_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 3 degrees of freedom")
-    pose_turn_time_sigma_s: float = Field(default=0.001, ge=0, description="s, the same for the attitude")
+    pose_turn_time_sigma_s: float = Field(default=0.003, ge=0, description="s, the same for the attitude")
     pose_time_error_max_s: float = Field(
         default=0.1, ge=0, description="s; an attitude that such an error of the capture time explains is left out"
     )
@@ -59,7 +59,8 @@ class EstimatorConfig(ConfigRecord):
     range_half_cone_rad: float = Field(default=0.35, ge=0, lt=1.5, description="rad; half the beam's opening angle")
     range_gate: float = Field(default=12.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
-    pressure_sigma_pa: float = Field(default=4.0, gt=0, description="Pa, of a mean of some samples, with drift")
+    pressure_sigma_pa: float = Field(default=0.75, gt=0, description="Pa, of a mean of eight samples")
+    pressure_drift_pa: float = Field(default=4.0, ge=0, description="Pa, drift within a flight")
     pressure_gate: float = Field(default=25.0, gt=0, description="chi-square limit, 1 degree of freedom")
 
     still_velocity_sigma_m_s: float = Field(default=0.05, gt=0, description="m/s on the ground")

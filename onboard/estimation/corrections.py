@@ -5,7 +5,7 @@ increases, and `position_jump` and `yaw_jump` hold its size, so a controller can
 """
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from typing import Final
 
 from onboard.estimation.config import EstimatorConfig
@@ -33,6 +33,22 @@ class Corrections:
         """Aids used and refused: "pose_used", "flow_refused" and so on."""
         self.scores: dict[str, float] = {}
         """Newest score of each aid: the squared innovation over its variance."""
+        self.in_flight = False
+        """Whether scores count in `mean_scores`."""
+        self._score_sums: defaultdict[str, float] = defaultdict(float)
+        self._score_counts: Counter[str] = Counter()
+
+    @property
+    def mean_scores(self) -> dict[str, float]:
+        """Mean NIS of each aid in flight: accepted scores per dimension, 1 where the sigmas fit."""
+        return {aid: total / self._score_counts[aid] for aid, total in self._score_sums.items()}
+
+    def note_score(self, aid: str, score: float, gate: float, dimension: int = 1) -> None:
+        """Store the score of an aid; within its gate and in flight it counts in `mean_scores`."""
+        self.scores[aid] = score
+        if self.in_flight and score <= gate:
+            self._score_sums[aid] += score / dimension
+            self._score_counts[aid] += 1
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
@@ -43,7 +59,7 @@ class Corrections:
         """A gated scalar correction. True if it was used."""
         before = self._filter.position
         score = self._filter.correct_scalar(h, innovation, variance, gate)
-        self.scores[aid] = score
+        self.note_score(aid, score, gate)
         if score > gate:
             self.counts[aid + "_refused"] += 1
             since_ns, count = self._refused.get(aid, (now_ns, 0))

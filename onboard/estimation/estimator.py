@@ -74,6 +74,12 @@ class Estimator:
     def set_on_ground(self, on_ground: bool) -> None:
         """Whether the vehicle is on the floor. There its velocity and height are known."""
         self._on_ground = on_ground
+        self._corrections.in_flight = not on_ground
+
+    @property
+    def mean_scores(self) -> dict[str, float]:
+        """Mean NIS of each aid in flight, 1 where its sigmas fit. Pressure: against a height known better."""
+        return self._corrections.mean_scores
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
@@ -196,14 +202,15 @@ class Estimator:
         zero_pa = pressure_pa - AIR_PA_PER_M * self._filter.position[2]
         if not self._pressure_zero_pa:
             self._pressure_zero_pa = zero_pa
+        config, off_pa = self._config, zero_pa - self._pressure_zero_pa
         if self._on_ground or now_ns - self.state.last_height_ns < self._aid_fresh_ns:
-            self._pressure_zero_pa += 0.02 * (zero_pa - self._pressure_zero_pa)
+            self._corrections.note_score("pressure", (off_pa / config.pressure_sigma_pa) ** 2, config.pressure_gate)
+            self._pressure_zero_pa += 0.02 * off_pa
             return
-        innovation = (pressure_pa - self._pressure_zero_pa) / AIR_PA_PER_M - self._filter.position[2]
         # Means of neighbouring samples have the same drift, so they count as one independent value a second.
-        sigma_m = 5.0 * self._config.pressure_sigma_pa / AIR_PA_PER_M
-        gate = self._config.pressure_gate
-        self._corrections.correct("pressure", POSITION + 2, innovation, sigma_m**2, gate, now_ns)
+        sigma_m = 5.0 * math.hypot(config.pressure_sigma_pa, config.pressure_drift_pa) / AIR_PA_PER_M
+        innovation_m, gate = off_pa / AIR_PA_PER_M, config.pressure_gate
+        self._corrections.correct("pressure", POSITION + 2, innovation_m, sigma_m**2, gate, now_ns)
 
     # -- optical flow and range ---------------------------------------------------------------------------------------
 

@@ -77,7 +77,7 @@ class PoseFusion:
             self._widen_velocity(innovation, delay_s)
         variance = _softened(variance, squared_length(innovation), config.pose_near_m, config.pose_gate)
         score = f.correct_position(innovation, delay_s, variance, config.pose_gate)
-        self._corrections.scores["pose_position"] = score
+        self._corrections.note_score("pose_position", score, config.pose_gate, 3)
         if score > config.pose_gate:
             return False
         self._corrections.announce_jump(before, "pose", now_ns)
@@ -88,7 +88,7 @@ class PoseFusion:
             variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
             variance = _softened(variance, squared_length(turn), config.pose_near_rad, config.pose_gate)
             score = f.correct_attitude(turn, variance, config.pose_gate)
-            self._corrections.scores["pose_attitude"] = score
+            self._corrections.note_score("pose_attitude", score, config.pose_gate, 3)
             if score > config.pose_gate:
                 self._counts["pose_attitude_refused"] += 1
                 return self._explained_by_time(turn, past.rate_world)
