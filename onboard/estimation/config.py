@@ -9,14 +9,14 @@ class EstimatorConfig(ConfigRecord):
     """Sigmas are standard deviations. The defaults fit the simulated sensors in flight: `dmrac bench sensors`."""
 
     accelerometer_sigma: float = Field(
-        default=0.15, gt=0, description="m/s^2 per sample, motors off; grows with vibration"
+        default=0.1, gt=0, description="m/s^2 per sample, motors off; grows with vibration"
     )
     accelerometer_sigma_max: float = Field(default=3.0, gt=0, description="m/s^2, limit of that growth")
-    vibration_to_sigma: float = Field(default=0.05, ge=0, description="1; accelerometer sigma per vibration level")
+    vibration_to_sigma: float = Field(default=0.03, ge=0, description="1; accelerometer sigma per vibration level")
     vibration_white_max_m_s2: float = Field(
         default=4.0, gt=0, description="m/s^2; above it, poses that disagree mean a wrong velocity"
     )
-    gyro_sigma: float = Field(default=0.015, gt=0, description="rad/s per sample, in flight")
+    gyro_sigma: float = Field(default=0.01, gt=0, description="rad/s per sample, in flight")
     gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
     accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")
     gyro_delay_s: float = Field(default=0.005, ge=0, le=0.05, description="s; age of the rates at their time stamp")

@@ -13,6 +13,8 @@ from protocol.messages import Pose
 from tests.onboard.estimation.estimator_flights import RATE, STEP_NS, Flight, Noise, Truth
 
 MATCHED = EstimatorConfig(
+    accelerometer_sigma=0.3,
+    vibration_to_sigma=0.0,
     gyro_sigma=0.02,
     pose_position_sigma_m=0.006,
     pose_attitude_sigma_rad=0.012,

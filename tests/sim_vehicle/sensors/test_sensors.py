@@ -4,6 +4,7 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import GRAVITY
@@ -16,12 +17,13 @@ from sim_vehicle.sensors.schedule import Schedule
 from sim_vehicle.sensors.ultrasonic import Ultrasonic
 from sim_vehicle.vehicle import SimVehicle, initial_state
 
-CONFIG = load_vehicle("mambo")
+CONFIG = load_vehicle("mambo", {"sensors": {"imu": {"noise": "white"}}})
 SENSORS = CONFIG.sensors
 NO_AIR = {"linear_n_s_m": 0.0, "quadratic_n_s2_m2": 0.0}
 HOVER = 0.063 * GRAVITY / 4
 QUIET = {
     "imu": {
+        "noise": "white",
         "accelerometer_bias_sigma_m_s2": [0.0, 0.0, 0.0],
         "accelerometer_noise_m_s2": 0.0,
         "accelerometer_vibration_m_s2": 0.0,
@@ -176,6 +178,27 @@ def test_flow_keeps_px4s_signs(vehicle, frames, velocity, rates):
         [flow.integrated_xgyro, flow.integrated_ygyro, flow.integrated_zgyro], np.array(rates) * dt, atol=2e-4
     )
     assert flow.quality == 200
+
+
+def test_flow_of_a_fast_changing_rotation_is_no_velocity(vehicle, motors, frames):
+    """The camera's gyro is summed over the flow's own interval: nothing of a rotation is left in the velocity."""
+    flying = vehicle({"sensors": QUIET, "initial": {"position_ned_m": [0, 0, -3]}, "drag": NO_AIR})
+    turned, errors = [], []
+    now_ns = 0
+    for side in (1.0, -1.0) * 3:
+        for _ in range(8):
+            flying.receive(motors([0.5 - 0.2 * side, 0.5 + 0.2 * side, 0.5 + 0.2 * side, 0.5 - 0.2 * side]), now_ns)
+            now_ns += 5_000_000
+            for flow in frames(flying.step(now_ns).to_onboard, "HIL_OPTICAL_FLOW"):
+                dt = flow.integration_time_us * 1e-6
+                state = flying._state
+                down = 1.0 - 2.0 * (state[at.QUATERNION + 1] ** 2 + state[at.QUATERNION + 2] ** 2)
+                rate = (flow.integrated_x - flow.integrated_xgyro) / dt
+                velocity = Rotation.from_quat(state[6:10][[1, 2, 3, 0]]).inv().apply(state[3:6])
+                turned.append(flow.integrated_xgyro / dt)
+                errors.append(rate + velocity[1] / (-state[2] / down))
+    assert np.abs(np.diff(turned)).max() > 0.5  # rad/s from one frame to the next
+    assert np.abs(errors).max() < 0.02
 
 
 def test_flow_noise_and_quality():
