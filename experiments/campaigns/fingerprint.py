@@ -29,8 +29,8 @@ EARLIER: Final[dict[str, str]] = {
 }
 """Today's fingerprint of the campaigns in docs/data, by the one they were flown under: their files were arranged
 differently then. Only settings are compared, not the code: protocol version 2 and the one value of gravity have changed
-the flights themselves (docs/experiments.md). So have the measured noise and the estimator's sigmas, which are newer than
-those flights: they stand here with the defaults of today.
+the flights themselves (docs/experiments.md). So have the measured noise and the estimator's sigmas: they are newer than
+those flights, and a flight flown again has the defaults of today.
 """
 
 
