@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("campaign", help="tuning campaign: name in configs/campaigns, or a file")
     parser.add_argument("--controller", required=True, help="name in configs/controllers, or a file")
     parser.add_argument(
-        "--trials", type=positive, required=True, metavar="N", help="number of trials; those of earlier runs count"
+        "--trials", type=positive, required=True, metavar="N", help="flown trials; those of earlier runs count"
     )
     add_jobs_option(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of the sampler (default 0)")
@@ -38,7 +38,15 @@ def run(arguments: argparse.Namespace) -> int:
     import optuna
 
     from experiments.campaigns.controller_file import write_tuned
-    from experiments.campaigns.tuning import Search, load_tuning, open_study, run_search, search_record, tuned_values
+    from experiments.campaigns.tuning import (
+        Search,
+        load_tuning,
+        near_an_end,
+        open_study,
+        run_search,
+        search_record,
+        tuned_values,
+    )
     from experiments.campaigns.worker_pools import LocalPool
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -57,6 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     record, values = search_record(search, study), tuned_values(search, study)
     for line in (*record, *(f"  {name}: {value:.4g}" for name, value in values.items())):
         console.print(line)
+    if ends := near_an_end(config.space(search.controller), study.best_params):
+        console.print(f"near an end of their ranges in {path}: {', '.join(ends)}")
     if not arguments.dry_run:
         write_tuned(target, values, record)
         console.print(f"written: {target}")
@@ -73,18 +83,14 @@ class _Report:
         self._flown = 0
 
     def __call__(self, study: "optuna.Study") -> None:
-        import optuna
+        from experiments.campaigns.tuning import flown_values
 
         self._flown += 1
-        ended = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
-        trials = study.get_trials(deepcopy=False, states=ended)
-        left_s = (time.monotonic() - self._started_s) / self._flown * (self._trials - len(trials))
-        last = trials[-1]
-        value = "stopped early" if last.value is None else f"{last.value:.4f}"
-        try:
-            best = f"{study.best_value:.4f}"
-        except ValueError:
-            best = "-"
+        best = flown_values(study)
+        left = max(self._trials - len(best), 0)
+        left_s = (time.monotonic() - self._started_s) / self._flown * left
+        value = study.trials[-1].value
         self._console.print(
-            f"trial {len(trials)} of {self._trials}: {value}, best {best}, {left_s / 60.0:.0f} min left"
+            f"trial {len(best)} of {self._trials}: {'stopped early' if value is None else f'{value:.4f}'}, "
+            f"best {best[-1]:.4f}, {len(study.trials)} sets of gains, {left_s / 60.0:.0f} min left"
         )

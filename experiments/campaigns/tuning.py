@@ -1,15 +1,19 @@
 """Searches a controller's gains on training seeds, with the same flights, common parameters and budget for all of them.
 
 The search uses Optuna's tree-structured Parzen estimator. A trial flies every case of the tuning campaign once for each
-seed. Its value is the mean cost of these flights:
+seed: some on the nominal vehicle, some on drawn ones. Its value is the mean cost of these flights:
 
     cost = RMSE / reference of the case                  if the vehicle survived, at most `crash_cost`,
     cost = crash_cost (2 - share of the flight flown)    if it crashed,
 
 so a crash always costs more than a large error, and an early crash more than a late one. The case names the window of
-the RMSE. The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. A
-trial is stopped early if its mean cost is above the median of the other trials at the same number of seeds (after every
-case was flown once).
+the RMSE. Gains whose predicted loops miss the campaign's margins are not flown: their cost is above that of any flight,
+and grows with what is missing. They are not part of the budget.
+
+The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. A trial is
+stopped early if its mean cost is above the median of the other trials at the same number of seeds (after every case was
+flown once). The search ends after `trials` flown trials if the last third improved the best cost by less than
+`CONVERGED`; otherwise it goes on until that is so, to at most twice the budget.
 
 A search is stored in a journal file and can be continued: trial n uses a generator seeded with (seed, n).
 """
@@ -29,11 +33,20 @@ from experiments.campaigns.campaign import CampaignConfig, Case, Seeds, campaign
 from experiments.campaigns.flight_jobs import FlightJob, flights_of_seed
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.flights.scenario import Choices, resolve
+from experiments.margins.requirement import MarginRequirement
 
 CONTROLLER_ROOT: Final = "onboard.controller."
 GUIDANCE_ROOT: Final = "onboard.guidance."
 TRAINING_SEEDS: Final = range(1000)
 """Seeds of tuning; the others are for evaluation."""
+CONVERGED: Final = 0.02
+"""Share of the best cost by which the last third of a search may improve it, when the search ends."""
+END_SHARE: Final = 0.05
+"""Share of a range, at either end, in which no best value should lie."""
+NOT_FLOWN_MAX: Final = 5000
+"""Sets of gains without the margins, after which a search gives up."""
+FLOWN: Final = "flown"
+ENDED: Final = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
 
 
 class Parameter(ConfigRecord):
@@ -51,6 +64,11 @@ class Parameter(ConfigRecord):
         if not self.low < self.high or (self.log and self.low <= 0.0):
             raise ValueError(f"{self.name}: low must be below high, and above 0 where log")
         return self
+
+    def share(self, value: float) -> float:
+        """Where a value lies in the range: 0 at the low end, 1 at the high end."""
+        low, high, at = (math.log(one) if self.log else one for one in (self.low, self.high, value))
+        return (at - low) / (high - low)
 
 
 Window = Literal["settled_rmse_m", "position_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"]
@@ -71,6 +89,8 @@ class TuneConfig(ConfigRecord):
     cases: tuple[TuneCase, ...] = Field(min_length=1)
     seeds: Seeds
     crash_cost: Annotated[float, Field(gt=1)]
+    margins: MarginRequirement
+    """Least predicted margins of every loop, on the nominal vehicle."""
     common: tuple[Parameter, ...]
     """Parameters of every controller, with the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
@@ -109,6 +129,7 @@ class Search:
     """Name of the campaign."""
     controller: str
     trials: int
+    """Flown trials, before the search may end."""
     seed: int = 0
 
 
@@ -155,6 +176,13 @@ def _flight_path(path: str) -> str:
     if path.startswith("guidance."):
         return GUIDANCE_ROOT + path.removeprefix("guidance.")
     return CONTROLLER_ROOT + path
+
+
+def margin_shortfall(search: Search, values: dict[str, float]) -> float:
+    """The share that these gains miss of the campaign's margins, predicted for the nominal vehicle; 0 for nothing."""
+    gains = assignments(search.config.space(search.controller), values)
+    choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
+    return search.config.margins.shortfall(resolve(choices=choices))
 
 
 def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
@@ -224,50 +252,95 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     return study
 
 
+def flown_values(study: optuna.Study) -> list[float]:
+    """The best cost so far, after each flown trial."""
+    best, so_far = math.inf, []
+    for trial in study.get_trials(deepcopy=False, states=ENDED):
+        if trial.user_attrs.get(FLOWN):
+            if trial.value is not None and trial.state is optuna.trial.TrialState.COMPLETE:
+                best = min(best, trial.value)
+            so_far.append(best)
+    return so_far
+
+
+def is_done(best_so_far: Sequence[float], trials: int) -> bool:
+    """Whether a search may end: its budget is flown and its last third gained little, or twice the budget is flown."""
+    if len(best_so_far) < trials:
+        return False
+    before = best_so_far[2 * len(best_so_far) // 3 - 1] if len(best_so_far) > 1 else math.inf
+    return len(best_so_far) >= 2 * trials or best_so_far[-1] > (1.0 - CONVERGED) * before
+
+
 def run_search(
     search: Search, study: optuna.Study, executor: Executor, report: Callable[[optuna.Study], None]
 ) -> optuna.Study:
-    """Fly trials until the budget is spent; trials of earlier runs count."""
+    """Fly trials until the search is done; trials of earlier runs count.
+
+    Raises
+    ------
+    ConfigError
+        If a flight fails, or if no gains with the campaign's margins are found.
+    """
     space = search.config.space(search.controller)
-    finished = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
-    while (done := len(study.get_trials(deepcopy=False, states=finished))) < search.trials:
+    not_flown = 0
+    while not is_done(flown_values(study), search.trials):
+        done = len(study.get_trials(deepcopy=False, states=ENDED))
         study.sampler = optuna.samplers.TPESampler(
             seed=search.seed * 100_003 + done, n_startup_trials=7, multivariate=True
         )
         trial = study.ask()
         values = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in space}
-
-        def give_up(number: int, mean: float, trial: optuna.Trial = trial) -> bool:
-            trial.report(mean, number)
-            return trial.should_prune() and number + 1 < search.config.seeds.count
-
-        try:
-            value = fly_trial(search, values, executor, give_up)
-        except optuna.TrialPruned:
-            study.tell(trial, state=optuna.trial.TrialState.PRUNED)
-        except BaseException:
-            study.tell(trial, state=optuna.trial.TrialState.FAIL)
-            study.enqueue_trial(values)  # the first trial when the search goes on
-            raise
-        else:
-            study.tell(trial, value)
+        missing = margin_shortfall(search, values)
+        trial.set_user_attr(FLOWN, missing == 0.0)
+        if missing > 0.0:
+            study.tell(trial, 2.0 * search.config.crash_cost * (1.0 + missing))
+            not_flown += 1
+            if not_flown > NOT_FLOWN_MAX:
+                raise ConfigError(f"{search.controller}: of {not_flown} sets of gains, none has the campaign's margins")
+            continue
+        not_flown = 0
+        _fly(search, study, trial, values, executor)
         report(study)
     return study
+
+
+def _fly(
+    search: Search, study: optuna.Study, trial: optuna.Trial, values: dict[str, float], executor: Executor
+) -> None:
+    """Fly one trial and tell the study. A trial that is interrupted is the first when the search goes on."""
+
+    def give_up(number: int, mean: float) -> bool:
+        trial.report(mean, number)
+        return trial.should_prune() and number + 1 < search.config.seeds.count
+
+    try:
+        value = fly_trial(search, values, executor, give_up)
+    except optuna.TrialPruned:
+        study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+    except BaseException:
+        study.tell(trial, state=optuna.trial.TrialState.FAIL)
+        study.enqueue_trial(values)
+        raise
+    else:
+        study.tell(trial, value)
+
+
+def near_an_end(space: Sequence[Parameter], values: dict[str, float]) -> list[str]:
+    """Names of the parameters whose value lies within END_SHARE of an end of its range."""
+    return [one.name for one in space if not END_SHARE <= one.share(values[one.name]) <= 1.0 - END_SHARE]
 
 
 def search_record(search: Search, study: optuna.Study) -> list[str]:
     """Return the lines for the head of the controller file: search and result."""
     config = search.config
     last = config.seeds.first + config.seeds.count - 1
-    first = next((trial.value for trial in study.trials if trial.number == 0 and trial.value is not None), None)
-    before = f", before {first:.4f}" if first is not None else ""
+    flown = len(flown_values(study))
     cases = ", ".join(one.case.name for one in config.cases)
     count = len(config.space(search.controller))
     return [
         f"dmrac tune {search.name} --controller {Path(search.controller).stem} --trials {search.trials}",
         f"cases {cases}; seeds {config.seeds.first} to {last}; {count} parameters; sampler seed {search.seed}",
-        f"best mean cost {study.best_value:.4f}{before}, trial {study.best_trial.number} "
-        "(cost: experiments/campaigns/tuning.py)",
+        f"best mean cost {study.best_value:.4f} of {flown} flown trials (cost: experiments/campaigns/tuning.py)",
     ]
 
 

@@ -71,11 +71,11 @@ class CascadeSettings(ConfigRecord):
     hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
     limits: DemandLimitsConfig = DemandLimitsConfig()
-    prediction: Annotated[bool, Field(description="attitude and rates predicted over the loop's dead time")] = False
+    prediction: Annotated[bool, Field(description="attitude and rates predicted over the loop's dead time")] = True
     gyro_delay_ticks: Annotated[float, Field(ge=0, le=10, description="age of the rates, for the prediction")] = 1.0
     command_rate_filter_s: Annotated[
         float, Field(ge=0, le=0.5, description="of the commanded attitude's rate, fed forward; 0: none")
-    ] = 0.0
+    ] = 0.03
     level_sink_speed_m_s: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
