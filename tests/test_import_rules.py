@@ -39,7 +39,7 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "replays": ("flights",),
     "timing": ("flights",),
     "margins": ("flights",),
-    "campaigns": ("flights",),
+    "campaigns": ("flights", "margins"),
     "results": ("campaigns",),
     "link": ("flights", "replays", "campaigns", "results"),
 }
