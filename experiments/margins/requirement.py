@@ -44,4 +44,4 @@ class MarginRequirement(ConfigRecord):
             (found.phase_margin_deg, self.phase_margin_deg),
             (found.delay_margin_ms, self.delay_margin_ms),
         )
-        return max(max(0.0, 1.0 - has / needs) for has, needs in pairs)
+        return max(max(0.0, float(1.0 - has / needs)) for has, needs in pairs)
