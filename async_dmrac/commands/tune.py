@@ -83,13 +83,13 @@ class _Report:
         self._flown = 0
 
     def __call__(self, study: "optuna.Study") -> None:
-        from experiments.campaigns.tuning import flown_values
+        from experiments.campaigns.tuning import ENDED, flown_values
 
         self._flown += 1
         best = flown_values(study)
         left = max(self._trials - len(best), 0)
         left_s = (time.monotonic() - self._started_s) / self._flown * left
-        value = study.trials[-1].value
+        value = study.get_trials(deepcopy=False, states=ENDED)[-1].value
         self._console.print(
             f"trial {len(best)} of {self._trials}: {'stopped early' if value is None else f'{value:.4f}'}, "
             f"best {best[-1]:.4f}, {len(study.trials)} sets of gains, {left_s / 60.0:.0f} min left"

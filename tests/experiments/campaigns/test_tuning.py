@@ -15,7 +15,11 @@ from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.tuning import (
     Search,
     cost,
+    flown_values,
+    is_done,
     load_tuning,
+    margin_shortfall,
+    near_an_end,
     open_study,
     present_values,
     run_search,
@@ -47,6 +51,11 @@ def bowl(job: Any) -> FlightResult:
     error = 0.02 * math.exp(100.0 * (lead - 0.12) ** 2 + 2.0 * math.log(frequency / 5.0) ** 2)
     row = ALIVE | {"settled_rmse_m": error, "after_onset_rmse_m": error}
     return FlightResult(job.key, row)
+
+
+def level(job: Any) -> FlightResult:
+    """A flight with the same error whatever the gains."""
+    return FlightResult(job.key, ALIVE | {"settled_rmse_m": 0.02, "after_onset_rmse_m": 0.02})
 
 
 def test_a_crash_costs_more_than_any_error() -> None:
@@ -91,27 +100,80 @@ def search(trials: int) -> Search:
     return Search(load_tuning("tune")[0], "tune", "pid", trials, seed=3)
 
 
+@pytest.fixture
+def any_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All gains have the margins."""
+    monkeypatch.setattr(tuning, "margin_shortfall", lambda search, values: 0.0)
+
+
 def test_search_improves_on_the_file_and_resumes(tmp_path: Path) -> None:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     whole = run_search(search(24), open_study(search(24), tmp_path / "whole"), Inline(bowl), lambda study: None)
-    first = whole.trials[0].value
+    first = next(trial.value for trial in whole.trials if trial.user_attrs["flown"])
     assert first is not None
     assert whole.best_value < first
     run_search(search(9), open_study(search(9), tmp_path / "parts"), Inline(bowl), lambda study: None)
     parts = run_search(search(24), open_study(search(24), tmp_path / "parts"), Inline(bowl), lambda study: None)
-    assert [trial.params for trial in parts.trials] == [trial.params for trial in whole.trials]
+    count = min(len(parts.trials), len(whole.trials))
+    assert [trial.params for trial in parts.trials[:count]] == [trial.params for trial in whole.trials[:count]]
     record = search_record(search(24), parts)
     assert "--trials 24" in record[0]
     assert f"seeds 0 to {load_tuning('tune')[0].seeds.count - 1}; " in record[1]
+    assert f"of {len(flown_values(parts))} flown trials" in record[2]
 
 
+def test_gains_without_the_margins_are_not_flown(tmp_path: Path) -> None:
+    flown: list[str] = []
+
+    def fly(job: Any) -> FlightResult:
+        flown.append(job.key)
+        return bowl(job)
+
+    one = search(5)
+    study = run_search(one, open_study(one, tmp_path), Inline(fly), lambda study: None)
+    missing = {trial.number: margin_shortfall(one, trial.params) for trial in study.trials}
+    assert [trial.user_attrs["flown"] for trial in study.trials] == [
+        missing[trial.number] == 0.0 for trial in study.trials
+    ]
+    refused = [trial.value for trial in study.trials if missing[trial.number] > 0.0]
+    assert refused
+    assert all(value is not None and value > 2.0 * one.config.crash_cost for value in refused)
+    assert len(flown) <= len(flown_values(study)) * len(one.config.cases) * one.config.seeds.count
+
+
+def test_a_search_ends_when_its_last_third_gained_little() -> None:
+    assert not is_done([3.0, 2.0, 1.9], 6)
+    assert is_done([3.0, 2.0, 2.0, 2.0, 1.99, 1.99], 6)
+    assert not is_done([3.0, 2.0, 2.0, 2.0, 1.9, 1.9], 6)
+    assert is_done([3.0, 2.0, 2.0, 2.0, 1.9, 1.9, 1.9, 1.9, 1.0, 1.0, 1.0, 1.0], 6)
+
+
+def test_shipped_gains_lie_inside_their_ranges() -> None:
+    config = load_tuning("tune")[0]
+    ends = {
+        controller: near_an_end(config.space(controller), present_values(config.space(controller), controller))
+        for controller in config.own
+    }
+    assert not any(ends.values()), ends
+
+
+@pytest.mark.parametrize("controller", sorted(load_tuning("tune")[0].own))
+def test_shipped_gains_have_the_predicted_margins(controller: str) -> None:
+    one = Search(load_tuning("tune")[0], "tune", controller, 1)
+    missing = margin_shortfall(one, present_values(one.config.space(controller), controller))
+    assert missing < 1e-3  # four digits are written
+
+
+@pytest.mark.usefixtures("any_gains")
 def test_the_first_trials_start_from_the_campaigns_loop_gains(tmp_path: Path) -> None:
-    study = run_search(search(3), open_study(search(3), tmp_path), Inline(bowl), lambda study: None)
+    one = search(1 + len(load_tuning("tune")[0].starts))
+    study = run_search(one, open_study(one, tmp_path), Inline(level), lambda study: None)
     first, *others = (trial.params for trial in study.trials)
     changed = [{name: other[name] for name in first if other[name] != first[name]} for other in others]
     assert changed == list(load_tuning("tune")[0].starts)
 
 
+@pytest.mark.usefixtures("any_gains")
 def test_the_trial_of_a_killed_search_is_repeated(tmp_path: Path) -> None:
     study = open_study(search(2), tmp_path)
     flying = study.ask()  # then the process is killed
@@ -119,7 +181,7 @@ def test_the_trial_of_a_killed_search_is_repeated(tmp_path: Path) -> None:
         one.name: flying.suggest_float(one.name, one.low, one.high, log=one.log)
         for one in search(2).config.space("pid")
     }
-    again = run_search(search(3), open_study(search(3), tmp_path), Inline(bowl), lambda study: None)
+    again = run_search(search(3), open_study(search(3), tmp_path), Inline(level), lambda study: None)
     assert again.trials[0].state.name == "FAIL"
     assert [trial.params for trial in again.trials[1:]].count(values) == 1
 
@@ -130,6 +192,7 @@ def test_a_start_outside_its_range_is_refused() -> None:
         tuning.TuneConfig.model_validate_json(__import__("json").dumps(tree), strict=False)
 
 
+@pytest.mark.usefixtures("any_gains")
 def test_an_interrupted_trial_is_repeated(tmp_path: Path) -> None:
     def interrupted(job: Any) -> FlightResult:
         raise KeyboardInterrupt
@@ -137,7 +200,7 @@ def test_an_interrupted_trial_is_repeated(tmp_path: Path) -> None:
     study = open_study(search(2), tmp_path)
     with pytest.raises(KeyboardInterrupt):
         run_search(search(2), study, Inline(interrupted), lambda study: None)
-    study = run_search(search(2), open_study(search(2), tmp_path), Inline(bowl), lambda study: None)
+    study = run_search(search(2), open_study(search(2), tmp_path), Inline(level), lambda study: None)
     states = [trial.state for trial in study.trials]
     assert states.count(optuna.trial.TrialState.FAIL) == 1
     assert states.count(optuna.trial.TrialState.COMPLETE) == 2
