@@ -10,9 +10,10 @@ so a crash always costs more than a large error, and an early crash more than a 
 the RMSE. Gains whose predicted loops miss the campaign's margins are not flown: their cost is above that of any flight,
 and grows with what is missing. They are not part of the budget.
 
-The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. A trial is
-stopped early if its mean cost is above the median of the other trials at the same number of seeds (after every case was
-flown once). The search ends after `trials` flown trials if the last third improved the best cost by less than
+The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. Of the others,
+one in four comes from the estimator, over the whole ranges, and three are steps of random size from the best so far. A
+trial is stopped early if its mean cost is `HOPELESS` times that of the best trial at the same number of seeds (after
+every case was flown once). The search ends after `trials` flown trials if the last third improved the best cost by less than
 `CONVERGED`; otherwise it goes on until that is so, to at most twice the budget.
 
 A search is stored in a journal file and can be continued: trial n uses a generator seeded with (seed, n).
@@ -25,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
+import numpy as np
 import optuna
 from pydantic import Field, model_validator
 
@@ -46,6 +48,10 @@ END_SHARE: Final = 0.05
 NOT_FLOWN_MAX: Final = 5000
 """Sets of gains without the margins, after which a search gives up."""
 FLOWN: Final = "flown"
+HOPELESS: Final = 1.15
+GLOBAL_EVERY: Final = 4
+STEP_SHARE: Final = (0.02, 0.12)
+"""Least and greatest standard deviation of a step from the best values, as a share of each range."""
 ENDED: Final = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
 
 
@@ -69,6 +75,12 @@ class Parameter(ConfigRecord):
         """Where a value lies in the range: 0 at the low end, 1 at the high end."""
         low, high, at = (math.log(one) if self.log else one for one in (self.low, self.high, value))
         return (at - low) / (high - low)
+
+    def value(self, share: float) -> float:
+        """The value at a share of the range, from 0 to 1."""
+        low, high = (math.log(one) if self.log else one for one in (self.low, self.high))
+        at = low + min(max(share, 0.0), 1.0) * (high - low)
+        return min(max(math.exp(at) if self.log else at, self.low), self.high)
 
 
 Window = Literal["settled_rmse_m", "position_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"]
@@ -234,7 +246,6 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     study = optuna.create_study(
         study_name=f"{search.name}/{Path(search.controller).stem}",
         storage=optuna.storages.JournalStorage(backend),
-        pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=0),
         direction="minimize",
         load_if_exists=True,
     )
@@ -288,6 +299,9 @@ def run_search(
         study.sampler = optuna.samplers.TPESampler(
             seed=search.seed * 100_003 + done, n_startup_trials=7, multivariate=True
         )
+        waiting = study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.WAITING,))
+        if done % GLOBAL_EVERY and not waiting:
+            study.enqueue_trial(step_from(space, study.best_params, np.random.default_rng([search.seed, done])))
         trial = study.ask()
         values = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in space}
         missing = margin_shortfall(search, values)
@@ -308,10 +322,13 @@ def _fly(
     search: Search, study: optuna.Study, trial: optuna.Trial, values: dict[str, float], executor: Executor
 ) -> None:
     """Fly one trial and tell the study. A trial that is interrupted is the first when the search goes on."""
+    flown = [one for one in study.get_trials(deepcopy=False, states=ENDED[:1]) if one.user_attrs.get(FLOWN)]
+    best = min(flown, key=lambda one: one.value or 0.0, default=None)
 
     def give_up(number: int, mean: float) -> bool:
         trial.report(mean, number)
-        return trial.should_prune() and number + 1 < search.config.seeds.count
+        last = number + 1 == search.config.seeds.count
+        return best is not None and not last and mean > HOPELESS * best.intermediate_values[number]
 
     try:
         value = fly_trial(search, values, executor, give_up)
@@ -323,6 +340,19 @@ def _fly(
         raise
     else:
         study.tell(trial, value)
+
+
+def step_from(space: Sequence[Parameter], values: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """Values a random step away from these: about half of them changed, all by the same standard deviation."""
+    low, high = STEP_SHARE
+    sigma = low * (high / low) ** float(rng.uniform())
+    chosen = rng.random(len(space)) < 0.5
+    chosen[int(rng.integers(len(space)))] = True
+    steps = sigma * rng.standard_normal(len(space)) * chosen
+    return {
+        one.name: one.value(one.share(values[one.name]) + step) if step else values[one.name]
+        for one, step in zip(space, steps.tolist(), strict=True)
+    }
 
 
 def near_an_end(space: Sequence[Parameter], values: dict[str, float]) -> list[str]:
