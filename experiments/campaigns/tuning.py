@@ -13,8 +13,8 @@ and grows with what is missing. They are not part of the budget.
 The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. Of the others,
 one in four comes from the estimator, over the whole ranges, and three are steps of random size from the best so far. A
 trial is stopped early if its mean cost is `HOPELESS` times that of the best trial at the same number of seeds (after
-every case was flown once). The search ends after `trials` flown trials if the last third improved the best cost by less than
-`CONVERGED`; otherwise it goes on until that is so, to at most twice the budget.
+every case was flown once). The search ends after `trials` flown trials if the last third improved the best cost by
+less than `CONVERGED`; otherwise it goes on until that is so, to at most twice the budget.
 
 A search is stored in a journal file and can be continued: trial n uses a generator seeded with (seed, n).
 """
