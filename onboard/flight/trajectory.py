@@ -16,7 +16,7 @@ from protocol.geometry import Vector3
 
 Positive = Annotated[float, Field(gt=0)]
 Coordinate = Annotated[float, Field(ge=-8, le=8, description="m")]
-StartPhase = Annotated[float, Field(ge=0, lt=1, description="where on the lap the path begins, share of a lap")]
+StartPhase = Annotated[float, Field(ge=0, le=1, description="where on the lap the path begins, share of a lap")]
 LISSAJOUS_STREAM: Final = 211
 FREQUENCY_RATIOS: Final = ((1.6, 1.9), (2.1, 2.4))
 """East frequency by north frequency of a Lissajous path; 2 would be a figure that repeats."""

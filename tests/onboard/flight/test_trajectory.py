@@ -184,7 +184,7 @@ def largest(flown, since_s, length_s):
 )
 def test_a_start_phase_needs_a_ramp_and_lies_within_a_lap(over, said):
     with pytest.raises(ConfigError, match=said):
-        starting("figure8", 0.5 if over else 1.0, **over)
+        starting("figure8", 0.5 if over else 1.1, **over)
 
 
 def test_the_circle_keeps_its_radius():
