@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from configs.flight_tree import read_scenario
 from configs.loader import CONFIG_DIRECTORY, ConfigError, load
+from configs.vehicle import value_at
 from experiments.campaigns.campaign import PRESENTATION, CampaignConfig
 from experiments.campaigns.fingerprint import fingerprint
 from experiments.campaigns.flight_row import Row, outcomes
@@ -24,6 +26,7 @@ REPORT_SEED = 20_000
 """Seed of the resampling: each number has its own generator, so that a report is repeatable."""
 OURS = "dmrac"
 """The controller that the others are compared with."""
+TRAJECTORY = "onboard.guidance.trajectory."
 CONTROLLER_ORDER = (
     *("none", "pid", "indi", "l1", "repetitive", "ilc"),
     *("bias", "paper_mrac", "mrac", "paper_dmrac", "dmrac"),
@@ -164,6 +167,13 @@ class CampaignData:
     def condition(self, group: Group) -> str:
         """Return case and point of a group in words."""
         return ", ".join([self.label(group.case), *(f"{name} {value}" for name, value in group.point)])
+
+    def one_path(self, case: str) -> bool:
+        """Return whether all seeds of a case fly the same path."""
+        flown = self.config.case(case)
+        drawn = any(one.path.startswith(TRAJECTORY) for one in (*self.config.draws, *flown.draws))
+        kind = value_at(read_scenario(flown.scenario).guidance, "trajectory.path.kind")
+        return not drawn and kind != "lissajous"
 
     def cases(self) -> list[str]:
         """Return the cases that have flights."""
