@@ -93,6 +93,8 @@ class CampaignData:
     failed: tuple[Row, ...] = field(default=())
     flown_on: tuple[str, ...] = ()
     """One line for each machine and set of versions, with the commits that flew there."""
+    as_today: bool = True
+    """Whether the campaign's file of today flies the same flights; True if there is none."""
 
     @property
     def command(self) -> str:
@@ -213,18 +215,22 @@ def load_data(folder: Path) -> CampaignData:
     name = flown.about.name
     good = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
-    return CampaignData(folder, name, _presented(flown.config, name), good, failed, by_place(flown.about.flown_on))
+    config, as_today = _presented(flown.config, name)
+    return CampaignData(folder, name, config, good, failed, by_place(flown.about.flown_on), as_today)
 
 
-def _presented(config: CampaignConfig, name: str) -> CampaignConfig:
-    """Return the campaign as flown, with titles, metrics, targets and figures from its file of today."""
+def _presented(config: CampaignConfig, name: str) -> tuple[CampaignConfig, bool]:
+    """Return the campaign as flown, with titles, metrics, targets and figures from its file of today.
+
+    Also whether that file flies the same flights; if not, the campaign is returned as it was flown.
+    """
     path = CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
     if not path.is_file():
-        return config
+        return config, True
     now = load(CampaignConfig, path)
     if fingerprint(now) != fingerprint(config):
-        return config
-    return config.model_copy(update={key: getattr(now, key) for key in PRESENTATION if key != "seeds"})
+        return config, False
+    return config.model_copy(update={key: getattr(now, key) for key in PRESENTATION if key != "seeds"}), True
 
 
 @dataclass(frozen=True)
