@@ -103,13 +103,16 @@ def test_a_range_is_that_of_the_scenarios_vehicle() -> None:
     ("draws", "said"),
     [
         ([{"path": MASS}], "give one of uniform, choice, range and vehicle"),
-        ([WHOLE | {"path": MASS}], "path: expected with uniform, choice and range, and not with vehicle"),
+        ([WHOLE | {"path": MASS}], "path: expected with uniform, choice and range, and not"),
         ([{"uniform": [0, 1]}], "path: expected with uniform"),
         ([{"vehicle": "mambo"}], r"draws\.0\.vehicle: 'mambo': .*'tuning' or 'held_out'"),
         ([{"path": "onboard.airframe.mass_kg", "range": "tuning"}], r"expected one that starts with vehicle\."),
         ([{"path": MASS, "range": "tuning", "thrust_to_weight": 1.5}], "thrust_to_weight: expected with vehicle only"),
         ([{"path": MASS, "uniform": [0.07, 0.06]}], r"uniform: \[0\.07, 0\.06\]: expected the low end first"),
-        ([{"path": "vehicle.body.arm_x_m", "range": "held_out"}], "no held_out range of it; allowed are body.mass_kg, "),
+        (
+            [{"path": "vehicle.body.arm_x_m", "range": "held_out"}],
+            "no held_out range of it; allowed are body.mass_kg",
+        ),
         ([WHOLE | {"thrust_to_weight": 2.9}], "vehicle mambo: draws: thrust_to_weight: 2.9: no vehicle within its"),
         ([WHOLE, {"path": MASS, "uniform": [0.06, 0.07]}], "draws: vehicle.body.mass_kg: drawn twice"),
     ],
