@@ -1,15 +1,17 @@
 """Reads a vehicle's one description, configs/vehicles/NAME.yaml, for the simulator, for onboard and for draws.
 
-The sections `body`, `motors`, `battery` and so on hold the nominal values. Three more sections may stand beside them:
+The sections `body`, `motors`, `battery` and so on hold the nominal values. Four more sections may stand beside them:
 
-    simulated:   values of the simulated vehicle that are not the nominal ones
-    onboard:     how onboard drives the motors of this vehicle
-    ranges:      how far a value may differ from one vehicle of this kind to the next, by the path of the value
+    simulated:         values of the simulated vehicle that are not the nominal ones
+    onboard:           how onboard drives the motors of this vehicle
+    ranges:            how far a value may differ from one vehicle of this kind to the next, by the path of the value;
+                       the gains of the controllers are tuned in these
+    held_out_ranges:   other ranges of the same values, for vehicles that nobody tuned for
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -27,6 +29,8 @@ AIRFRAME: Final = {
     "motor_lag_down_s": "motors.lag_down_s",
 }
 """Keys of `onboard.airframe`, each with the path of the nominal value that it gets."""
+RangeSet = Literal["tuning", "held_out"]
+"""`ranges` and `held_out_ranges`."""
 
 
 class Range(ConfigRecord):
@@ -39,6 +43,9 @@ class Range(ConfigRecord):
     def _one_form(self) -> Self:
         if (self.between is None) == (self.times is None):
             raise ValueError("give either between or times")
+        low, high = self.between or self.times or (0.0, 0.0)
+        if not low < high:
+            raise ValueError(f"{low:g} to {high:g}: expected the low end first, below the high one")
         return self
 
     def value(self, own: Any, share: float) -> Any:
@@ -64,6 +71,7 @@ class Range(ConfigRecord):
 
 class _Ranges(ConfigRecord):
     ranges: dict[str, Range] = Field(default_factory=dict)
+    held_out_ranges: dict[str, Range] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -74,14 +82,16 @@ class Vehicle:
     """The plain tree of the simulated vehicle, with the nominal body and motors in `nominal`."""
     airframe: dict[str, Any]
     """The plain tree of `onboard.airframe`."""
-    ranges: dict[str, Range]
+    ranges: dict[RangeSet, dict[str, Range]]
     """By path in `simulated`."""
 
-    def drawn(self, path: str, share: float) -> Any:
+    def drawn(self, path: str, share: float, chosen: RangeSet) -> Any:
         """The value at `share` of a range, from 0 to 1. Raises ConfigError if the vehicle has no such range."""
-        if path not in self.ranges:
-            raise ConfigError(f"{path}: the vehicle has no range of it; allowed are {', '.join(self.ranges)}")
-        return self.ranges[path].value(value_at(self.simulated, path), share)
+        ranges = self.ranges[chosen]
+        if path not in ranges:
+            allowed = f"allowed are {', '.join(ranges)}" if ranges else "it has none at all"
+            raise ConfigError(f"{path}: the vehicle has no {chosen} range of it; {allowed}")
+        return ranges[path].value(value_at(self.simulated, path), share)
 
 
 def read_vehicle(name: str) -> Vehicle:
@@ -90,19 +100,25 @@ def read_vehicle(name: str) -> Vehicle:
     Raises
     ------
     ConfigError
-        If a file cannot be read, or a range does not hold the vehicle's own value.
+        If a file cannot be read, a range is of no value of the vehicle, or one of `ranges` does not hold its value.
     """
     nominal = read_part("vehicles", name)
     source = str(named_file("vehicles", name))
     simulated, onboard = (_section(nominal, key, source) for key in ("simulated", "onboard"))
-    ranges = fill(_Ranges, {"ranges": nominal.pop("ranges", {})}, source).ranges
+    keys = ("ranges", "held_out_ranges")
+    filled = fill(_Ranges, {key: nominal.pop(key) for key in keys if key in nominal}, source)
     assumed = {key: nominal[key] for key in ("body", "motors") if key in nominal}
     values = {key: value_at(nominal, path) for key, path in AIRFRAME.items()}
     tree = merge(merge(nominal, simulated), {"nominal": assumed})
-    for path, one in ranges.items():
+    for path, one in filled.ranges.items():
         own = value_at(tree, path)
         if own is None or not one.holds(own):
             raise ConfigError(f"{source}: ranges.{path}: does not hold the vehicle's own value, {own}")
+    for path in filled.held_out_ranges:
+        if path not in filled.ranges:
+            allowed = f"allowed are the paths of ranges: {', '.join(filled.ranges)}"
+            raise ConfigError(f"{source}: held_out_ranges.{path}: unknown path; {allowed}")
+    ranges: dict[RangeSet, dict[str, Range]] = {"tuning": filled.ranges, "held_out": filled.held_out_ranges}
     return Vehicle(tree, {key: value for key, value in values.items() if value is not None} | onboard, ranges)
 
 

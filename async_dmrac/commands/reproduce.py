@@ -49,9 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
     started, reports, failed = time.monotonic(), [], 0
     try:
         for name in plan.shown:
-            if plan.extend and (rows := copy_published(plan, name)):
+            flying = name in plan.only and not arguments.draw_only
+            if plan.extend and (rows := copy_published(plan, name, flying)):
                 console.print(f"{name}: {rows} published flights copied into {plan.folder / name}")
-            if name in plan.only and not arguments.draw_only:
+            if flying:
                 with progress_bar(name, console) as report:
                     failed += fly(plan, name, lambda: open_workers(arguments), report).errors
             reports.append(draw(plan, name, lambda text: console.print(f"  {text}")))

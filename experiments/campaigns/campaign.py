@@ -4,16 +4,13 @@ A campaign file names scenarios and assigns values to them by path, as `dmrac fl
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
-from configs.flight_tree import read_scenario
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, load
-from configs.vehicle import read_vehicle
+from experiments.campaigns.draws import Draw
 
-VEHICLE_ROOT = "vehicle."
 PRESENTATION = (
     *("title", "description", "seeds", "quick_seeds", "compare_to", "same_conditions"),
     *("metrics", "targets", "figures", "traces"),
@@ -22,35 +19,6 @@ PRESENTATION = (
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][\w.+-]*$")]
 Assignments = dict[str, Any]
 """Value by path of the resolved configuration."""
-
-
-class Draw(ConfigRecord):
-    """A random value for each seed, the same for all controllers."""
-
-    path: str
-    uniform: tuple[float, float] | None = None
-    """Low and high."""
-    choice: tuple[Any, ...] | None = None
-    """One of these, with equal probability."""
-    range: Literal["vehicle"] | None = None
-    """The range that the vehicle's file gives for the value at `path`, which starts with `vehicle.`."""
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
-        if [self.uniform, self.choice, self.range].count(None) != 2:
-            raise ValueError("give one of uniform, choice and range")
-        if self.range is not None and not self.path.startswith(VEHICLE_ROOT):
-            raise ValueError(f"path: {self.path!r}: expected one that starts with {VEHICLE_ROOT}, as range is given")
-        return self
-
-    def value(self, rng: np.random.Generator, scenario: str) -> Any:
-        """Draw the value for one seed. Raises ConfigError if the scenario's vehicle has no such range."""
-        if self.choice is not None:
-            return self.choice[int(rng.integers(len(self.choice)))]
-        if self.uniform is not None:
-            return round(float(rng.uniform(*self.uniform)), 6)
-        vehicle = read_vehicle(read_scenario(scenario).vehicle)
-        return vehicle.drawn(self.path.removeprefix(VEHICLE_ROOT), float(rng.uniform()))
 
 
 class Case(ConfigRecord):
@@ -63,6 +31,7 @@ class Case(ConfigRecord):
     duration_s: Annotated[float, Field(ge=5, le=3600)] | None = None
     set: Assignments = Field(default_factory=dict)
     draws: tuple[Draw, ...] = ()
+    """Beside those of the campaign."""
     controllers: tuple[str, ...] = ()
     """Empty: those of the campaign."""
     experience: Name | None = None
@@ -130,6 +99,8 @@ class CampaignConfig(ConfigRecord):
     title: str = ""
     controllers: tuple[str, ...] = Field(min_length=1)
     cases: tuple[Case, ...] = Field(min_length=1)
+    draws: tuple[Draw, ...] = ()
+    """Of every case, beside its own."""
     sweeps: tuple[Sweep, ...] = ()
     seeds: Seeds
     quick_seeds: Annotated[int, Field(ge=1)] = 2

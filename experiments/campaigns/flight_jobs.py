@@ -11,13 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from experiments.campaigns.campaign import CampaignConfig, Case
+from experiments.campaigns.draws import draw_all
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.flights.scenario import Choices, FlightConfig, resolve
-
-DRAW_STREAM = 401
 
 
 @dataclass(frozen=True)
@@ -93,10 +90,7 @@ def flights_of_seed(
     campaign: CampaignConfig, name: str, case: Case, seed: int, number: int, keep_experience: bool
 ) -> Iterator[FlightJob]:
     """Yield a case's flights at every point and with every controller, for one seed, the number-th of the campaign."""
-    drawn = {
-        draw.path: draw.value(np.random.default_rng([seed, DRAW_STREAM, index]), case.scenario)
-        for index, draw in enumerate(case.draws)
-    }
+    drawn = draw_all(campaign.draws, case.draws, seed, case.scenario)
     sweeps = campaign.sweeps if case.swept else ()
     for steps in itertools.product(*(sweep.steps() for sweep in sweeps)):
         values = dict(case.set)

@@ -75,7 +75,7 @@ def flight_row(config: FlightConfig, outcome: LockstepOutcome, link: LinkBytes) 
         "flown_s": flown_s,
         "survived": not crash and bool(trace.on_path.any()),
         "crash_reason": crash,
-        "error": "" if trace.on_path.any() or crash else "the vehicle never reached its path",
+        "error": "" if trace.on_path.any() or crash else "the vehicle never took off",
         "position_rmse_m": metrics.position_rmse_m,
         "attitude_rmse_rad": metrics.attitude_rmse_rad,
         "lap_rmse_m": list(metrics.lap_rmse_m),
@@ -105,7 +105,10 @@ def fault_onset_s(config: FlightConfig) -> float:
 
 def _cut(trace: FlightTrace) -> str:
     last = trace.mode[-1] if trace.mode.size else FlightMode.BOOT
-    return "motors cut by the supervisor" if last in (FlightMode.EMERGENCY, FlightMode.TERMINATED) else ""
+    if last in (FlightMode.EMERGENCY, FlightMode.TERMINATED):
+        return "motors cut by the supervisor"
+    climbed = bool((trace.mode == FlightMode.TAKE_OFF).any())
+    return "never reached the height of its path" if climbed and not trace.on_path.any() else ""
 
 
 def _worst(trace: FlightTrace) -> float:

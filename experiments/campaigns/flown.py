@@ -10,7 +10,7 @@ import yaml
 
 from configs.loader import ConfigError, ConfigRecord, fill, load, parse_mapping
 from experiments.campaigns.campaign import CampaignConfig
-from experiments.campaigns.fingerprint import EARLIER, fingerprint
+from experiments.campaigns.fingerprint import fingerprint
 from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
 from runtime.files import write_atomically
@@ -40,7 +40,7 @@ class About(ConfigRecord):
 
     def check_settings(self, campaign: CampaignConfig, where: str, advice: str) -> None:
         """Raises ConfigError, with the advice, if `campaign` has other settings today than those of the flights."""
-        if EARLIER.get(self.fingerprint, self.fingerprint) != fingerprint(campaign):
+        if self.fingerprint != fingerprint(campaign):
             raise ConfigError(
                 f"{where}: its flights were made with other settings: campaign or configs have changed since; {advice}"
             )

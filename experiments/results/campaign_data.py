@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from configs.flight_tree import read_scenario
 from configs.loader import CONFIG_DIRECTORY, ConfigError, load
+from configs.vehicle import value_at
 from experiments.campaigns.campaign import PRESENTATION, CampaignConfig
 from experiments.campaigns.fingerprint import fingerprint
 from experiments.campaigns.flight_row import Row, outcomes
@@ -24,6 +26,7 @@ REPORT_SEED = 20_000
 """Seed of the resampling: each number has its own generator, so that a report is repeatable."""
 OURS = "dmrac"
 """The controller that the others are compared with."""
+TRAJECTORY = "onboard.guidance.trajectory."
 CONTROLLER_ORDER = (
     *("none", "pid", "indi", "l1", "repetitive", "ilc"),
     *("bias", "paper_mrac", "mrac", "paper_dmrac", "dmrac"),
@@ -90,6 +93,8 @@ class CampaignData:
     failed: tuple[Row, ...] = field(default=())
     flown_on: tuple[str, ...] = ()
     """One line for each machine and set of versions, with the commits that flew there."""
+    as_today: bool = True
+    """Whether the campaign's file of today flies the same flights; True if there is none."""
 
     @property
     def command(self) -> str:
@@ -165,6 +170,13 @@ class CampaignData:
         """Return case and point of a group in words."""
         return ", ".join([self.label(group.case), *(f"{name} {value}" for name, value in group.point)])
 
+    def one_path(self, case: str) -> bool:
+        """Return whether all seeds of a case fly the same path."""
+        flown = self.config.case(case)
+        drawn = any(one.path.startswith(TRAJECTORY) for one in (*self.config.draws, *flown.draws))
+        kind = value_at(read_scenario(flown.scenario).guidance, "trajectory.path.kind")
+        return not drawn and kind != "lissajous"
+
     def cases(self) -> list[str]:
         """Return the cases that have flights."""
         return list(dict.fromkeys(group.case for group in self.groups))
@@ -203,18 +215,22 @@ def load_data(folder: Path) -> CampaignData:
     name = flown.about.name
     good = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
-    return CampaignData(folder, name, _presented(flown.config, name), good, failed, by_place(flown.about.flown_on))
+    config, as_today = _presented(flown.config, name)
+    return CampaignData(folder, name, config, good, failed, by_place(flown.about.flown_on), as_today)
 
 
-def _presented(config: CampaignConfig, name: str) -> CampaignConfig:
-    """Return the campaign as flown, with titles, metrics, targets and figures from its file of today."""
+def _presented(config: CampaignConfig, name: str) -> tuple[CampaignConfig, bool]:
+    """Return the campaign as flown, with titles, metrics, targets and figures from its file of today.
+
+    Also whether that file flies the same flights; if not, the campaign is returned as it was flown.
+    """
     path = CONFIG_DIRECTORY / "campaigns" / f"{name}.yaml"
     if not path.is_file():
-        return config
+        return config, True
     now = load(CampaignConfig, path)
     if fingerprint(now) != fingerprint(config):
-        return config
-    return config.model_copy(update={key: getattr(now, key) for key in PRESENTATION if key != "seeds"})
+        return config, False
+    return config.model_copy(update={key: getattr(now, key) for key in PRESENTATION if key != "seeds"}), True
 
 
 @dataclass(frozen=True)

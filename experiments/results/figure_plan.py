@@ -29,7 +29,9 @@ class Picture:
 
 KEPT: Final = "not redrawn, its traces are not in this folder"
 COMPARED: Final = "{metric}: median over survivors with 95 % bootstrap interval; dots: single flights."
-BAND: Final = "Mean and standard deviation over the seeds with traces; grey: onsets of the fault; dotted: vehicle lost."
+MARKS: Final = "grey: onsets of the fault; dotted: vehicle lost."
+BAND: Final = f"Mean and standard deviation over the seeds with traces; {MARKS}"
+ONE_SEED: Final = f"The first seed's flight, as every seed flies another path; {MARKS}"
 KINDS: Final[dict[str, tuple[Drawer, str]]] = {
     "survival": (sweep_figures.survival, "Survival with 95 % Wilson intervals; lines: logistic fit to all flights."),
     "sweep": (sweep_figures.sweep_metric, "{metric}: median over survivors with 95 % bootstrap interval."),
@@ -45,8 +47,8 @@ KINDS: Final[dict[str, tuple[Drawer, str]]] = {
         "Left: jump of nu_ad at a swap, relative to the limit above which a swap is refused. "
         "Right: live bound on norm(e) against norm(e).",
     ),
-    "position": (trace_figures.position, "Position, {case}. " + BAND),
-    "attitude": (trace_figures.attitude, "Roll and pitch, {case}. " + BAND),
+    "position": (trace_figures.position, "Position, {case}. {band}"),
+    "attitude": (trace_figures.attitude, "Roll and pitch, {case}. {band}"),
     "torques": (
         trace_figures.torques,
         "Commands split into feedback, feed-forward and adaptive part, moving average over 0.18 s, {case}.",
@@ -110,7 +112,9 @@ def _called(drawer: Drawer, data: CampaignData, number: int, options: dict[str, 
 def _caption(data: CampaignData, caption: str, options: dict[str, Any]) -> str:
     case = data.label(options["case"]) if "case" in options else ""
     at = ", ".join(f"{key} {value}" for key, value in options.get("point", {}).items())
-    words = caption.format(metric=metric_name(options.get("metric", "")), case=f"{case}, {at}" if at else case)
+    band = BAND if "case" in options and data.one_path(options["case"]) else ONE_SEED
+    conditions = f"{case}, {at}" if at else case
+    words = caption.format(metric=metric_name(options.get("metric", "")), case=conditions, band=band)
     return words[0].upper() + words[1:]
 
 

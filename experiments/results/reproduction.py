@@ -29,6 +29,10 @@ CAMPAIGNS: Final = (
 PICTURES: Final = Path("pictures") / "results"
 """Folder of the pictures, beside the page."""
 HEAT_MAP: Final = "heat_map"
+OTHER_SETTINGS: Final = (
+    "**Flown with other settings than those of today: the campaign's file or the configuration has changed since.** "
+    "Texts, targets and figures are those of then."
+)
 
 
 @dataclass(frozen=True)
@@ -113,17 +117,20 @@ def publish_rows(plan: Reproduction, name: str) -> Path:
     return file
 
 
-def copy_published(plan: Reproduction, name: str) -> int:
+def copy_published(plan: Reproduction, name: str, extended: bool) -> int:
     """Copy published rows and pictures into a new folder of a campaign; return the number of rows, 0 if it exists.
 
-    Raises ConfigError if they were flown with other settings.
+    extended: whether more will be flown into the folder, and not only the page be built.
+
+    Raises ConfigError if they are to be extended and were flown with other settings: the two are never mixed.
     """
     folder, file = plan.folder / name, row_file(plan, name)
     if is_campaign(folder) or not file.exists():
         return 0
-    campaign, _ = load_campaign(name)
-    advice = f"repeat them without --extend: dmrac reproduce --only {name}"
-    read_about(file).check_settings(campaign, f"--extend {file}", advice)
+    if extended:
+        campaign, _ = load_campaign(name)
+        advice = f"repeat them without --extend: dmrac reproduce --only {name}"
+        read_about(file).check_settings(campaign, f"--extend {file}", advice)
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     for path in picture_folder(plan).glob(f"{name}_[0-9][0-9]_*"):
         shutil.copyfile(path, folder / "figures" / path.name)
@@ -142,7 +149,8 @@ def write_results(plan: Reproduction, reports: Sequence[CampaignReport]) -> None
         rows = row_file(plan, report.data.name).relative_to(plan.page.parent)
         flown_on = " and on ".join(report.data.flown_on)
         where = f"All flights of this campaign, one per row: [{rows}]({rows}). "
-        where += f"Flown on {flown_on}.\n" if flown_on else "\n"
+        where += f"Flown on {flown_on}." if flown_on else ""
+        where += "\n" if report.data.as_today else f" {OTHER_SETTINGS}\n"
         parts.append(report.markdown(of[report.data.title], PICTURES, where))
     write_atomically(plan.page, "\n".join(parts).encode())
 

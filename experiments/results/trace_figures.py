@@ -11,6 +11,7 @@ from protocol.conventions import Array
 from protocol.geometry import roll_pitch_yaw
 
 FLOWN = "flown: mean, ± standard deviation"
+FLOWN_ONCE = "flown"
 FLYING_MODES = (4.0, 5.0)
 
 
@@ -59,7 +60,10 @@ def _mark(panel: Any, traces: list[Trace]) -> None:
 
 
 def _columns(data: CampaignData, rows: int, height_in: float, groups: list[Group]) -> tuple[Any, list[Column]]:
-    """Return a figure with a column of panels for each group; the panels of a row share their vertical axis."""
+    """Return a figure with a column of panels for each group; the panels of a row share their vertical axis.
+
+    A column has the traces of all seeds if they fly the same path, otherwise those of the first seed.
+    """
     figure = new_figure(height_in, 2.2 + 2.9 * len(groups))
     columns: list[Column] = []
     for place, group in enumerate(groups):
@@ -69,7 +73,9 @@ def _columns(data: CampaignData, rows: int, height_in: float, groups: list[Group
             panels.append(figure.add_subplot(rows, len(groups), row * len(groups) + place + 1, **shared))
             if columns:
                 panels[-1].tick_params(labelleft=False)
-        columns.append(Column(group, data.traces(group), panels, style(group.controller).colour))
+        traces = data.traces(group)
+        shown = traces if data.one_path(group.case) else traces[:1]
+        columns.append(Column(group, shown, panels, style(group.controller).colour))
     return figure, columns
 
 
@@ -83,8 +89,17 @@ def _finish_columns(columns: list[Column], names: Sequence[str], titles: Sequenc
 
 def _titles(columns: list[Column]) -> list[str]:
     lost = [sum(not trace.row["survived"] for trace in one.traces) for one in columns]
-    counts = [f"{len(one.traces)} flights{f', {n} lost' if n else ''}" for one, n in zip(columns, lost, strict=True)]
+    counts = [f"{_which(one.traces)}{f', {n} lost' if n else ''}" for one, n in zip(columns, lost, strict=True)]
     return [f"{one.group.controller} ({count})" for one, count in zip(columns, counts, strict=True)]
+
+
+def _which(traces: list[Trace]) -> str:
+    return f"{len(traces)} flights" if len(traces) > 1 else f"seed {traces[0].row['seed']}"
+
+
+def _flown(traces: list[Trace]) -> str:
+    """Legend of what was flown."""
+    return FLOWN if len(traces) > 1 else FLOWN_ONCE
 
 
 def _within(columns: list[Column], limit: float) -> None:
@@ -101,14 +116,15 @@ def position(
     figure, columns = _columns(data, 3, 6.2, _groups(data, case, controllers, point))
     for _, traces, panels, colour in columns:
         longest = max(traces, key=lambda trace: trace.time_s.size)
+        label = _flown(traces)
         for panel, axis, sign in zip(panels, "ned", (1.0, 1.0, -1.0), strict=True):
             target = sign * longest[f"tick_target_{axis}"]
             panel.plot(longest.time_s, target, color="0.45", linewidth=1.0, linestyle="--", label="target")
-            _band(panel, traces, [sign * trace[f"truth_position_{axis}"] for trace in traces], colour, "-", FLOWN)
+            _band(panel, traces, [sign * trace[f"truth_position_{axis}"] for trace in traces], colour, "-", label)
             _mark(panel, traces)
     _finish_columns(columns, ("north [m]", "east [m]", "height [m]"), _titles(columns))
     _within(columns, 2.6)
-    legend_below(figure, columns[0].panels[:1], neutral=FLOWN)
+    legend_below(figure, columns[0].panels[:1], neutral=_flown(columns[0].traces))
     return figure
 
 
@@ -124,11 +140,11 @@ def attitude(
                 for name in ("commanded_quaternion", "quaternion")
             )
             _band(panel, traces, commanded, "0.45", "--", "commanded")
-            _band(panel, traces, flown, colour, "-", FLOWN)
+            _band(panel, traces, flown, colour, "-", _flown(traces))
             _mark(panel, traces)
     _finish_columns(columns, ("roll [deg]", "pitch [deg]"), _titles(columns))
     _within(columns, 45.0)
-    legend_below(figure, columns[0].panels[:1], neutral=FLOWN)
+    legend_below(figure, columns[0].panels[:1], neutral=_flown(columns[0].traces))
     return figure
 
 

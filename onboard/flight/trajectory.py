@@ -16,6 +16,7 @@ from protocol.geometry import Vector3
 
 Positive = Annotated[float, Field(gt=0)]
 Coordinate = Annotated[float, Field(ge=-8, le=8, description="m")]
+StartPhase = Annotated[float, Field(ge=0, le=1, description="where on the lap the path begins, share of a lap")]
 LISSAJOUS_STREAM: Final = 211
 FREQUENCY_RATIOS: Final = ((1.6, 1.9), (2.1, 2.4))
 """East frequency by north frequency of a Lissajous path; 2 would be a figure that repeats."""
@@ -45,6 +46,8 @@ class Figure8(ConfigRecord):
     length_m: Annotated[float, Field(gt=0, le=10, description="north extent, tip to tip")]
     width_m: Annotated[float, Field(gt=0, le=10, description="east extent")]
     period_s: Annotated[float, Field(ge=2, le=120, description="one lap")]
+    start_phase: StartPhase = 0.0
+    """theta = 2 pi start_phase at the beginning; 0: the centre, northward."""
 
 
 class Lissajous(ConfigRecord):
@@ -66,6 +69,8 @@ class Circle(ConfigRecord):
     kind: Literal["circle"]
     radius_m: Annotated[float, Field(gt=0, le=8)]
     period_s: Annotated[float, Field(ge=2, le=120, description="one lap")]
+    start_phase: StartPhase = 0.0
+    """0: the take-off point, eastward."""
 
 
 class Waypoints(ConfigRecord):
@@ -91,10 +96,11 @@ class TrajectoryConfig(ConfigRecord):
 
     @model_validator(mode="after")
     def _start_is_smooth(self) -> Self:
-        if isinstance(self.path, Lissajous) and self.ramp_s <= 0.0:
-            raise ValueError(
-                f"ramp_s {self.ramp_s:g}: expected more than 0, because a lissajous path starts off centre"
-            )
+        path = self.path
+        off_centre = isinstance(path, Lissajous) or (isinstance(path, Figure8 | Circle) and path.start_phase > 0.0)
+        if off_centre and self.ramp_s <= 0.0:
+            what = "a lissajous path" if isinstance(path, Lissajous) else "a path with a start_phase"
+            raise ValueError(f"ramp_s {self.ramp_s:g}: expected more than 0, because {what} starts off centre")
         return self
 
 
@@ -125,7 +131,10 @@ class Path:
         self._figure8 = path if isinstance(path, Figure8) else None
         self._circle = path if isinstance(path, Circle) else None
         self._lissajous = _drawn(path) if isinstance(path, Lissajous) else None
-        self._omega = 2.0 * pi / path.period_s if isinstance(path, Figure8 | Circle) else 0.0
+        periodic = path if isinstance(path, Figure8 | Circle) else None
+        self._omega = 2.0 * pi / periodic.period_s if periodic else 0.0
+        self._theta = 2.0 * pi * periodic.start_phase if periodic else 0.0
+        self._begin = self._begin_of_path()
 
     @property
     def start_s(self) -> float:
@@ -159,16 +168,30 @@ class Path:
         since = t - self._start_s
         if since > 0.0:
             if self._figure8 is not None:
-                return _figure8(self._figure8, *_phase(since, self._omega, self._ramp_s), d, vd, ad)
+                th, th1, th2 = _phase(since, self._omega, self._ramp_s)
+                point = _figure8(self._figure8, self._theta + th, th1, th2, d, vd, ad)
+                return point if self._begin is None else _approach(point, self._begin, since, self._ramp_s)
             if self._lissajous is not None:
                 (north, v_n, a_n), (east, v_e, a_e) = (_swing(one, since, self._ramp_s) for one in self._lissajous)
                 return PathPoint((north, east, d), (v_n, v_e, vd), (a_n, a_e, ad))
             if self._circle is not None:
-                return _circle(self._circle, *_phase(since, self._omega, self._ramp_s), d, vd, ad)
+                th, th1, th2 = _phase(since, self._omega, self._ramp_s)
+                point = _circle(self._circle, self._theta + th, th1, th2, d, vd, ad)
+                return point if self._begin is None else _approach(point, self._begin, since, self._ramp_s)
             if self._legs:
                 p, v, a = _along_legs(self._legs, since)
                 return PathPoint((p[0], p[1], p[2] + d), (v[0], v[1], v[2] + vd), (a[0], a[1], a[2] + ad))
         return PathPoint((0.0, 0.0, d), (0.0, 0.0, vd), (0.0, 0.0, ad))
+
+    def _begin_of_path(self) -> tuple[float, float] | None:
+        """Where the path begins, north and east of the take-off point, m; None: there."""
+        if self._theta == 0.0:
+            return None
+        still = (self._theta, 0.0, 0.0, 0.0, 0.0, 0.0)
+        if self._figure8 is not None:
+            return _figure8(self._figure8, *still).position[:2]
+        assert self._circle is not None
+        return _circle(self._circle, *still).position[:2]
 
     def _rise(self, t: float) -> Vector3:
         """Take-off: down, its rate and its acceleration."""
@@ -209,6 +232,22 @@ def _circle(path: Circle, th: float, th1: float, th2: float, d: float, vd: float
         (R * (1.0 - c), R * s, d),
         (R * s * th1, R * c * th1, vd),
         (R * (s * th2 + c * th1 * th1), R * (c * th2 - s * th1 * th1), ad),
+    )
+
+
+def _approach(point: PathPoint, begin: tuple[float, float], t: float, ramp_s: float) -> PathPoint:
+    """The point, moved by what is left of the way to the path's beginning; it shrinks to 0 over ramp_s smoothly."""
+    s = t / ramp_s
+    if s >= 1.0:
+        return point
+    share, rise, change = smooth_step(s)
+    left, rise, change = 1.0 - share, rise / ramp_s, change / ramp_s**2
+    north, east = begin
+    p, v, a = point
+    return PathPoint(
+        (p[0] - left * north, p[1] - left * east, p[2]),
+        (v[0] + rise * north, v[1] + rise * east, v[2]),
+        (a[0] + change * north, a[1] + change * east, a[2]),
     )
 
 

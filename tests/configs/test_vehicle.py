@@ -5,11 +5,9 @@ from pathlib import Path
 import pytest
 
 from configs.flight_tree import Choices
-from configs.loader import ConfigError, fill
+from configs.loader import ConfigError
 from configs.parts import part_names
 from configs.vehicle import AIRFRAME, Range, read_vehicle
-from experiments.campaigns.campaign import CampaignConfig
-from experiments.campaigns.flight_jobs import unfold
 from experiments.flights.scenario import resolve
 from sim_vehicle.config import load_vehicle
 
@@ -26,8 +24,8 @@ def test_onboard_and_the_reference_of_the_truth_get_the_nominal_values(name: str
 def test_the_simulated_vehicle_differs_from_the_one_that_onboard_assumes() -> None:
     flight = resolve("figure8_real")
     assert (flight.vehicle.body.mass_kg, flight.onboard.airframe.mass_kg) == (0.070, 0.063)
-    assert flight.onboard.airframe.motor_response_s == 0.02, "of the scenario"
-    assert resolve("hover").onboard.airframe.motor_response_s == 0.05
+    assert flight.onboard.airframe.motor_response_s == 0.02
+    assert flight.vehicle.motors.lag_down_s > flight.onboard.airframe.motor_lag_down_s == 0.05
     chosen = Choices(assignments=("vehicle.body.mass_kg=0.065", "onboard.airframe.mass_kg=0.06"))
     flight = resolve("hover", chosen)
     masses = (flight.vehicle.body.mass_kg, flight.onboard.airframe.mass_kg, flight.vehicle.nominal.body.mass_kg)
@@ -53,6 +51,11 @@ def test_a_vehicle_of_ones_own(tmp_path: Path) -> None:
         ("ranges: {body.colour: {times: [0, 1]}}", r"ranges\.body\.colour: does not hold .* own value, None"),
         ("ranges: {body.mass_kg: {between: [1, 2]}}", r"ranges\.body\.mass_kg: give either between or times"),
         ("ranges: {body.mass_kg: {to: 1}}", r"ranges\.body\.mass_kg\.to: unknown key"),
+        ("ranges: {body.mass_kg: {times: [1.2, 0.9]}}", r"ranges\.body\.mass_kg: 1\.2 to 0\.9: expected the low end"),
+        (
+            "held_out_ranges: {body.colour: {times: [0, 1]}}",
+            r"held_out_ranges\.body\.colour: unknown path; allowed are the paths of ranges: body\.mass_kg, ",
+        ),
         ("simulated: 3", r"mine\.yaml: simulated: 3: expected a mapping"),
     ],
 )
@@ -76,22 +79,12 @@ def test_a_range_goes_from_low_to_high() -> None:
     assert [between.value(0.03, share) for share in (0.0, 1.0)] == [0.02, 0.07]
 
 
-def test_a_campaign_draws_from_the_ranges_of_the_scenarios_vehicle() -> None:
-    draws = [{"path": f"vehicle.{path}", "range": "vehicle"} for path in ("body.mass_kg", "body.inertia_kg_m2")]
-    case = {"name": "one", "scenario": "figure8_real", "draws": draws}
-    tree = {"description": "t", "controllers": ["pid", "none"], "seeds": {"count": 20}, "cases": [case]}
-    drawn = {}
-    for job in unfold(fill(CampaignConfig, tree, "t"), "t"):
-        flight = resolve(job.scenario, Choices(job.controller, job.seed, 5.0, job.assignments))
-        drawn.setdefault(job.seed, set()).add((flight.vehicle.body.mass_kg, flight.vehicle.body.inertia_kg_m2))
-    assert all(len(values) == 1 for values in drawn.values()), "the same for every controller"
-    masses = [mass for values in drawn.values() for mass, _ in values]
-    assert 0.9 * 0.07 <= min(masses) < 0.067 < 0.08 < max(masses) <= 1.2 * 0.07
-    case["draws"] = [{"path": "vehicle.body.arm_x_m", "range": "vehicle"}]
-    with pytest.raises(
-        ConfigError, match=r"body\.arm_x_m: the vehicle has no range of it; allowed are body\.mass_kg, "
-    ):
-        list(unfold(fill(CampaignConfig, tree, "t"), "t"))
-    case["draws"] = [{"path": "onboard.airframe.mass_kg", "range": "vehicle"}]
-    with pytest.raises(ConfigError, match=r"expected one that starts with vehicle\."):
-        fill(CampaignConfig, tree, "t")
+@pytest.mark.parametrize("name", part_names("vehicles"))
+def test_every_value_has_a_tuning_range_and_another_one_held_out(name: str) -> None:
+    vehicle = read_vehicle(name)
+    tuning, held_out = vehicle.ranges["tuning"], vehicle.ranges["held_out"]
+    assert tuning.keys() == held_out.keys()
+    for path in tuning:
+        ends = [[vehicle.drawn(path, share, chosen) for share in (0.0, 1.0)] for chosen in ("tuning", "held_out")]
+        assert ends[0] != ends[1], path
+        assert tuning[path] != held_out[path], path

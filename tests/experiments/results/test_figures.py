@@ -12,6 +12,7 @@ import pytest
 
 from configs.loader import ConfigError, fill, parse_yaml
 from experiments.campaigns.campaign import CampaignConfig
+from experiments.campaigns.draws import Draw
 from experiments.campaigns.flight_jobs import FlightJob, unfold
 from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
@@ -344,3 +345,19 @@ def test_the_axis_of_a_row_fits_its_widest_panel(folder: Path, kind: str) -> Non
             np.savez(wide.folder / "traces" / name, allow_pickle=False, **columns)
     widened = getattr(trace_figures, kind)(wide, "chip", ["pid", "mrac"], {"factor": 0.9})
     assert widened.axes[0].get_ylim()[1] > 1.5 * drawn.axes[0].get_ylim()[1]
+
+
+@pytest.mark.parametrize("kind", ["position", "attitude"])
+def test_flights_on_different_paths_are_not_averaged(folder: Path, kind: str, tmp_path: Path) -> None:
+    data = load_data(folder)
+    start = Draw(path="onboard.guidance.trajectory.path.start_phase", uniform=(0.0, 1.0))
+    figures = ({"kind": kind, "case": "chip", "point": {"factor": 0.9}, "controllers": ["pid"]},)
+    for draws, title, said in (
+        ((), "pid (2 flights)", "over the seeds"),
+        ((start,), "pid (seed 1000)", "first seed's"),
+    ):
+        one = replace(data, config=data.config.model_copy(update={"draws": draws, "figures": figures}))
+        drawn = getattr(trace_figures, kind)(one, "chip", ["pid"], {"factor": 0.9})
+        assert drawn.axes[0].get_title() == title
+        (picture,), _ = draw_all(one, tmp_path, lambda text: None)
+        assert said in picture.caption

@@ -1,23 +1,35 @@
 """Published rows: they can be extended on another machine."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
-from configs.loader import ConfigError
+from configs.loader import ConfigError, read_tree
 from experiments.campaigns import flown
 from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
+from experiments.campaigns.flown import CAMPAIGN_FILE
 from experiments.campaigns.provenance import by_place
 from experiments.campaigns.runner import prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult
+from experiments.results import campaign_data
 from experiments.results.campaign_data import load_data
 from experiments.results.figure_plan import draw_all
 from experiments.results.figure_style import new_figure, save
-from experiments.results.reproduction import Reproduction, copy_published, fly, publish_rows
+from experiments.results.reproduction import (
+    OTHER_SETTINGS,
+    Reproduction,
+    copy_published,
+    draw,
+    fly,
+    publish_rows,
+    write_results,
+)
 from tests.experiments.inline_workers import InlineWorkers
 
 
@@ -57,8 +69,8 @@ def test_published_rows_are_extended_on_another_machine(tmp_path: Path) -> None:
     """Another machine flies the missing rows, and the campaign records where each part was flown."""
     before = published(tmp_path)
     plan = replace(before, folder=tmp_path / "elsewhere", seeds=3)
-    assert copy_published(plan, "features") == 2
-    assert copy_published(plan, "features") == 0  # existing flights are not replaced
+    assert copy_published(plan, "features", extended=True) == 2
+    assert copy_published(plan, "features", extended=True) == 0  # existing flights are not replaced
     flown: list[str] = []
 
     def fly_nothing(job: FlightJob) -> FlightResult:
@@ -84,8 +96,27 @@ def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monke
     plan = replace(published(tmp_path), folder=tmp_path / "elsewhere")
     monkeypatch.setattr(flown, "fingerprint", lambda tree: "another")
     with pytest.raises(ConfigError, match=r"features.parquet: .* made with other settings.*--only features"):
-        copy_published(plan, "features")
+        copy_published(plan, "features", extended=True)
     assert not (plan.folder / "features").exists()
+
+
+def test_published_rows_of_other_settings_stay_on_the_page_which_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = replace(published(tmp_path), folder=tmp_path / "elsewhere", only=())
+    assert copy_published(plan, "features", extended=False) == 2
+    for fingerprints, said in (({}, False), ({"Then.": "another"}, True)):
+        monkeypatch.setattr(campaign_data, "fingerprint", lambda one, f=fingerprints: f.get(one.description, "one"))
+        folder = tmp_path / f"page {said}"
+        shutil.copytree(plan.folder / "features", folder / "features")
+        if said:
+            about = read_tree(folder / "features" / CAMPAIGN_FILE)
+            about["campaign"] |= {"title": "Then", "description": "Then."}
+            (folder / "features" / CAMPAIGN_FILE).write_text(yaml.safe_dump(about), encoding="utf-8")
+        here = replace(plan, folder=folder)
+        write_results(here, [draw(here, "features", lambda text: None)])
+        page = plan.page.read_text(encoding="utf-8")
+        assert (OTHER_SETTINGS in page, "## Then" in page) == (said, said)
 
 
 def test_other_campaigns_stay_on_the_page(tmp_path: Path) -> None:

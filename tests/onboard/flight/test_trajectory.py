@@ -21,6 +21,14 @@ COMMON = {
 PATHS = {
     "hover": {"kind": "hover"},
     "figure8": {"kind": "figure8", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0},
+    "figure8 from elsewhere": {
+        "kind": "figure8",
+        "length_m": 2.0,
+        "width_m": 1.0,
+        "period_s": 6.0,
+        "start_phase": 0.3,
+    },
+    "circle from elsewhere": {"kind": "circle", "radius_m": 0.8, "period_s": 5.0, "start_phase": 0.6},
     "lissajous": {"kind": "lissajous", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0, "seed": 7},
     "circle": {"kind": "circle", "radius_m": 0.8, "period_s": 5.0},
     "waypoints": {
@@ -39,7 +47,7 @@ def path(kind, **over):
 @pytest.mark.parametrize("kind", PATHS)
 @pytest.mark.parametrize("ramp_s", [0.0, 3.0])
 def test_derivatives_equal_finite_differences(kind, ramp_s):
-    flown = path(kind, ramp_s=ramp_s or (0.5 if kind == "lissajous" else 0.0))
+    flown = path(kind, ramp_s=ramp_s or (0.5 if kind == "lissajous" or "start_phase" in PATHS[kind] else 0.0))
     h = 1e-5
     for t in np.random.default_rng(1).uniform(0.01, 25.0, 300):
         if abs(t - flown.start_s) < 0.01:
@@ -128,6 +136,55 @@ def test_the_lap_phase_runs_from_the_first_lap_at_full_speed():
     assert flown.lap_phase(start) == 0.0
     assert flown.lap_phase(start + 7.5) == pytest.approx(0.25)
     assert path("hover").lap_phase(20.0) == -1.0
+
+
+def starting(kind, start_phase, **over):
+    return path(kind, path={**PATHS[kind], "start_phase": start_phase}, **over)
+
+
+@pytest.mark.parametrize("kind", ["figure8", "circle"])
+def test_without_a_start_phase_a_path_is_the_same_to_the_bit(kind):
+    without, zero = path(kind), starting(kind, 0.0)
+    assert [zero.at(t) for t in np.arange(0.0, 20.0, 0.05)] == [without.at(t) for t in np.arange(0.0, 20.0, 0.05)]
+
+
+@pytest.mark.parametrize("kind", ["figure8", "circle"])
+@pytest.mark.parametrize("start_phase", [0.05, 0.25, 0.5, 0.9])
+def test_a_start_phase_moves_the_laps_in_time_and_leaves_their_shape(kind, start_phase):
+    """It starts at rest where it took off; at full speed it is as far ahead of the other as the phase says."""
+    flown, other = starting(kind, start_phase), path(kind)
+    assert flown.at(flown.start_s + 1e-9).position == pytest.approx((0.0, 0.0, -1.2), abs=1e-6)
+    assert flown.at(flown.start_s + 1e-9).velocity == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+    assert (flown.laps_from_s(), flown.lap_s) == (other.laps_from_s(), other.lap_s)
+    for t in flown.laps_from_s() + np.arange(0.0, 12.0, 0.1):
+        later = other.at(t + start_phase * other.lap_s)
+        for one, two in zip(flown.at(t), later, strict=True):
+            assert one == pytest.approx(two, abs=1e-9)
+        assert flown.lap_phase(t) == other.lap_phase(t)
+
+
+@pytest.mark.parametrize("kind", ["figure8", "circle"])
+def test_the_way_to_a_start_phase_asks_for_no_more_than_twice_the_laps(kind):
+    flown = path(kind)
+    laps = largest(flown, flown.laps_from_s(), flown.lap_s)
+    for start_phase in np.arange(0.05, 1.0, 0.1):
+        speed, acceleration = largest(starting(kind, float(start_phase)), flown.start_s, 3.0)
+        assert speed < 1.4 * laps[0]
+        assert acceleration < 2.0 * laps[1]
+
+
+def largest(flown, since_s, length_s):
+    points = [flown.at(t) for t in np.arange(since_s, since_s + length_s, 0.02)]
+    return [max(np.linalg.norm(point[order]) for point in points) for order in (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("over", "said"),
+    [({"ramp_s": 0.0}, "ramp_s 0: expected more than 0, because a path with a start_phase"), ({}, "start_phase")],
+)
+def test_a_start_phase_needs_a_ramp_and_lies_within_a_lap(over, said):
+    with pytest.raises(ConfigError, match=said):
+        starting("figure8", 0.5 if over else 1.1, **over)
 
 
 def test_the_circle_keeps_its_radius():
