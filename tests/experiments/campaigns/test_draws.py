@@ -17,8 +17,8 @@ WHOLE = {"vehicle": "held_out"}
 START_PHASE = "onboard.guidance.trajectory.path.start_phase"
 JET_NORTH = "vehicle.disturbances.0.origin_ned_m.0"
 MASS = "vehicle.body.mass_kg"
-NOT_DRAWN = ("paper_preset", "tune")
-"""The paper's flights are flown as they are; the tuning campaign is another kind of file."""
+NOT_DRAWN = ("paper_preset", "survival", "tune")
+"""The paper's flights are flown as they are; survival asks for the ranges of tuning; tune is another kind of file."""
 REPORTING = sorted(file.stem for file in (CONFIG_DIRECTORY / "campaigns").glob("*.yaml") if file.stem not in NOT_DRAWN)
 
 
