@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     search = Search(config, path.stem, arguments.controller, arguments.trials, arguments.seed)
     target = named_file("controllers", arguments.controller)
     study = open_study(search, arguments.out or Path("campaigns") / path.stem)
-    console, pool = plain_console(), LocalPool(arguments.jobs or cores())
+    console, pool = plain_console(), LocalPool(arguments.jobs or cores(), recycle=False)
     try:
         run_search(search, study, pool.open(), _Report(console, search.trials))
     except KeyboardInterrupt:

@@ -27,10 +27,15 @@ class Workers(Protocol):
 
 
 class LocalPool:
-    """Spawned processes of this machine, one thread each."""
+    """Spawned processes of this machine, one thread each.
 
-    def __init__(self, count: int) -> None:
+    recycle: whether processes are replaced after FLIGHTS_PER_PROCESS flights. CPython 3.11's pool waits for ever when
+    that happens while it has idle processes, so a caller that waits for a few flights at a time must not ask for it.
+    """
+
+    def __init__(self, count: int, recycle: bool = True) -> None:
         self.count = count
+        self._flights_each = FLIGHTS_PER_PROCESS if recycle else None
         self._executor: ProcessPoolExecutor | None = None
 
     def open(self) -> Executor:
@@ -38,7 +43,7 @@ class LocalPool:
         one_thread_each()
         context = multiprocessing.get_context("spawn")
         self._executor = ProcessPoolExecutor(
-            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=FLIGHTS_PER_PROCESS
+            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=self._flights_each
         )
         return self._executor
 
