@@ -44,7 +44,10 @@ KINDS: Final[dict[str, tuple[Drawer, str]]] = {
         row_figures.swaps,
         "Jump of nu_ad at a swap, relative to the limit above which a swap is refused.",
     ),
-    "bounds": (row_figures.bounds, "Median live bound on the tracking error against the error, a point for each flight."),
+    "bounds": (
+        row_figures.bounds,
+        "Median live bound on the tracking error against the error, a point for each flight.",
+    ),
     "position": (trace_figures.position, "Position, {case}. " + BAND),
     "attitude": (trace_figures.attitude, "Roll and pitch, {case}. " + BAND),
     "torques": (

@@ -119,7 +119,8 @@ class CascadedController:
         self._a1 = tuple(settings.attitude.gains.stiffness().tolist())
         self._a2 = tuple(settings.attitude.gains.rate_gain().tolist())
         self._limits = DemandLimits(settings.limits)
-        self._bounds = TrackingBounds(settings.position.gains, settings.attitude.gains)
+        self.bounds = TrackingBounds(settings.position.gains, settings.attitude.gains)
+        """Live bounds on the tracking errors; they change no command."""
         self._output = ControlOutput()
         self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
         self._command: Vector3 = (0.0, 0.0, 0.0)
@@ -144,14 +145,14 @@ class CascadedController:
         self._output.thrust_n = thrust
         self._output.commanded_quaternion = commanded
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
-        self._bounds.step(inputs, self._output, self._command_rate)
+        self.bounds.step(inputs, self._output, self._command_rate)
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
         """Set the reference models to the vehicle's state, integrals and filters to zero."""
         self._restart_models(inputs)
         self._limits.reset()
-        self._bounds.reset()
+        self.bounds.reset()
         for augmentation in self.augmentations:
             augmentation.reset()
 

@@ -224,7 +224,9 @@ def test_targets_and_failures_are_in_the_tables(folder: Path) -> None:
 
 def test_the_coverage_of_the_live_bound_is_in_a_table_for_controllers_and_campaign(folder: Path) -> None:
     data = load_data(folder)
-    rows = tuple(row | {"position_bound_coverage": 0.5} if row["key"] == data.rows[0]["key"] else row for row in data.rows)
+    rows = tuple(
+        row | {"position_bound_coverage": 0.5} if row["key"] == data.rows[0]["key"] else row for row in data.rows
+    )
     table = next(one for one in tables(replace(data, rows=rows)) if one.caption.startswith("Live bound"))
     assert table.header[2:6] == ("position: bound [mm]", "error [mm]", "covered", "least flight")
     assert [row[0] for row in table.rows] == [*data.controllers, "all"]

@@ -114,7 +114,7 @@ def test_a_jump_of_the_pose_is_an_error_at_once() -> None:
 def test_the_bound_does_not_change_the_flight_of_any_law() -> None:
     """Two controllers, one without its bounds: the same demands to the bit."""
     rigs = [Rig(shipped_controller("mrac"), force=FORCE, torque=TORQUE) for _ in range(2)]
-    rigs[1].controller._bounds.step = lambda *_: None
+    rigs[1].controller.bounds.step = lambda *_: None
     one, other = (rig.fly(1.0) for rig in rigs)
     assert all(np.array_equal(a["position"], b["position"]) for a, b in zip(one, other, strict=True))
 
@@ -128,7 +128,9 @@ def bounds_of(scenario: str, controller: str, *assignments: str) -> dict[str, Bo
 @pytest.mark.parametrize("controller", ["l1", "indi", "dmrac"])
 @pytest.mark.parametrize("scenario", ["figure8_calm", "figure8_wind", "jet 8 m/s"])
 def test_flights_stay_within_a_bound_of_a_few_times_the_error(scenario: str, controller: str) -> None:
-    chosen: tuple[Any, ...] = ("figure8_wind", controller, JET) if scenario.startswith("jet") else (scenario, controller)
+    chosen: tuple[Any, ...] = (
+        ("figure8_wind", controller, JET) if scenario.startswith("jet") else (scenario, controller)
+    )
     for channel in bounds_of(*chosen).values():
         assert channel.coverage >= 0.99
         assert 1.0 < channel.bound_median / channel.error_median < 6.0
