@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.flights.trace import FlightTrace
 from onboard.flight.trajectory import Path, TrajectoryConfig

@@ -59,7 +59,8 @@ def test_coverage_counts_the_ticks_on_the_path_that_have_a_bound() -> None:
     position, attitude = bound_metrics(trace).values()
     assert position.coverage == pytest.approx(2.0 / 3.0)
     assert (position.bound_median, position.error_median) == (0.2, 0.1)
-    assert math.isnan(attitude.coverage) and math.isnan(attitude.bound_median)
+    assert math.isnan(attitude.coverage)
+    assert math.isnan(attitude.bound_median)
 
 
 def test_the_summary_says_bound_error_and_coverage() -> None:

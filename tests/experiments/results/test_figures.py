@@ -85,8 +85,9 @@ def made_up_row(job: FlightJob) -> dict[str, Any]:
         "feature_age_median_s": spread,
         "position_swap_jump_max_m_s2": 0.5 * spread,
         "attitude_swap_jump_max_rad_s2": 5.0 * spread,
-        **{f"{channel}_{kind}_median_{unit}": size * spread for channel, unit in (("position", "m"), ("attitude", "rad"))
-           for kind, size in (("bound", 0.03), ("error", 0.01))},
+        **{f"{channel}_median_{unit}": size * spread
+           for channel, unit, size in (("position_bound", "m", 0.03), ("position_error", "m", 0.01),
+                                       ("attitude_bound", "rad", 0.03), ("attitude_error", "rad", 0.01))},
         "position_bound_coverage": 1.0 if job.seed % 2 else 0.99,
         "attitude_bound_coverage": 1.0,
     }  # fmt: skip

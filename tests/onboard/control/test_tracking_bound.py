@@ -1,4 +1,4 @@
-"""The live bound on the tracking error: its majorant, its inequality for known Delta, and flights that it must cover."""
+"""The live bound on the tracking error: its majorant, its inequality for a known Delta, and its coverage in flight."""
 
 from typing import Any
 
