@@ -50,11 +50,11 @@ def majorant(omega: float, zeta: float) -> Majorant:
 
 
 class AxisBound:
-    """The bound of one axis: |d| in m or rad, w in units of u. Its state is eight numbers."""
+    """The bound of one axis: |d| in m or rad, w in units of u. Its state is six numbers."""
 
     __slots__ = (
-        *("_feed1", "_feed2", "_keep1", "_keep2", "_majorant", "_pass2", "_share", "_z1", "_z2", "k1", "k2"),
-        *("once", "response", "response_rate", "twice"),
+        *("_feed1", "_feed2", "_keep1", "_keep2", "_majorant", "_once", "_pass2", "_response", "_response_rate"),
+        *("_share", "_twice", "_z1", "_z2", "k1", "k2"),
     )
 
     def __init__(self, omega: float, zeta: float) -> None:
@@ -62,9 +62,9 @@ class AxisBound:
         self.k1, self.k2 = omega * omega, 2.0 * zeta * omega
         self._majorant = majorant(omega, zeta)
         self._z1 = self._z2 = 0.0
-        self.once = self.twice = 0.0
+        self._once = self._twice = 0.0
         """The residual through F, and through F twice; Delta_hat = 2 once - twice."""
-        self.response = self.response_rate = 0.0
+        self._response = self._response_rate = 0.0
         """s: error of an undisturbed loop that follows the command, and the rate of that loop's x."""
 
     def prepare(self, dt: float) -> None:
@@ -78,19 +78,19 @@ class AxisBound:
 
     def forget(self) -> None:
         """Set Delta_hat to zero."""
-        self.once = self.twice = 0.0
+        self._once = self._twice = 0.0
 
     def restart(self, d: float, d_rate: float) -> float:
         """Start from a known error and its rate, with a command at rest; returns |d|."""
         self._z1 = self._majorant.gain * abs(d_rate + self._majorant.slow * d)
         self._z2 = abs(d)
-        self.response = self.response_rate = 0.0
+        self._response = self._response_rate = 0.0
         return self._z2
 
     def step(self, known: float, residual: float, d: float, d_rate: float) -> float:
         """The bound after one period, with w = known - Delta_hat + k1 d + k2 d_rate; known: a_d - u_hat."""
-        self.once = once = self.once + self._share * (residual - self.once)
-        self.twice = twice = self.twice + self._share * (once - self.twice)
+        self._once = once = self._once + self._share * (residual - self._once)
+        self._twice = twice = self._twice + self._share * (once - self._twice)
         size = abs(known - 2.0 * once + twice + self.k1 * d + self.k2 * d_rate)
         self._z2 = z2 = self._keep2 * self._z2 + self._pass2 * self._z1 + self._feed2 * size
         self._z1 = self._keep1 * self._z1 + self._feed1 * size
@@ -98,10 +98,10 @@ class AxisBound:
 
     def respond(self, turn: float, rate_fed_forward: float, dt: float) -> float:
         """s after one period at whose end the command turns, rad: an error at once."""
-        s, rate = self.response, self.response_rate
+        s, rate = self._response, self._response_rate
         alpha = self.k1 * s - self.k2 * (rate - rate_fed_forward)
-        self.response = s = s - dt * (rate + 0.5 * dt * alpha) + turn
-        self.response_rate = rate + dt * alpha
+        self._response = s = s - dt * (rate + 0.5 * dt * alpha) + turn
+        self._response_rate = rate + dt * alpha
         return s
 
 
