@@ -8,7 +8,7 @@ with u the demand of the law at the present state without its limits. The gains 
 a_d - u_hat - Delta + 2 zeta omega d_dot + omega^2 d: the same number, without nu_cmd. Its absolute value passes a
 positive majorant of the impulse response h1(t) of the left side. Delta_hat stands for Delta; that is why the bound is a
 measured one. It is filtered from the rate of change of the estimated velocity and body rates minus u_hat: the
-velocity's includes the corrections by poses, without which a tilt error of 0.3 degrees would be missing in Delta_hat.
+velocity's includes the corrections by poses, without which an error of the estimated tilt would be missing in Delta_hat.
 
 In the attitude channel a_d is the acceleration of the commanded attitude, which is noise differentiated twice. The
 response s to it is known exactly with its sign, so it is computed apart: bound = |s| + majorant of the rest.
@@ -21,7 +21,7 @@ from onboard.control.records import ControlInputs, ControlOutput
 from onboard.control.reference_model import ChannelGains
 from protocol.geometry import Quaternion, Vector3, quaternion_multiply, quaternion_to_rotation_vector
 
-RESIDUAL_FILTER_S: Final = 0.03
+RESIDUAL_FILTER_S: Final = 0.02
 """T of Delta_hat = (2 F - F^2) r, F = 1 / (1 + T s): no lag for a Delta that changes steadily. Not a tuned value."""
 SPREAD: Final = 0.9
 OVERSHOOT: Final = 1.28
@@ -50,11 +50,11 @@ def majorant(omega: float, zeta: float) -> Majorant:
 
 
 class AxisBound:
-    """The bound of one axis: |d| in m or rad, w in units of u. Its state is six numbers."""
+    """The bound of one axis: |d| in m or rad, w in units of u. Its state is seven numbers."""
 
     __slots__ = (
-        *("_feed1", "_feed2", "_keep1", "_keep2", "_majorant", "_once", "_pass2", "_response", "_response_rate"),
-        *("_share", "_twice", "_z1", "_z2", "k1", "k2"),
+        *("_feed1", "_feed2", "_keep1", "_keep2", "_majorant", "_once", "_pass2", "_pull", "_response"),
+        *("_response_rate", "_share", "_twice", "_z1", "_z2", "k1", "k2"),
     )
 
     def __init__(self, omega: float, zeta: float) -> None:
@@ -64,6 +64,8 @@ class AxisBound:
         self._z1 = self._z2 = 0.0
         self._once = self._twice = 0.0
         """The residual through F, and through F twice; Delta_hat = 2 once - twice."""
+        self._pull = 0.0
+        """a_d + k1 d + k2 d_rate of the last tick."""
         self._response = self._response_rate = 0.0
         """s: error of an undisturbed loop that follows the command, and the rate of that loop's x."""
 
@@ -80,18 +82,23 @@ class AxisBound:
         """Set Delta_hat to zero."""
         self._once = self._twice = 0.0
 
-    def restart(self, d: float, d_rate: float) -> float:
+    def restart(self, a_d: float, d: float, d_rate: float) -> float:
         """Start from a known error and its rate, with a command at rest; returns |d|."""
+        self._pull = a_d + self.k1 * d + self.k2 * d_rate
         self._z1 = self._majorant.gain * abs(d_rate + self._majorant.slow * d)
         self._z2 = abs(d)
         self._response = self._response_rate = 0.0
         return self._z2
 
-    def step(self, known: float, residual: float, d: float, d_rate: float) -> float:
-        """The bound after one period, with w = known - Delta_hat + k1 d + k2 d_rate; known: a_d - u_hat."""
+    def step(self, a_d: float, u_hat: float, residual: float, d: float, d_rate: float) -> float:
+        """The bound after one period, with w = a_d - u_hat - Delta_hat + k1 d + k2 d_rate.
+
+        u_hat and the residual are means over the period, the others its end; w takes their mean with its start.
+        """
         self._once = once = self._once + self._share * (residual - self._once)
         self._twice = twice = self._twice + self._share * (once - self._twice)
-        size = abs(known - 2.0 * once + twice + self.k1 * d + self.k2 * d_rate)
+        before, self._pull = self._pull, a_d + self.k1 * d + self.k2 * d_rate
+        size = abs(0.5 * (before + self._pull) - u_hat - 2.0 * once + twice)
         self._z2 = z2 = self._keep2 * self._z2 + self._pass2 * self._z1 + self._feed2 * size
         self._z1 = self._keep1 * self._z1 + self._feed1 * size
         return z2
@@ -159,9 +166,9 @@ class TrackingBounds:
         for i, axis in enumerate(self._position):
             d, d_rate, u = place[i] - p[i], speed[i] - v[i], u_hat[i]
             if restart:
-                bound = axis.restart(d, d_rate)
+                bound = axis.restart(a_d[i], d, d_rate)
             else:
-                bound = axis.step(a_d[i] - u, (v[i] - before[i]) / inputs.dt - u, d, d_rate)
+                bound = axis.step(a_d[i], u, (v[i] - before[i]) / inputs.dt - u, d, d_rate)
             squared += bound * bound
         return sqrt(squared)
 
@@ -179,9 +186,9 @@ class TrackingBounds:
         squared = 0.0
         for i, axis in enumerate(self._attitude):
             if restart:
-                bound = axis.restart(e[i], -rates[i])
+                bound = axis.restart(0.0, e[i], -rates[i])
             else:
                 bound = abs(axis.respond(turn[i], command_rate[i], dt))
-                bound += axis.step(-u_hat[i], residual[i], e[i], command_rate[i] - rates[i])
+                bound += axis.step(0.0, u_hat[i], residual[i], e[i], command_rate[i] - rates[i])
             squared += bound * bound
         return sqrt(squared)

@@ -59,12 +59,13 @@ def test_the_bound_holds_for_any_start_and_any_w_if_delta_is_known(omega: float,
         axis = AxisBound(omega, zeta)
         axis.prepare(DT)
         d, rate = rng.normal(size=2) * (1.0, omega)
-        assert axis.restart(d, rate) == abs(d)
+        assert axis.restart(0.0, d, rate) == abs(d)
         for tick in range(400):
             w = float(rng.normal() if trial % 2 else np.sign(np.sin(0.02 * trial * tick)) + 1.0)
-            before = w - axis.k1 * d - axis.k2 * rate  # a_d - u_hat of this tick, Delta = 0
-            bound = axis.step(before, 0.0, d, rate)
+            before = axis.k1 * d + axis.k2 * rate
             d, rate = step @ np.array([d, rate]) + push * w
+            u_hat = 0.5 * (before + axis.k1 * d + axis.k2 * rate) - w  # a_d = 0, Delta = 0
+            bound = axis.step(0.0, u_hat, 0.0, d, rate)
             assert abs(d) <= bound * (1.0 + 1e-9) + 1e-12
             tightest = min(tightest, bound / max(abs(d), 1e-12))
     assert tightest < 1.5, "it is not loose everywhere either"
@@ -140,7 +141,7 @@ def test_coverage_shows_a_wrong_delta_hat(monkeypatch: pytest.MonkeyPatch) -> No
     """With Delta_hat = 0 an uncompensated disturbance is not in the bound, and most ticks lie outside it."""
     honest = bounds_of("figure8_calm", "none")["position"]
     step = AxisBound.step
-    monkeypatch.setattr(AxisBound, "step", lambda self, known, residual, d, rate: step(self, known, 0.0, d, rate))
+    monkeypatch.setattr(AxisBound, "step", lambda self, a_d, u_hat, _, d, rate: step(self, a_d, u_hat, 0.0, d, rate))
     wrong = bounds_of("figure8_calm", "none")["position"]
     assert honest.coverage > 0.95
     assert wrong.coverage < 0.6
