@@ -23,6 +23,8 @@ from protocol.geometry import Quaternion, Vector3, quaternion_multiply, quaterni
 
 RESIDUAL_FILTER_S: Final = 0.02
 """T of Delta_hat = (2 F - F^2) r, F = 1 / (1 + T s): no lag for a Delta that changes steadily. Not a tuned value."""
+ESTIMATE_SIGMAS: Final = 2.0
+"""Standard deviations of the estimated position that are added to the bound."""
 SPREAD: Final = 0.9
 OVERSHOOT: Final = 1.28
 """sin x <= OVERSHOOT (1 - exp(-SPREAD x)) / SPREAD for x >= 0: the majorant of an oscillating response."""
@@ -158,7 +160,7 @@ class TrackingBounds:
             axis.prepare(dt)
 
     def _position_bound(self, inputs: ControlInputs, restart: bool) -> float:
-        """Bound on the distance to the path, m."""
+        """Bound on the true distance to the path, m: that of the estimate, and what the estimate may be off."""
         state, (place, speed, a_d) = inputs.state, inputs.target.path
         p, v, u_hat = state.position.tolist(), state.velocity.tolist(), inputs.position.u_hat.tolist()
         before, self._velocity = self._velocity, v
@@ -170,7 +172,7 @@ class TrackingBounds:
             else:
                 bound = axis.step(a_d[i], u, (v[i] - before[i]) / inputs.dt - u, d, d_rate)
             squared += bound * bound
-        return sqrt(squared)
+        return sqrt(squared) + ESTIMATE_SIGMAS * state.position_sigma_m
 
     def _attitude_bound(
         self, inputs: ControlInputs, output: ControlOutput, command_rate: Vector3, restart: bool
