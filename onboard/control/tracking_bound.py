@@ -8,7 +8,7 @@ with u the demand of the law at the present state without its limits. The gains 
 a_d - u_hat - Delta + 2 zeta omega d_dot + omega^2 d: the same number, without nu_cmd. Its absolute value passes a
 positive majorant of the impulse response h1(t) of the left side. Delta_hat stands for Delta; that is why the bound is a
 measured one. It is filtered from the rate of change of the estimated velocity and body rates minus u_hat: the
-velocity's includes the corrections by poses, without which an error of the estimated tilt would be missing in Delta_hat.
+velocity's includes the corrections by poses, without which an error of the estimated tilt would be missing.
 
 In the attitude channel a_d is the acceleration of the commanded attitude, which is noise differentiated twice. The
 response s to it is known exactly with its sign, so it is computed apart: bound = |s| + majorant of the rest.
