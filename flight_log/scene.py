@@ -104,7 +104,7 @@ PLAIN_CURVES: Final[tuple[tuple[str, str, str, str, float, bool], ...]] = (
 )
 TABS: Final = {
     "control": ("position [m]", "attitude [deg]", "adaptive, position [m/s²]", "adaptive, attitude [rad/s²]"),
-    "adaptation": ("norm(W)", "norm(e), position [m, m/s]", "norm(e), attitude [rad, rad/s]"),
+    "adaptation": ("norm(W)", "tracking error, position [m]", "tracking error, attitude [deg]"),
     "learning": ("features", "training loss, position [(m/s²)²]", "training loss, attitude [(rad/s²)²]"),
     "link": ("datagrams lost in 1 s [%]", "delay of datagrams [ms]", "link ages [s]", "link counts"),
     "vehicle": ("motors [share of maximum]", "loop [us]", "health"),
@@ -186,16 +186,18 @@ def _commanded(tick: Table) -> list[Curve]:
 
 
 def _bounds(tick: Table) -> list[Curve]:
-    """norm(e) of each channel and the live bound on it."""
+    """The tracking error of each channel, by the estimate, and the live bound on it; logs before it have no bound."""
     thin, curves = thinned(tick), []
-    channels = (("position", "ned", "ned", "[m, m/s]"), ("attitude", "xyz", "pqr", "[rad, rad/s]"))
-    for channel, first, second, units in channels:
-        error = thin.vector(*_names(f"{channel}_error", first), *_names(f"{channel}_error_rate", second))
-        norm = np.linalg.norm(error, axis=1)
-        bound = np.where(thin[f"{channel}_live_bound"] > 0.0, thin[f"{channel}_live_bound"], np.nan)
-        group = f"norm(e), {channel} {units}"
-        curves.append(Curve(group, "norm(e)", thin.time_ns, norm))
-        curves.append(Curve(group, "live bound", thin.time_ns, bound, True))
+    position = np.linalg.norm(thin.vector(*_names("position", "ned")) - thin.vector(*_names("target", "ned")), axis=1)
+    dot = (thin.vector(*_names("quaternion", "wxyz")) * thin.vector(*_names("commanded_quaternion", "wxyz"))).sum(1)
+    attitude = 2.0 * np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    channels = (("position", "m", position, 1.0), ("attitude", "deg", attitude, DEGREES))
+    for channel, unit, error, factor in channels:
+        group = f"tracking error, {channel} [{unit}]"
+        curves.append(Curve(group, "error", thin.time_ns, error * factor))
+        if f"{channel}_tracking_bound" in thin:
+            bound = thin[f"{channel}_tracking_bound"]
+            curves.append(Curve(group, "live bound", thin.time_ns, np.where(bound > 0.0, bound, np.nan) * factor, True))
     return curves
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from experiments.flights.lockstep_flight import LockstepOutcome
-from experiments.flights.metrics import bound_medians, flight_metrics, known_ages, median, rms
+from experiments.flights.metrics import bound_metrics, flight_metrics, known_ages, median, rms
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
 from onboard.flight.supervisor import FlightMode
@@ -28,7 +28,8 @@ _FLOATS = (
     *("settled_rmse_m", "before_onset_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"),
     *("worst_error_m", "recovery_s", "feature_age_median_s", "feature_age_max_s", "pose_age_median_s"),
     *("up_bytes_s", "down_bytes_s", "up_lost_share", "down_lost_share"),
-    *("position_bound_median", "position_error_norm_median", "attitude_bound_median", "attitude_error_norm_median"),
+    *("position_bound_median_m", "position_error_median_m", "position_bound_coverage"),
+    *("attitude_bound_median_rad", "attitude_error_median_rad", "attitude_bound_coverage"),
     *("position_swap_jump_max_m_s2", "attitude_swap_jump_max_rad_s2", "wall_s", "cpu_s", "worker_peak_mib"),
 )
 _INTEGERS = ("seed", "feature_version", "swaps", "refused", "training_rounds", "versions_sent", "samples")
@@ -127,8 +128,12 @@ def _ages(trace: FlightTrace) -> Row:
 
 def _bounds(trace: FlightTrace) -> Row:
     row: Row = {}
-    for channel, (bound, error) in bound_medians(trace, (trace.tick["adapting"] > 0.5) & trace.on_path).items():
-        row |= {f"{channel}_bound_median": bound, f"{channel}_error_norm_median": error}
+    for (channel, one), unit in zip(bound_metrics(trace).items(), ("m", "rad"), strict=True):
+        row |= {
+            f"{channel}_bound_median_{unit}": one.bound_median,
+            f"{channel}_error_median_{unit}": one.error_median,
+            f"{channel}_bound_coverage": one.coverage,
+        }
     return row
 
 

@@ -31,8 +31,8 @@ TRACE_COLUMNS = (
     *(f"feed_forward_{axis}" for axis in "ned"),
     *(f"position_error_{axis}" for axis in "ned"),
     *(f"position_error_rate_{axis}" for axis in "ned"),
-    *("position_live_bound", "position_weight_norm", "attitude_weight_norm", "mode", "path_time"),
-    *("feature_version", "feature_age", "battery", "vibration"),
+    *("position_tracking_bound", "attitude_tracking_bound", "position_weight_norm", "attitude_weight_norm"),
+    *("mode", "path_time", "feature_version", "feature_age", "battery", "vibration"),
 )
 TRUTH_COLUMNS = (*(f"{kind}_{axis}" for kind in ("position", "wind") for axis in "ned"), "airborne")
 

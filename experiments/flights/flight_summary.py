@@ -2,13 +2,14 @@
 
 import math
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from experiments.flights.metrics import bound_medians, flight_metrics, known_ages, median
+from experiments.flights.metrics import bound_metrics, flight_metrics, known_ages, median
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
 from runtime.files import write_json
@@ -58,10 +59,10 @@ def build_summary(
         "onboard": {key: onboard[key] for key in ("ticks", "missed", "tick_us", "rss_mb") if key in onboard},
     }
     if trace is not None:
-        medians = bound_medians(trace, trace.tick["adapting"] > 0.5)
-        bounds = {channel: _number(bound) for channel, (bound, _) in medians.items()}
-        bounds |= {f"{channel}_error": _number(error) for channel, (_, error) in medians.items()}
-        summary["live_bound_median"] = bounds
+        summary["live_bound"] = {
+            channel: {name: _number(value) for name, value in asdict(one).items()}
+            for channel, one in bound_metrics(trace).items()
+        }
         age = _number(median(known_ages(trace, "feature_age")))
         summary["features"] = {**summary["features"], "age_s_median": age}
     return summary
@@ -108,10 +109,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         text = f"version {features['version']}, {features['swaps']} swaps, {features['refused']} refused"
         age = features.get("age_s_median")
         rows.append(("features", text if age is None else f"{text}, median age {age:.1f} s"))
-    bound = summary.get("live_bound_median") or {}
-    if bound.get("position") is not None:
-        parts = [f"{one} {bound[one]:.2f} (|e| {bound[f'{one}_error']:.3f})" for one in ("position", "attitude")]
-        rows.append(("live bound", f"{', '.join(parts)}, medians"))
+    rows.extend(_bound_rows(summary.get("live_bound") or {}))
     rows.extend(_link_rows(summary["link"]))
     if "tick_us" in onboard:
         tick = onboard["tick_us"]
@@ -119,6 +117,17 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         text += f"p99 {tick['p99']:.0f} us, max {tick['max']:.0f} us, {onboard['rss_mb']:.0f} MB"
         rows.append(("onboard", text))
     return rows
+
+
+def _bound_rows(bounds: dict[str, dict[str, float | None]]) -> list[tuple[str, str]]:
+    parts = []
+    for channel, unit, factor in (("position", "mm", 1e3), ("attitude", "deg", math.degrees(1.0))):
+        values = bounds.get(channel, {})
+        bound, error, coverage = (values.get(name) for name in ("bound_median", "error_median", "coverage"))
+        if bound is not None and error is not None and coverage is not None:
+            sizes = f"{factor * bound:.1f} {unit} (error {factor * error:.1f})"
+            parts.append(f"{channel} {sizes}, {100.0 * coverage:.1f} % covered")
+    return [("live bound", f"{'; '.join(parts)}")] if parts else []
 
 
 def _metres(value: float | None) -> str:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.flights.trace import FlightTrace
 from onboard.flight.trajectory import Path, TrajectoryConfig
@@ -91,14 +90,26 @@ def known_ages(trace: FlightTrace, name: str) -> Array:
     return known
 
 
-def bound_medians(trace: FlightTrace, rows: NDArray[np.bool_]) -> dict[str, tuple[float, float]]:
-    """Return the medians of the live bound on norm(e) and of norm(e) over these rows, by channel."""
-    medians = {}
-    for channel, first, second in (("position", "ned", "ned"), ("attitude", "xyz", "pqr")):
-        parts = [trace.tick.vector(f"{channel}_error", first), trace.tick.vector(f"{channel}_error_rate", second)]
-        bound = trace.tick[f"{channel}_live_bound"][rows]
-        medians[channel] = median(bound[bound > 0.0]), median(np.linalg.norm(np.hstack(parts)[rows], axis=1))
-    return medians
+@dataclass(frozen=True)
+class BoundMetrics:
+    """The live bound of one channel against the true tracking error, m or rad; NaN without a bound."""
+
+    bound_median: float
+    error_median: float
+    coverage: float
+    """Share of the ticks with error <= bound."""
+
+
+def bound_metrics(trace: FlightTrace) -> dict[str, BoundMetrics]:
+    """Return the live bounds by channel, over the ticks on the path that have one: those in which the laws adapt."""
+    errors = {"position": np.linalg.norm(trace.position_error, axis=1), "attitude": trace.attitude_error}
+    metrics = {}
+    for channel, error in errors.items():
+        bound = trace.tick[f"{channel}_tracking_bound"]
+        rows = trace.on_path & (bound > 0.0)
+        coverage = float((error <= bound)[rows].mean()) if rows.any() else float("nan")
+        metrics[channel] = BoundMetrics(median(bound[rows]), median(error[rows]), coverage)
+    return metrics
 
 
 def lost_target(trace: FlightTrace) -> str:

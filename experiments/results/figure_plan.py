@@ -10,7 +10,7 @@ from configs.loader import ConfigError
 from experiments.results import row_figures, sweep_figures, trace_figures
 from experiments.results.campaign_data import CampaignData
 from experiments.results.figure_style import drawn_for, save
-from experiments.results.tables import Table
+from experiments.results.tables import Table, has_bounds
 from experiments.results.thrust_limit import limit_table
 from experiments.results.wording import metric_name
 from runtime.files import write_atomically
@@ -44,8 +44,11 @@ KINDS: Final[dict[str, tuple[Drawer, str]]] = {
     ),
     "swaps": (
         row_figures.swaps,
-        "Left: jump of nu_ad at a swap, relative to the limit above which a swap is refused. "
-        "Right: live bound on norm(e) against norm(e).",
+        "Jump of nu_ad at a swap, relative to the limit above which a swap is refused.",
+    ),
+    "bounds": (
+        row_figures.bounds,
+        "Median live bound on the tracking error against the error, a point for each flight.",
     ),
     "position": (trace_figures.position, "Position, {case}. {band}"),
     "attitude": (trace_figures.attitude, "Roll and pitch, {case}. {band}"),
@@ -131,6 +134,8 @@ def _has_flights(data: CampaignData, kind: str, options: dict[str, Any]) -> bool
     metric = options.get("metric")
     if kind == "swaps":
         return any(row["swaps"] > 0 for row in data.rows if row["controller"] == "dmrac")
+    if kind == "bounds":
+        return has_bounds(data.rows)
     return any(metric is None or group.values(metric) for group in groups)
 
 

@@ -1,4 +1,4 @@
-"""Figures from the rows of a campaign: comparisons, laps, age of the features, swaps and live bound."""
+"""Figures from the rows of a campaign: comparisons, laps, age of the features, swaps and live bounds."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ from experiments.results.figure_style import (
     style,
     upward_axis,
 )
-from experiments.results.wording import counted, metric_name
+from experiments.results.wording import BOUND_UNITS, counted, metric_name
 
 
 def compare(data: CampaignData, metric: str, controllers: list[str] | None = None) -> Any:
@@ -114,9 +114,9 @@ _SWAPS = (
 
 
 def swaps(data: CampaignData) -> Any:
-    """Draw the distribution of the largest jump of nu_ad at a swap, and the live bound on norm(e) against norm(e)."""
+    """Draw the distribution of the largest jump of nu_ad at a swap, over the flights with swaps."""
     figure = new_figure(3.8)
-    jumps, bounds = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
+    jumps = figure.add_subplot()
     rows = [row for group in data.select(controller=OURS) for row in group.rows if row["swaps"] > 0]
     for (channel, metric, unit, limit), controller in zip(_SWAPS, (OURS, "mrac"), strict=True):
         look = style(controller)
@@ -125,18 +125,32 @@ def swaps(data: CampaignData) -> Any:
         share = np.arange(1, values.size + 1) / max(values.size, 1)
         drawn = {"where": "post", "color": look.colour, "linestyle": look.line}
         jumps.step(np.maximum(values, 1e-4), share, label=f"{channel} (bound {limit:g} {unit})", **drawn)
-        kinds = (f"{channel}_error_norm_median", f"{channel}_bound_median")
-        error, bound = (np.array([row[kind] for row in rows], dtype=float) for kind in kinds)
-        drawn = {"color": look.colour, "markersize": 4, "alpha": 0.6}
-        bounds.loglog(error, bound, look.marker, label=f"{channel}, a flight", **drawn)
     jumps.set_xscale("log")
     jumps.axvline(1.0, color="k", linewidth=0.9, linestyle=":")
     finish(jumps, "largest jump at a swap / bound of the swap", "share of the flights")
-    finish(bounds, "median norm(e) of a flight [m, m/s; rad, rad/s]", "median live bound on norm(e)")
-    low, high = bounds.get_xlim()
-    bounds.plot([low, high], [low, high], color="k", linewidth=0.9, linestyle=":")
-    bounds.set_xlim(low, high)
-    for axis in (bounds.xaxis, bounds.yaxis):
-        plain_ticks(axis, (1.0, 3.0))
-    legend_below(figure, [jumps, bounds])
+    legend_below(figure, [jumps])
+    return figure
+
+
+def bounds(data: CampaignData) -> Any:
+    """Draw the median live bound of every flight against its median tracking error, a panel for each channel."""
+    figure = new_figure(4.0)
+    panels = []
+    for number, (channel, column_unit, unit, factor) in enumerate(BOUND_UNITS):
+        panel = figure.add_subplot(1, 2, number + 1)
+        for controller in data.controllers:
+            look = style(controller)
+            rows = [row for group in data.select(controller=controller) for row in group.rows]
+            kinds = (f"{channel}_error_median_{column_unit}", f"{channel}_bound_median_{column_unit}")
+            error, bound = (factor * np.array([row[kind] for row in rows], dtype=float) for kind in kinds)
+            drawn = {"color": look.colour, "markersize": 4, "alpha": 0.6, "label": controller}
+            panel.loglog(error, bound, look.marker, **drawn)
+        finish(panel, f"median {channel} error of a flight [{unit}]", f"median live bound [{unit}]")
+        low, high = panel.get_xlim()
+        panel.plot([low, high], [low, high], color="k", linewidth=0.9, linestyle=":")
+        panel.set_xlim(low, high)
+        for axis in (panel.xaxis, panel.yaxis):
+            plain_ticks(axis, (1.0, 3.0))
+        panels.append(panel)
+    legend_below(figure, panels, columns=4)
     return figure

@@ -3,15 +3,19 @@
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
+from statistics import fmean, median
 from typing import Final
 
 from experiments.campaigns.campaign import Flown, Target
+from experiments.campaigns.flight_row import Row
 from experiments.results.campaign_data import OURS, CampaignData, Group, generator
 from experiments.results.statistics import Estimate, half_survival_point
-from experiments.results.wording import counted, metric_name, show
+from experiments.results.wording import BOUND_UNITS, counted, metric_name, show
 
 ROWS_TO_JOIN = 3
 """Cases with at most so many rows share one table."""
+_SIZES: Final = ("bound", "error")
 TARGET_HEADER: Final = ("ratio", "reached", "pairs", "target", "met")
 
 
@@ -51,8 +55,37 @@ def tables(data: CampaignData) -> list[Table]:
     made = [_results(data, cases)] if few else [_results(data, [case]) for case in cases]
     made += [_half_points(data)] if _numeric_sweep(data) else []
     made += [_targets(data)] if data.config.targets else []
+    made += [_bounds(data)] if has_bounds(data.rows) else []
     made += [_failures(data)] if data.failed else []
     return made
+
+
+def has_bounds(rows: Sequence[Row]) -> bool:
+    """Return whether a flight has a live bound; those flown before it became one on the tracking error have none."""
+    return any(isfinite(row["position_bound_coverage"]) for row in rows)
+
+
+def _bounds(data: CampaignData) -> Table:
+    """Return the live bound and its coverage by controller, and over the campaign; vehicles that were lost count."""
+    header: tuple[str, ...] = ("controller", "flights")
+    for channel, _, unit, _ in BOUND_UNITS:
+        header += (f"{channel}: bound [{unit}]", f"error [{unit}]", "covered", "least flight")
+    named = [(name, [row for row in data.rows if row["controller"] == name]) for name in data.controllers]
+    rows = []
+    for name, flights in (*named, ("all", list(data.rows))):
+        flown = [row for row in flights if isfinite(row["position_bound_coverage"])]
+        if flown:
+            cells = [cell for unit in BOUND_UNITS for cell in _bound_cells(flown, *unit)]
+            rows.append((name, str(len(flown)), *cells))
+    caption = "Live bound on the tracking error: medians over the flights, and the share of ticks that it covers"
+    return Table(f"{caption} (lost vehicles included)", header, tuple(rows))
+
+
+def _bound_cells(rows: Sequence[Row], channel: str, column_unit: str, unit: str, factor: float) -> list[str]:
+    """Return bound, error, mean coverage and that of the worst flight."""
+    bound, error = (median(factor * row[f"{channel}_{kind}_median_{column_unit}"] for row in rows) for kind in _SIZES)
+    coverage = [row[f"{channel}_bound_coverage"] for row in rows]
+    return [f"{bound:.1f}", f"{error:.1f}", f"{100.0 * fmean(coverage):.2f} %", f"{100.0 * min(coverage):.1f} %"]
 
 
 def _results(data: CampaignData, cases: Sequence[str]) -> Table:

@@ -1,6 +1,7 @@
 """Names of metrics and formatting of estimates, the same in tables, sentences and figures."""
 
 import math
+from typing import Final
 
 from experiments.results.statistics import Estimate
 
@@ -19,7 +20,15 @@ METRIC_NAMES = {
     "attitude_swap_jump_max_rad_s2": "largest jump of nu_ad at a swap [rad/s²]",
     "down_bytes_s": "bytes per second down",
     "up_bytes_s": "bytes per second up",
+    "position_bound_median_m": "median live bound on the position error [m]",
+    "position_error_median_m": "median position error [m]",
+    "position_bound_coverage": "share of ticks with a position error within the live bound",
+    "attitude_bound_median_rad": "median live bound on the attitude error [rad]",
+    "attitude_error_median_rad": "median attitude error [rad]",
+    "attitude_bound_coverage": "share of ticks with an attitude error within the live bound",
 }
+BOUND_UNITS: Final = (("position", "m", "mm", 1e3), ("attitude", "rad", "deg", math.degrees(1.0)))
+"""Channel, unit in the columns of its live bound, unit shown, and the factor between them."""
 
 
 def metric_name(metric: str) -> str:

@@ -37,6 +37,8 @@ BLOCKS: Final = (
 """Name of each block, and its method of onboard.core.OnboardCore."""
 LAW: Final = "adaptive law"
 """The augmentations of both channels, with features and adaptation; part of the controller."""
+BOUND: Final = "live bound"
+"""Of both channels; part of the controller."""
 LOG: Final = "flight log"
 """The log of a tick: tick record, loop record and every datagram. Not included in the whole tick."""
 Quantiles = tuple[float, float, float]
@@ -136,7 +138,10 @@ class Replay:
             for name, method in BLOCKS:
                 owner, _, method = method.rpartition(".")
                 self.watch.wrap(attrgetter(owner)(self._core) if owner else self._core, method, name)
-            self.watch.expect(LAW)  # a controller of another build may have none
+            self.watch.expect(LAW)  # a controller of another build may have none of these two
+            self.watch.expect(BOUND)
+            if hasattr(self._core.controller, "bounds"):
+                self.watch.wrap(self._core.controller.bounds, "step", BOUND)
             for augmentation in getattr(self._core.controller, "augmentations", ()):
                 self.watch.wrap(augmentation, "step", LAW)
         self.watch.wrap(self, "tick", STEP)
@@ -205,7 +210,7 @@ def measure_step(
 
     The whole tick and its log are timed without the blocks' stopwatches, which cost a few us themselves.
     """
-    blocks = (*(name for name, _ in BLOCKS), LAW)
+    blocks = (*(name for name, _ in BLOCKS), LAW, BOUND)
     whole, lateness = _timed(config, recording, blocks=False)
     parts, _ = _timed(config, recording, blocks=True)
     steps = {STEP: whole[STEP], **{name: parts[name] for name in blocks}, LOG: whole[LOG]}

@@ -26,6 +26,7 @@ from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.laws.repetitive import Repetitive, RepetitiveConfig
 from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
+from onboard.control.tracking_bound import TrackingBounds
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
 from protocol.feature_config import ChannelName, FeaturesConfig
@@ -118,6 +119,8 @@ class CascadedController:
         self._a1 = tuple(settings.attitude.gains.stiffness().tolist())
         self._a2 = tuple(settings.attitude.gains.rate_gain().tolist())
         self._limits = DemandLimits(settings.limits)
+        self.bounds = TrackingBounds(settings.position.gains, settings.attitude.gains)
+        """Live bounds on the tracking errors; they change no command."""
         self._output = ControlOutput()
         self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
         self._command: Vector3 = (0.0, 0.0, 0.0)
@@ -142,12 +145,14 @@ class CascadedController:
         self._output.thrust_n = thrust
         self._output.commanded_quaternion = commanded
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
+        self.bounds.step(inputs, self._output, self._command_rate)
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
         """Set the reference models to the vehicle's state, integrals and filters to zero."""
         self._restart_models(inputs)
         self._limits.reset()
+        self.bounds.reset()
         for augmentation in self.augmentations:
             augmentation.reset()
 

@@ -71,8 +71,8 @@ class ChannelTelemetry:
     """What one channel did in a tick, for the log; zeros where a controller has no such quantity."""
 
     __slots__ = (
-        *("adaptive", "adaptive_now", "demand", "eps_1", "eps_2", "eps_3", "error", "live_bound"),
-        *("residual", "vectors", "weight_norm"),
+        *("adaptive", "adaptive_now", "demand", "eps_1", "eps_2", "eps_3", "error"),
+        *("residual", "tracking_bound", "vectors", "weight_norm"),
     )
 
     def __init__(self) -> None:
@@ -92,8 +92,8 @@ class ChannelTelemetry:
         self.eps_1 = 0.0
         self.eps_2 = 0.0
         self.eps_3 = 0.0
-        self.live_bound = 0.0
-        """Bound on norm(e), docs/theory.md."""
+        self.tracking_bound = 0.0
+        """Live bound on the tracking error, m or rad; 0 without one (onboard.control.tracking_bound)."""
 
 
 @dataclass(slots=True)

@@ -24,7 +24,7 @@ def _channel_fields(name: str, error_axes: tuple[str, str], units: tuple[str, st
         (f"{name}_eps_1", u),
         (f"{name}_eps_2", u),
         (f"{name}_eps_3", u),
-        (f"{name}_live_bound", ""),
+        (f"{name}_tracking_bound", first),
     )
 
 
@@ -131,7 +131,7 @@ def _write_channel(row: Array, at: int, telemetry: ChannelTelemetry, measured: C
         telemetry.eps_1,
         telemetry.eps_2,
         telemetry.eps_3,
-        telemetry.live_bound,
+        telemetry.tracking_bound,
     )
 
 

@@ -91,7 +91,13 @@ def tick_values(t: float, error_m: float) -> np.ndarray:
     }
     values |= {"position_n": np.cos(t) + error_m, "position_e": np.sin(t), "position_d": -1.0, "quaternion_w": 1.0}
     values |= {"target_n": np.cos(t), "target_e": np.sin(t), "target_d": -1.0, "commanded_quaternion_w": 1.0}
-    values |= {"position_adaptive_n": 0.3, "position_weight_norm": 0.5, "motor_1": 0.5, "motor_thrust_1": 0.16}
+    values |= {
+        "position_adaptive_n": 0.3,
+        "position_weight_norm": 0.5,
+        "position_tracking_bound": 0.2,
+        "motor_1": 0.5,
+        "motor_thrust_1": 0.16,
+    }
     return np.array(list(values.values()))
 
 

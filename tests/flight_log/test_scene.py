@@ -163,3 +163,19 @@ def test_following_a_folder_without_logs_raises_with_one_line(tmp_path: Path, ma
     with pytest.raises(FlightError, match="no flight log appeared within 0 s"):
         list(follow(tmp_path, lambda: True, start_limit_s=0.0))
     assert list(follow(make_flight("unwanted"), lambda: False)) == []
+
+
+def test_the_tracking_error_is_drawn_with_its_live_bound_where_the_log_has_one(full_flight: Path) -> None:
+    scene = build_scene(open_flight(full_flight))
+    np.testing.assert_allclose(curve(scene, "tracking error, position [m]", "error").values, 0.1)
+    np.testing.assert_allclose(curve(scene, "tracking error, position [m]", "live bound").values, 0.2)
+    assert np.isnan(curve(scene, "tracking error, attitude [deg]", "live bound").values).all(), "0: none"
+
+
+def test_an_older_log_has_no_live_bound(tmp_path: Path) -> None:
+    older = RecordType("onboard/tick", tuple(one for one in tick_record.TICK.fields if "tracking_bound" not in one[0]))
+    with FlightLogWriter(tmp_path / "onboard.mcap", "onboard", threaded=False) as log:
+        for i in range(3):
+            log.write(older, i * 5_000_000, np.zeros(len(older.names)))
+    names = {one.name for one in build_scene(open_flight(tmp_path)).curves if one.group.startswith("tracking error")}
+    assert names == {"error"}

@@ -64,8 +64,6 @@ class AdaptiveAugmentation:
         A_rm = gains.closed_loop_matrix()
         Q = np.diag(np.repeat(config.error_weight, 3))
         P = lyapunov_p(A_rm, Q)
-        # norm(B) = 1 for a double integrator.
-        self._bound_factor = 2.0 * float(np.linalg.eigvalsh(P)[-1]) / min(config.error_weight)
         self.features: Features = _start_features(config, inputs, channel, rng)
         self.last_layer = LastLayer(
             config.law, self.features.feature_count, tracking_weights(P, gains.natural_frequency_rad_s)
@@ -99,17 +97,15 @@ class AdaptiveAugmentation:
         self._Delta_hat = vector(D + share * (r - D) for D, r in zip(self._Delta_hat, residual, strict=True))
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
-        """eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x)); for the live bound."""
+        """eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x))."""
         now, ahead = nu.T.tolist()
         misfit2 = sum((nu_i - D) ** 2 for nu_i, D in zip(now, self._Delta_hat, strict=True))
         self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
         telemetry.adaptive_now[:] = now
         telemetry.residual[:] = self._Delta_hat
         telemetry.weight_norm = self.last_layer.weight_norm
-        eps_1 = sqrt(self._eps_1_squared)
-        eps_3 = sqrt(sum((there - here) ** 2 for there, here in zip(ahead, now, strict=True)))
-        telemetry.eps_1, telemetry.eps_2, telemetry.eps_3 = eps_1, self._eps_2, eps_3
-        telemetry.live_bound = self._bound_factor * (eps_1 + self._eps_2 + eps_3)
+        telemetry.eps_1, telemetry.eps_2 = sqrt(self._eps_1_squared), self._eps_2
+        telemetry.eps_3 = sqrt(sum((there - here) ** 2 for there, here in zip(ahead, now, strict=True)))
 
     def reset(self) -> None:
         """Reset the filter. W and the features stay."""

@@ -1,12 +1,19 @@
 """The windows of the metrics, with laps and without."""
 
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
+from experiments.flights.flight_summary import build_summary, summary_rows
 from experiments.flights.lockstep_flight import fly_lockstep
-from experiments.flights.metrics import FlightMetrics, flight_metrics, rms
+from experiments.flights.metrics import FlightMetrics, bound_metrics, flight_metrics, rms
 from experiments.flights.scenario import Choices, resolve
+from experiments.flights.trace import Columns, FlightTrace
+from onboard.flight.modes import FlightMode
+from onboard.record.tick import OFFSET, TICK
+from sim_vehicle.records import TRUTH
 
 
 def test_first_and_settled_laps() -> None:
@@ -36,3 +43,32 @@ def test_a_lissajous_flight_has_windows_and_its_path_comes_from_the_seed() -> No
     assert len(metrics.lap_rmse_m) == 2
     assert metrics.first_lap_rmse_m == pytest.approx(first, rel=1e-3)
     assert metrics.settled_rmse_m == metrics.lap_rmse_m[1]
+
+
+def made_up_trace(errors_m: list[float], bounds_m: list[float], flying: list[bool]) -> FlightTrace:
+    ticks, truths = np.zeros((len(errors_m), len(TICK.names))), np.zeros((len(errors_m), len(TRUTH.names)))
+    ticks[:, OFFSET["mode"]] = [FlightMode.FLYING.value if one else FlightMode.LANDING.value for one in flying]
+    ticks[:, OFFSET["position_tracking_bound"]] = bounds_m
+    ticks[:, OFFSET["commanded_quaternion_w"]] = truths[:, TRUTH.names.index("quaternion_w")] = 1.0
+    truths[:, TRUTH.names.index("position_n")] = errors_m
+    return FlightTrace(0.005 * np.arange(len(errors_m)), Columns(TICK, ticks), Columns(TRUTH, truths))
+
+
+def test_coverage_counts_the_ticks_on_the_path_that_have_a_bound() -> None:
+    trace = made_up_trace([0.1, 0.1, 0.3, 0.9, 0.9], [0.1, 0.2, 0.2, 0.0, 0.1], [True, True, True, True, False])
+    position, attitude = bound_metrics(trace).values()
+    assert position.coverage == pytest.approx(2.0 / 3.0)
+    assert (position.bound_median, position.error_median) == (0.2, 0.1)
+    assert math.isnan(attitude.coverage)
+    assert math.isnan(attitude.bound_median)
+
+
+def test_the_summary_says_bound_error_and_coverage() -> None:
+    trace = made_up_trace([0.01, 0.01, 0.03, 0.01], [0.02, 0.02, 0.02, 0.02], [True] * 4)
+    trace.tick.rows[:, OFFSET["attitude_tracking_bound"]] = 0.1
+    config = resolve("hover", Choices("pid", 5, 5.0))
+    counts: dict[str, dict[str, int]] = {}
+    told: dict[str, Any] = build_summary(config, "lockstep", trace, "", {}, None, counts)
+    assert told["live_bound"]["position"] == {"bound_median": 0.02, "error_median": 0.01, "coverage": 0.75}
+    line = dict(summary_rows(told))["live bound"]
+    assert line == "position 20.0 mm (error 10.0), 75.0 % covered; attitude 5.7 deg (error 0.0), 100.0 % covered"

@@ -10,11 +10,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from configs.loader import ConfigError, fill, parse_yaml
+from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, parse_yaml
 from experiments.campaigns.campaign import CampaignConfig
 from experiments.campaigns.draws import Draw
 from experiments.campaigns.flight_jobs import FlightJob, unfold
-from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.flight_row import SCHEMA, empty_row
+from experiments.campaigns.flown import read_flown
 from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
@@ -52,6 +53,7 @@ figures:
   - {kind: laps, case: chip}
   - {kind: age, controllers: [dmrac]}
   - {kind: swaps}
+  - {kind: bounds}
   - {kind: position, case: chip, point: {factor: 0.7}, controllers: [pid, dmrac]}
   - {kind: attitude, case: chip, point: {factor: 0.7}, controllers: [pid, dmrac]}
   - {kind: torques, case: chip, point: {factor: 0.7}, controllers: [pid, dmrac]}
@@ -84,8 +86,11 @@ def made_up_row(job: FlightJob) -> dict[str, Any]:
         "feature_age_median_s": spread,
         "position_swap_jump_max_m_s2": 0.5 * spread,
         "attitude_swap_jump_max_rad_s2": 5.0 * spread,
-        **{f"{channel}_{kind}": 0.1 * spread for channel in ("position", "attitude")
-           for kind in ("bound_median", "error_norm_median")},
+        **{f"{channel}_median_{unit}": size * spread
+           for channel, unit, size in (("position_bound", "m", 0.03), ("position_error", "m", 0.01),
+                                       ("attitude_bound", "rad", 0.03), ("attitude_error", "rad", 0.01))},
+        "position_bound_coverage": 1.0 if job.seed % 2 else 0.99,
+        "attitude_bound_coverage": 1.0,
     }  # fmt: skip
 
 
@@ -217,6 +222,41 @@ def test_targets_and_failures_are_in_the_tables(folder: Path) -> None:
     assert failures.rows[0][2] == "dmrac fly x"
     half = next(table for caption, table in found.items() if caption.startswith("Where half"))
     assert 0.7 < float(half.rows[2][3].split()[0]) < 0.9
+
+
+def test_the_coverage_of_the_live_bound_is_in_a_table_for_controllers_and_campaign(folder: Path) -> None:
+    data = load_data(folder)
+    rows = tuple(
+        row | {"position_bound_coverage": 0.5} if row["key"] == data.rows[0]["key"] else row for row in data.rows
+    )
+    table = next(one for one in tables(replace(data, rows=rows)) if one.caption.startswith("Live bound"))
+    assert table.header[2:6] == ("position: bound [mm]", "error [mm]", "covered", "least flight")
+    assert [row[0] for row in table.rows] == [*data.controllers, "all"]
+    everything = table.rows[-1]
+    assert everything[1] == str(len(data.rows)), "lost vehicles too"
+    assert float(everything[2]) == pytest.approx(3.0 * float(everything[3]), rel=0.05)
+    shares = [row["position_bound_coverage"] for row in rows]
+    assert everything[4:6] == (f"{100.0 * np.mean(shares):.2f} %", "50.0 %")
+    assert everything[8:10] == ("100.00 %", "100.0 %")
+
+
+def test_rows_from_before_the_bound_on_the_tracking_error_have_neither_table_nor_figure(
+    folder: Path, tmp_path: Path
+) -> None:
+    data = load_data(folder)
+    old = replace(data, rows=tuple(row | {"position_bound_coverage": math.nan} for row in data.rows))
+    assert not any(one.caption.startswith("Live bound") for one in tables(old))
+    said: list[str] = []
+    pictures, _ = draw_all(old, tmp_path, said.append)
+    assert {picture.name.split("_", 3)[3] for picture in pictures} == set(KINDS) - {"bounds"}
+    assert any("bounds: left out" in line for line in said)
+
+
+def test_the_published_rows_are_read_with_the_columns_of_today() -> None:
+    for file in sorted((CONFIG_DIRECTORY.parent / "docs" / "data").glob("*.parquet")):
+        table = read_flown(file).table
+        assert table.column_names == SCHEMA.names
+        assert table.column("settled_rmse_m").null_count < table.num_rows
 
 
 def test_every_kind_of_figure_is_drawn(folder: Path, tmp_path: Path) -> None:

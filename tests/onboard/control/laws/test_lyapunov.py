@@ -1,4 +1,4 @@
-"""Lyapunov function of the last-layer law: V never grows, the condition on lambda, the live bound."""
+"""Lyapunov function of the last-layer law: V never grows, the condition on lambda, the radius for e."""
 
 import numpy as np
 import pytest
@@ -145,8 +145,8 @@ def test_the_gain_does_not_depend_on_the_size_of_q():
 
 
 @pytest.mark.parametrize(("gains", "augmentation"), list(shipped_channels()))
-def test_the_live_bound_contains_every_error_its_eps_can_cause(gains, augmentation):
-    """The exact peak gain of e_dot = A_rm e + B delta, the integral of norm(exp(A_rm t) B), is below the bound's."""
+def test_the_theorems_radius_contains_every_model_error_its_eps_can_cause(gains, augmentation):
+    """The exact peak gain of e_dot = A_rm e + B delta, the integral of norm(exp(A_rm t) B), is below the radius's."""
     channel = ChannelGains(natural_frequency_rad_s=tuple(gains["natural_frequency_rad_s"]), damping=gains["damping"])
     weights = augmentation.get("error_weight", (1.0, 0.1))
     A_rm = channel.closed_loop_matrix()
