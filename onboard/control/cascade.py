@@ -52,6 +52,8 @@ VELOCITY_N = SIGNAL_INDEX["velocity_n"]
 BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
 YAW_ERROR_MAX_RAD = 0.5
+COMMAND_JUMP_RAD = 0.2
+"""A commanded attitude that changes by more in a tick is a new command, and its change no rate."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Above this attitude error the linear error model does not hold: the reference is set to the vehicle's attitude."""
 
@@ -332,6 +334,8 @@ class CascadedController:
             return self._command_rate
         w, x, y, z = before
         turn = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
+        if max(map(abs, turn)) > COMMAND_JUMP_RAD:
+            turn = (0.0, 0.0, 0.0)
         share = 1.0 - exp(-inputs.dt / self._settings.command_rate_filter_s)
         each_axis = zip(self._command_rate, turn, strict=True)
         self._command_rate = vector(rate + share * (t / inputs.dt - rate) for rate, t in each_axis)

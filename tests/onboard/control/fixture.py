@@ -106,6 +106,7 @@ class Rig:
             attitude=attitude,
             saturated=self.saturated,
             adapt=self.adapt,
+            coming=self.uncertainty.coming(self.state, delivered, self.belief.ahead(self.commands[0])),
             level_only=self.level_only,
         )
 

@@ -133,7 +133,8 @@ def test_driven_motors_follow_with_the_response_and_not_with_their_lag(start, wa
 
 
 def test_motors_are_left_as_they_are_where_the_response_is_no_shorter_than_the_lag():
-    model, wanted = ActuatorModel(AIRFRAME, 0.005), (0.1, 0.15, 0.2, 0.25)
+    slow = AIRFRAME.model_copy(update={"motor_response_s": AIRFRAME.motor_lag_down_s})
+    model, wanted = ActuatorModel(slow, 0.005), (0.1, 0.15, 0.2, 0.25)
     model.delivered.thrusts_n[:] = 0.17
     assert model.overdriven(wanted) == wanted
 

@@ -119,7 +119,7 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_place(path: str, wha
 
 @pytest.mark.parametrize("name", ["pid", "bias", "mrac", "dmrac", "indi", "repetitive", "ilc"])
 def test_a_constant_disturbance_is_cancelled(name: str) -> None:
-    rows = Rig(shipped_controller(name), FORCE, TORQUE).fly(5.0)
+    rows = Rig(shipped_controller(name), FORCE, TORQUE).fly(8.0)
     np.testing.assert_allclose(rows[-1]["position"], (0.0, 0.0, -1.0), atol=2e-3)
     np.testing.assert_allclose(rows[-1]["position_nu"], FORCE, atol=0.01)
     np.testing.assert_allclose(rows[-1]["attitude_nu"], TORQUE, atol=0.05)
