@@ -49,7 +49,7 @@ def test_u_hat_is_what_acted_over_the_tick_and_not_at_its_end() -> None:
 
 def test_both_directions_of_the_attitude_dynamics_know_the_gyroscopic_torque() -> None:
     """Torque = J u + omega x J omega on the way out, and u_hat the reverse of it on the way in."""
-    rig = Rig(shipped_controller("none"))
+    rig = Rig(shipped_controller("none", {"prediction": False}))
     rig.rates = np.array([6.0, -5.0, 9.0])
     J = np.diag(AIRFRAME.inertia_kg_m2)
     gyroscopic = np.cross(rig.rates, J @ rig.rates)
