@@ -4,7 +4,7 @@ Theory of operation. In each sub-step the project's own functions give the thrus
 disturbances' force and torque. MuJoCo gets them: thrusts as actuators at the rotors, which turn with the body in every
 stage of its Runge-Kutta step, drag and disturbances as a generalised force about the reference point. MuJoCo integrates
 the free body with its floor contact for one sub-step. The sums for sensors and truth are then those of the own physics,
-from the velocity and rates that MuJoCo has given. Drag is constant over a sub-step; it changes in seconds.
+from the velocity and rates that MuJoCo has given. Drag is that of the middle of the sub-step, predicted at its start.
 
 MuJoCo's own fluid model is not used: its wind is the same everywhere, and the air here depends on the place.
 """
@@ -24,9 +24,9 @@ from sim_vehicle.physics.motors import drain_battery, lag_motors
 from sim_vehicle.physics.mujoco_model import YAW_ACTUATOR, mjcf
 from sim_vehicle.physics.packing import pack_parameters
 
-THRUST_ROWS, EFFECT, NOMINAL, BEFORE = 3, 8, 9, 4
-"""Rows of the work array: thrusts in the first three; effect of the disturbances, thrust and torque of the nominal model,
-and state at the start of the sub-step."""
+THRUST_ROWS, BEFORE, MIDDLE, EFFECT, NOMINAL = 3, 3, 4, 5, 6
+"""Rows of the work array: thrusts in the first three, rigid body at the start of the sub-step and predicted for its
+middle, effect of the disturbances, thrust and torque of the nominal model."""
 MISSING = (
     "vehicle.physics: 'mujoco': the package mujoco is not installed; install the extra with "
     "pip install '.[mujoco]', or choose 'own'"
@@ -91,6 +91,20 @@ class MujocoPhysics:
 
 
 @compiled
+def predict_middle(state: Array, P: Array, middle: Array) -> None:
+    """Write the rigid body in the middle of the sub-step into middle[13], from its velocity, rates and acceleration."""
+    h = 0.5 * P[at.STEP]
+    for i in range(3):
+        middle[at.POSITION + i] = state[at.POSITION + i] + h * state[at.VELOCITY + i]
+        middle[at.VELOCITY + i] = state[at.VELOCITY + i] + h * state[at.ACCELERATION + i]
+        middle[at.RATES + i] = state[at.RATES + i]
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    p, q, r = 0.5 * h * state[10], 0.5 * h * state[11], 0.5 * h * state[12]
+    middle[6], middle[7] = w - x * p - y * q - z * r, x + w * p + y * r - z * q
+    middle[8], middle[9] = y + w * q + z * p - x * r, z + w * r + x * q - y * p
+
+
+@compiled
 def begin_substep(
     state: Array,
     commands: Array,
@@ -110,7 +124,7 @@ def begin_substep(
     ----------
     state, commands, P, rows, memories, sums: as for `advance`.
     noise: [k, NOISE_PER_ROW], of this sub-step.
-    work: [WORK_ROWS, 13] out, the rows NOMINAL and BEFORE.
+    work: [WORK_ROWS, 13] scratch memory; `end_substep` reads the rows NOMINAL and BEFORE.
     control: [5] out, N of each rotor, and N m of all rotors about body up.
     applied: [6] out, force on the reference point, N, MuJoCo's world, and torque, N m, MuJoCo's body.
     """
@@ -123,14 +137,16 @@ def begin_substep(
         work[NOMINAL, i] = nominal[i]
     for i in range(at.RIGID):
         work[BEFORE, i] = state[i]
-    R = rotation(state[6], state[7], state[8], state[9])
+    middle = work[MIDDLE]
+    predict_middle(state, P, middle)
+    R = rotation(middle[6], middle[7], middle[8], middle[9])
     yaw = 0.0
     for i in range(4):
         mean = (thrust[0, i] + 4.0 * thrust[1, i] + thrust[2, i]) / 6.0
-        control[i] = rotor_lift(i, state[at.POSITION + 2], R, mean, P)
+        control[i] = rotor_lift(i, middle[at.POSITION + 2], R, mean, P)
         yaw += rotor_drag_torque(i, mean, P)
     control[YAW_ACTUATOR] = -yaw
-    drag, drag_torque = airframe_drag(state, R, state[at.WIND : at.WIND + 3], P)
+    drag, drag_torque = airframe_drag(middle, R, state[at.WIND : at.WIND + 3], P)
     push = to_world(R, drag[0], drag[1], drag[2])
     for i in range(3):
         sign = 1.0 if i == 0 else -1.0
