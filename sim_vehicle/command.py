@@ -38,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
     parser.add_argument(
-        "--physics", choices=get_args(PhysicsName), help="instead of the configuration's: own, or MuJoCo (extra `mujoco`)"
+        "--physics",
+        choices=get_args(PhysicsName),
+        help="instead of the configuration's: own, or MuJoCo (extra `mujoco`)",
     )
     parser.add_argument("--onboard", metavar="HOST:PORT", help="onboard's address for the vehicle's MAVLink")
     parser.add_argument("--onboard-link", metavar="HOST:PORT", help="onboard's address for the radio")

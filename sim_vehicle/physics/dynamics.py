@@ -115,14 +115,14 @@ def rotor_lift(i: int, down: float, R: Rotation, thrust: float, P: Array) -> flo
     rx, ry = rotor_place(i, P)
     height = -(down + R[6] * rx + R[7] * ry - R[8] * P[at.ROTOR_HEIGHT])
     quotient = P[at.ROTOR_RADIUS] / (4.0 * max(height, P[at.ROTOR_RADIUS]))
-    return thrust * P[at.THRUST_FACTOR + i] * (1.0 + P[at.GROUND_EFFECT] * quotient * quotient)
+    return float(thrust * P[at.THRUST_FACTOR + i] * (1.0 + P[at.GROUND_EFFECT] * quotient * quotient))
 
 
 @inlined
 def rotor_drag_torque(i: int, thrust: float, P: Array) -> float:
     """Torque, N m about body down, of rotor i on the frame. thrust: of the undamaged rotor."""
     spin = 1.0 if i < 2 else -1.0  # a counter-clockwise rotor turns the frame clockwise, + yaw
-    return spin * P[at.TORQUE_RATIO] * P[at.TORQUE_FACTOR + i] * thrust
+    return float(spin * P[at.TORQUE_RATIO] * P[at.TORQUE_FACTOR + i] * thrust)
 
 
 @compiled

@@ -9,12 +9,15 @@ from async_dmrac.command_line import main
 from configs.loader import ConfigError
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
+from flight_log.log_file import read_log_file
 from sim_vehicle.config import load_vehicle
 from sim_vehicle.physics.advance import advance
 from sim_vehicle.physics.choice import physics_of
 from sim_vehicle.vehicle import SimVehicle
 
-MISSING = "vehicle.physics: 'mujoco': the package mujoco is not installed; install the extra with pip install '.[mujoco]'"
+MISSING = (
+    "vehicle.physics: 'mujoco': the package mujoco is not installed; install the extra with pip install '.[mujoco]'"
+)
 
 
 @pytest.fixture
@@ -65,6 +68,40 @@ def test_the_process_ends_with_one_line_if_the_package_is_missing(
     [line] = capfd.readouterr().err.splitlines()
     assert line.startswith(MISSING)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("words", "physics"), [([], "own"), (["--physics", "mujoco"], "mujoco")])
+def test_the_option_overrules_the_configuration(
+    words: list[str],
+    physics: str,
+    flight_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("mujoco", reason="the mujoco extra is not installed")
+    flown = []
+
+    class Process:
+        """Instead of a flight."""
+
+        def __init__(self, vehicle: SimVehicle, *_: object) -> None:
+            flown.append(vehicle)
+
+        def fly(self) -> int:
+            return 0
+
+        def close(self) -> None: ...
+
+        def summary(self) -> dict[str, str]:
+            return {}
+
+    for name, other in (("SimProcess", Process), ("request_realtime", id), ("prepare_interpreter", list)):
+        monkeypatch.setattr(f"sim_vehicle.command.{name}", other)
+    out = tmp_path / "out"
+    assert main(["sim", "--config", str(flight_file), "--out", str(out), *words]) == 0
+    assert [vehicle._config.physics for vehicle in flown] == [physics]
+    assert read_log_file(out / "sim_vehicle.mcap").metadata["physics"] == physics
 
 
 @pytest.mark.usefixtures("without_mujoco")
