@@ -3,7 +3,7 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from runtime.kernel import prepare_interpreter, request_realtime
 from runtime.signals import StopRequest
 from runtime.sockets import AddressInUseError
 from runtime.status import StatusLines
-from sim_vehicle.config import SimVehicleConfig
+from sim_vehicle.config import PhysicsName, SimVehicleConfig
 from sim_vehicle.link.radio import RADIO_STREAM, Radio, RadioConfig
 from sim_vehicle.process import SimProcess
 from sim_vehicle.vehicle import PERIOD_NS, SimVehicle
@@ -28,6 +28,7 @@ PRIORITY: Final = 10
 
 EXAMPLES: Final = """examples:
   dmrac sim --config flight.yaml --out flight
+  dmrac sim --config flight.yaml --physics mujoco
   dmrac sim --config flight.yaml --bind-vehicle 192.168.3.1:14560 --onboard 192.168.3.2:14561
 """
 
@@ -36,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `python -m sim_vehicle` and `dmrac sim`."""
     parser.add_argument("--config", type=Path, required=True, help="resolved configuration of a flight (YAML)")
     parser.add_argument("--out", type=Path, default=Path(), help="folder for log and summary (default: here)")
+    parser.add_argument(
+        "--physics",
+        choices=get_args(PhysicsName),
+        help="instead of the configuration's: own, or MuJoCo (extra `mujoco`)",
+    )
     parser.add_argument("--onboard", metavar="HOST:PORT", help="onboard's address for the vehicle's MAVLink")
     parser.add_argument("--onboard-link", metavar="HOST:PORT", help="onboard's address for the radio")
     parser.add_argument("--offboard-link", metavar="HOST:PORT", help="offboard's address for the radio")
@@ -54,20 +60,22 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         seed, duration_s = _seed_and_duration(arguments.config)
         config = load_section(SimVehicleConfig, arguments.config, "vehicle")
+        if arguments.physics is not None:
+            config = config.model_copy(update={"physics": arguments.physics})
         radio_config = load_section(RadioConfig, arguments.config, "radio")
         network = load_network(arguments.config, _addresses(arguments))
         key = load_key(network.vehicle_key_file)
         if serial_line(network.vehicle) is not None:
             raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle supports UDP only")
+        vehicle = _warm_vehicle(config, seed, key)
         make_folder(arguments.out)
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
         return 2
-    _compile(config, seed)
-    vehicle = SimVehicle(config, seed, key)
     radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
     attachments = {"config.yaml": arguments.config.read_bytes()}
-    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", {"seed": str(seed)}, attachments)
+    about = {"seed": str(seed), "physics": config.physics}
+    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", about, attachments)
     try:
         process = SimProcess(vehicle, radio, network, duration_s, log, status, stop)
         request_realtime(PRIORITY)
@@ -97,11 +105,15 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
     }
 
 
-def _compile(config: SimVehicleConfig, seed: int) -> None:
-    """Step another vehicle first, so that no step of the flight waits for the compiler."""
+def _warm_vehicle(config: SimVehicleConfig, seed: int, key: bytes | None) -> SimVehicle:
+    """The vehicle. Another one is stepped first, so that no step of the flight waits for the compiler.
+
+    Raises ConfigError as SimVehicle does.
+    """
     vehicle = SimVehicle(config, seed)
     for step in range(WARM_UP_STEPS):
         vehicle.step(step * PERIOD_NS)
+    return SimVehicle(config, seed, key)
 
 
 def _seed_and_duration(path: Path) -> tuple[int, float]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -22,10 +22,16 @@ from sim_vehicle.physics.parameters import (
 )
 from sim_vehicle.world.catalogue import AnyDisturbance
 
+PhysicsName: TypeAlias = Literal["own", "mujoco"]
+
 
 class SimVehicleConfig(ConfigRecord):
     """One simulated vehicle and its disturbances."""
 
+    physics: PhysicsName = Field(
+        default="own",
+        description="what integrates the rigid body and its contact with the floor; mujoco: MuJoCo (extra `mujoco`)",
+    )
     body: BodyConfig
     motors: MotorConfig
     battery: BatteryConfig

@@ -15,9 +15,9 @@ from protocol.conventions import GRAVITY, Array
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.mavlink import VehicleCodec
 from sim_vehicle.link.radio import Radio
-from sim_vehicle.physics.advance import CLEARANCE, WORK_ROWS, advance, write_truth
+from sim_vehicle.physics.advance import CLEARANCE, WORK_ROWS, write_truth
+from sim_vehicle.physics.choice import physics_of
 from sim_vehicle.physics.crash import crash_limits, crash_reason
-from sim_vehicle.physics.disturb import for_disturbances
 from sim_vehicle.physics.draws import SUBSTEPS_MAX
 from sim_vehicle.physics.packing import COULOMB_PER_MAH, SUBSTEP_NS
 from sim_vehicle.records import TRUTH, VehicleOutput
@@ -37,12 +37,12 @@ SampleT = TypeVar("SampleT")
 
 
 class SimVehicle:
-    """One Mambo in its world. key: of its MAVLink; None: unsigned."""
+    """One Mambo in its world. key: of its MAVLink; None: unsigned. Raises ConfigError if its physics cannot be used."""
 
     def __init__(self, config: SimVehicleConfig, seed: int, key: bytes | None = None) -> None:
         self._config = config
         self._world = World(config, seed)
-        self._advance = for_disturbances(advance, config.disturbances)
+        self._advance = physics_of(config)
         self._state = initial_state(config)
         self._sums: Array = np.zeros(at.SUMS_SIZE)
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
@@ -202,7 +202,8 @@ def initial_state(config: SimVehicleConfig) -> Array:
     state = np.zeros(at.STATE_SIZE)
     initial, floor = config.initial, config.floor
     weight_n = config.body.mass_kg * GRAVITY
-    rest_d = -floor.foot_drop_m + weight_n / (4 * floor.stiffness_n_m)
+    sunk_m = weight_n / (4 * floor.stiffness_n_m) if config.physics == "own" else 0.0  # else it settles by itself
+    rest_d = sunk_m - floor.foot_drop_m
     state[: at.VELOCITY] = (0.0, 0.0, rest_d) if initial.position_ned_m is None else initial.position_ned_m
     state[at.VELOCITY : at.QUATERNION] = initial.velocity_ned_m_s
     state[at.QUATERNION] = cos(initial.yaw_rad / 2)

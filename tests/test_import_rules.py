@@ -20,7 +20,7 @@ PACKAGES = (
     "runtime",
     "experiments",
 )
-HEAVY = {"torch", "numba", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed"}
+HEAVY = {"torch", "numba", "mujoco", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed"}
 """What only extras install; the base install (onboard) must live without."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -50,7 +50,7 @@ MAY_NOT_USE: dict[str, set[str]] = {
     "protocol": HEAVY,
     "onboard": HEAVY,
     "offboard": HEAVY - {"torch"},
-    "sim_vehicle": HEAVY - {"numba"},
+    "sim_vehicle": HEAVY - {"numba", "mujoco"},
     "flight_log": HEAVY - {"matplotlib", "rerun"},
     "runtime": HEAVY,
     "experiments": set(),

@@ -17,7 +17,10 @@ import numpy  # noqa: F401  loads its BLAS; scipy may have another one
 import scipy.linalg  # noqa: F401
 from threadpoolctl import threadpool_info
 
-PACKAGES: Final = ("async-dmrac", "numpy", "scipy", "numba", "torch", "pyarrow", "scikit-learn", "matplotlib")
+PACKAGES: Final = (
+    *("async-dmrac", "numpy", "scipy", "numba", "mujoco-core", "torch"),
+    *("pyarrow", "scikit-learn", "matplotlib"),
+)
 _COMMIT: Final = "; commit "
 _KERNELS: Final = "OpenBLAS kernels "
 

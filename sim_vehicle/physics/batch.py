@@ -23,9 +23,11 @@ from sim_vehicle.world.world import World
 
 
 class VehicleBatch:
-    """One configuration, one vehicle per seed."""
+    """One configuration, one vehicle per seed. Raises ValueError for another physics than the own one."""
 
     def __init__(self, config: SimVehicleConfig, seeds: Sequence[int]) -> None:
+        if config.physics != "own":
+            raise ValueError(f"vehicle.physics: {config.physics!r}: a batch has 'own' only")
         self._config = config
         self._worlds = [World(config, seed) for seed in seeds]
         self._advance_all = for_disturbances(advance_all, config.disturbances)

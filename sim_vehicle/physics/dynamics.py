@@ -15,7 +15,7 @@ from math import sqrt
 import sim_vehicle.physics.layout as at
 from protocol.conventions import Array
 from protocol.geometry import Rotation, Vector3
-from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.physics.compiled import compiled, inlined
 
 FLOOR_REACH = 0.15
 """m; a vehicle whose reference point is higher cannot touch the floor. It exceeds the distance of every part from O."""
@@ -97,27 +97,61 @@ def floor_contact(x: Array, R: Rotation, rates: Vector3, P: Array) -> tuple[floa
     return (force[0], force[1], force[2], torque[0], torque[1], torque[2])
 
 
-@compiled
-def rotor_wrench(down: float, R: Rotation, thrust: Array, P: Array) -> tuple[float, float, float, float]:
-    """Total thrust, N, and its torque about O, body N m.
+@inlined
+def rotor_place(i: int, P: Array) -> tuple[float, float]:
+    """Forward and right body coordinate, m, of rotor i: 0..3, PX4 order."""
+    front = 1.0 if (i == 0 or i == 2) else -1.0  # PX4: front right, rear left, front left, rear right
+    right = 1.0 if (i == 0 or i == 3) else -1.0
+    return (front * P[at.ARM_X], right * P[at.ARM_Y])
+
+
+@inlined
+def rotor_lift(i: int, down: float, R: Rotation, thrust: float, P: Array) -> float:
+    """Thrust, N, of rotor i with its damage and the ground effect. thrust: of the undamaged rotor.
 
     The ground effect 1 + k (R/4z)^2 depends on the height z of each rotor above the floor, and is constant below z = R
     (form of Cheeseman and Bennett with a fitted k).
     """
+    rx, ry = rotor_place(i, P)
+    height = -(down + R[6] * rx + R[7] * ry - R[8] * P[at.ROTOR_HEIGHT])
+    quotient = P[at.ROTOR_RADIUS] / (4.0 * max(height, P[at.ROTOR_RADIUS]))
+    return float(thrust * P[at.THRUST_FACTOR + i] * (1.0 + P[at.GROUND_EFFECT] * quotient * quotient))
+
+
+@inlined
+def rotor_drag_torque(i: int, thrust: float, P: Array) -> float:
+    """Torque, N m about body down, of rotor i on the frame. thrust: of the undamaged rotor."""
+    spin = 1.0 if i < 2 else -1.0  # a counter-clockwise rotor turns the frame clockwise, + yaw
+    return float(spin * P[at.TORQUE_RATIO] * P[at.TORQUE_FACTOR + i] * thrust)
+
+
+@compiled
+def rotor_wrench(down: float, R: Rotation, thrust: Array, P: Array) -> tuple[float, float, float, float]:
+    """Total thrust, N, and its torque about O, body N m."""
     total, roll, pitch, yaw = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
-        front = 1.0 if (i == 0 or i == 2) else -1.0  # PX4: front right, rear left, front left, rear right
-        right = 1.0 if (i == 0 or i == 3) else -1.0
-        spin = 1.0 if i < 2 else -1.0  # a counter-clockwise rotor turns the frame clockwise, + yaw
-        rx, ry = front * P[at.ARM_X], right * P[at.ARM_Y]
-        height = -(down + R[6] * rx + R[7] * ry - R[8] * P[at.ROTOR_HEIGHT])
-        quotient = P[at.ROTOR_RADIUS] / (4.0 * max(height, P[at.ROTOR_RADIUS]))
-        T = thrust[i] * P[at.THRUST_FACTOR + i] * (1.0 + P[at.GROUND_EFFECT] * quotient * quotient)
+        rx, ry = rotor_place(i, P)
+        T = rotor_lift(i, down, R, thrust[i], P)
         total += T
         roll -= ry * T
         pitch += rx * T
-        yaw += spin * P[at.TORQUE_RATIO] * P[at.TORQUE_FACTOR + i] * thrust[i]
+        yaw += rotor_drag_torque(i, thrust[i], P)
     return (total, roll, pitch, yaw)
+
+
+@inlined
+def airframe_drag(x: Array, R: Rotation, wind: Array, P: Array) -> tuple[Vector3, Vector3]:
+    """Force, N, and torque about O, N m, both body, of the air on the airframe. x: [13], wind: [3], see `derivative`.
+
+    The drag acts at the rotor plane, on the air velocity there.
+    """
+    hub = (0.0, 0.0, -P[at.ROTOR_HEIGHT])
+    turn = cross((x[10], x[11], x[12]), hub)
+    air = to_body(R, x[3] - wind[0], x[4] - wind[1], x[5] - wind[2])
+    u = (air[0] + turn[0], air[1] + turn[1], air[2] + turn[2])
+    c = -(P[at.DRAG_LINEAR] + P[at.DRAG_QUADRATIC] * sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]))
+    drag = (c * u[0], c * u[1], c * u[2])
+    return drag, cross(hub, drag)
 
 
 @compiled
@@ -136,14 +170,7 @@ def derivative(x: Array, thrust: Array, wind: Array, load: Array, P: Array, dx: 
     R = rotation(x[6], x[7], x[8], x[9])
     rates = (x[10], x[11], x[12])
     lift, roll, pitch, yaw = rotor_wrench(x[2], R, thrust, P)
-    # drag at the rotor plane, from the air velocity there
-    hub = (0.0, 0.0, -P[at.ROTOR_HEIGHT])
-    turn = cross(rates, hub)
-    air = to_body(R, x[3] - wind[0], x[4] - wind[1], x[5] - wind[2])
-    u = (air[0] + turn[0], air[1] + turn[1], air[2] + turn[2])
-    c = -(P[at.DRAG_LINEAR] + P[at.DRAG_QUADRATIC] * sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]))
-    drag = (c * u[0], c * u[1], c * u[2])
-    drag_torque = cross(hub, drag)
+    drag, drag_torque = airframe_drag(x, R, wind, P)
     push = to_body(R, load[0], load[1], load[2])
     F = (drag[0] + push[0], drag[1] + push[1], drag[2] + push[2] - lift)
     tau = (roll + drag_torque[0] + load[3], pitch + drag_torque[1] + load[4], yaw + drag_torque[2] + load[5])
