@@ -197,6 +197,7 @@ class Estimator:
         share = 1.0 / math.sqrt(found.samples)
         f.gyro_bias = found.rate
         f.restart_error(GYRO_BIAS, config.gyro_sigma * share)
+        f.restart_error(ACCELEROMETER_BIAS, config.start_accelerometer_bias_sigma)  # no sample may count twice
         for axis in range(3):
             h: Array = np.zeros(15)
             to_north, to_east, to_down = f.rotation[axis], f.rotation[3 + axis], f.rotation[6 + axis]
