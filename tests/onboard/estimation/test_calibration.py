@@ -137,8 +137,8 @@ def test_a_stream_with_too_few_samples_is_no_calibration():
 # -- in the estimator -------------------------------------------------------------------------------------------------
 
 
-def standing(seconds, with_pose, tilt, seed=1, **settings):
-    """An estimator on the bench, and the true attitude; poses at 100 Hz from 0.3 s on."""
+def standing(seconds, with_pose, tilt, seed=1, pose_from_s=0.3, **settings):
+    """An estimator on the bench, and the true attitude; poses at 100 Hz."""
     estimator, rng = Estimator(EstimatorConfig(**settings)), np.random.default_rng(seed)
     attitude = Rotation.from_euler("ZYX", (0.0, -tilt, tilt))
     force = attitude.inv().apply((0.0, 0.0, -GRAVITY)) + FORCE_BIAS
@@ -146,7 +146,7 @@ def standing(seconds, with_pose, tilt, seed=1, **settings):
         now_ns = (k + 1) * STEP_NS
         a = force + 0.24 * rng.standard_normal(3)
         estimator.receive(ImuReading(now_ns, tuple(a), tuple(RATE_BIAS + 0.015 * rng.standard_normal(3)), 101325.0))
-        if with_pose and k % 2 == 0 and k > 60:
+        if with_pose and k % 2 == 0 and k > pose_from_s * RATE:
             seen = (Rotation.from_rotvec(0.005 * rng.standard_normal(3)) * attitude).as_quat()[[3, 0, 1, 2]]
             place = 0.0005 * rng.standard_normal(3)
             pose = Pose(now_ns, place.astype(np.float32), seen.astype(np.float32))
@@ -169,6 +169,13 @@ def test_with_a_pose_the_horizontal_bias_is_known_before_arming_also_on_an_incli
         np.testing.assert_allclose(estimator.state.gyro_bias, RATE_BIAS, atol=0.003)
         assert tilt_error(estimator, attitude) < 0.004
         assert np.sqrt(estimator.covariance.diagonal()[12:14]).max() < 0.03
+
+
+def test_a_pose_that_comes_after_the_calibration_finds_the_horizontal_bias_within_half_a_second():
+    for seed in range(3):
+        estimator, attitude = standing(4.6, True, 0.1, seed, 4.0)
+        np.testing.assert_allclose(estimator.state.accelerometer_bias[:2], FORCE_BIAS[:2], atol=0.06)
+        assert tilt_error(estimator, attitude) < 0.006
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
