@@ -31,7 +31,7 @@ def build_summary(
     ----------
     mode: "realtime" or "lockstep".
     trace: None if the flight left no usable log.
-    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, features, rejected.
+    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, calibration, features, rejected.
     offboard: offboard's own summary; None without an offboard side.
     radio: sent, delivered, lost by direction.
     invalid_reason: why the flight says nothing about the vehicle; "" if it is valid.
@@ -56,7 +56,7 @@ def build_summary(
         "settled_rmse_m": _number(metrics.settled_rmse_m if metrics else math.nan),
         "features": onboard.get("features", {}),
         "link": {**radio, "rejected": dict(rejected)},
-        "onboard": {key: onboard[key] for key in ("ticks", "missed", "tick_us", "rss_mb") if key in onboard},
+        "onboard": {key: onboard[key] for key in ("ticks", "missed", "tick_us", "rss_mb", "calibration") if key in onboard},
     }
     if trace is not None:
         summary["live_bound"] = {

@@ -59,8 +59,6 @@ class Loop:
     """Simulated vehicle and onboard core, one tick of delay, and a peer when there is one."""
 
     def __init__(self, controller="pid", scenario="hover", peer=None, assignments=(), real=False, clearance=CLEAR):
-        if not real:  # a calibration is awaited only in tests of it
-            assignments = ("onboard.estimator.calibration_s=0", *assignments)
         if peer is None and not real:  # no pose will come
             assignments = ("onboard.pose_wait_s=4.0", *assignments)
         self.config = resolve(scenario, Choices(controller, 3, None, assignments, real))

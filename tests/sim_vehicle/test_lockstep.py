@@ -28,7 +28,6 @@ QUICK_LEARNING = (
     "offboard.gate.margin=0.0",
     "offboard.gate.significance=0.0",
     "onboard.guidance.trajectory.settle_s=0.0",
-    "onboard.estimator.calibration_s=0",
 )
 
 

@@ -59,7 +59,6 @@ class Flight:
     """A lockstep flight whose parts a test can replace in the air."""
 
     def __init__(self, controller: str = "dmrac", seed: int = 11, assignments: tuple[str, ...] = LEARNING) -> None:
-        assignments = ("onboard.estimator.calibration_s=0", *assignments)  # the tests' times count from take-off
         self.config: FlightConfig = resolve("figure8_wind", Choices(controller, seed, None, assignments))
         self.lockstep, self.onboard, self.offboard, self.radio = build(self.config)
         self.events: list[str] = []

@@ -23,7 +23,6 @@ from onboard.record.datagram_log import HEAD, TOPIC, DatagramLogWriter, Entry, r
 from onboard.record.tick import OFFSET, TICK
 
 SETTINGS = (
-    "onboard.estimator.calibration_s=0",
     "onboard.guidance.trajectory.settle_s=0.0",
     "onboard.guidance.land_after_s=60.0",
     "radio.up.loss=0.1",
