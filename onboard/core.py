@@ -25,7 +25,7 @@ from onboard.estimation.estimator import Estimator
 from onboard.estimation.state import VehicleState
 from onboard.flight.arming import ArmingChecks
 from onboard.flight.guidance import Guidance
-from onboard.flight.modes import AIRBORNE, SPINNING, Command, FlightMode
+from onboard.flight.modes import AIRBORNE, RESTING, SPINNING, Command, FlightMode
 from onboard.flight.supervisor import Supervisor, SupervisorInputs
 from onboard.links.ground import GroundLink
 from onboard.links.offboard import DatedPose, OffboardLink, PeerRestarted
@@ -254,7 +254,7 @@ class OnboardCore:
         if mode is TAKE_OFF and self._mode is not TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
-        self._estimator.set_on_ground(mode not in AIRBORNE)
+        self._estimator.set_on_ground(mode not in AIRBORNE, mode in RESTING)
         self._mode = mode
         return mode
 
@@ -279,6 +279,7 @@ class OnboardCore:
             thrust_to_weight=self._actuators.delivered.thrust_n / (self._airframe.mass_kg * GRAVITY),
             initialised=state.initialised,
             preflight="" if self._mode in AIRBORNE else refusal,
+            calibration=self._estimator.calibration.refusal,
             fault=not self._estimator.healthy,
         )
 
@@ -393,4 +394,5 @@ class OnboardCore:
             "samples": self._samples.counts,
             "estimator": dict(self._estimator.counts),
             "nis": self._estimator.mean_scores,
+            "calibration": self._estimator.calibration.summary(),
         }

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -13,6 +13,9 @@ from experiments.flights.metrics import bound_metrics, flight_metrics, known_age
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
 from runtime.files import write_json
+
+_ONBOARD: Final = ("ticks", "missed", "tick_us", "rss_mb", "calibration")
+"""What summary.json has of onboard's own summary, as it is."""
 
 
 def build_summary(
@@ -31,7 +34,7 @@ def build_summary(
     ----------
     mode: "realtime" or "lockstep".
     trace: None if the flight left no usable log.
-    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, features, rejected.
+    onboard: onboard's own summary: ticks, missed, tick_us, rss_mb, calibration, features, rejected.
     offboard: offboard's own summary; None without an offboard side.
     radio: sent, delivered, lost by direction.
     invalid_reason: why the flight says nothing about the vehicle; "" if it is valid.
@@ -56,7 +59,7 @@ def build_summary(
         "settled_rmse_m": _number(metrics.settled_rmse_m if metrics else math.nan),
         "features": onboard.get("features", {}),
         "link": {**radio, "rejected": dict(rejected)},
-        "onboard": {key: onboard[key] for key in ("ticks", "missed", "tick_us", "rss_mb") if key in onboard},
+        "onboard": {key: onboard[key] for key in _ONBOARD if key in onboard},
     }
     if trace is not None:
         summary["live_bound"] = {

@@ -1,8 +1,13 @@
 """Settings of the estimator: sensor noise, gates and times."""
 
+from typing import Final
+
 from pydantic import Field
 
 from configs.loader import ConfigRecord
+
+GYRO_BIAS_MAX_RAD_S: Final = 0.15
+"""Real vehicles of the family have up to 0.09."""
 
 
 class EstimatorConfig(ConfigRecord):
@@ -29,6 +34,17 @@ class EstimatorConfig(ConfigRecord):
     start_accelerometer_bias_sigma: float = Field(default=0.35, gt=0, description="m/s^2")
     start_position_sigma_m: float = Field(
         default=0.02, gt=0, description="m; without pose the start defines the origin"
+    )
+
+    calibration_s: float = Field(
+        default=2.0, ge=0, le=60, description="s at rest that arming waits for, in steps of 0.5; 0: no calibration"
+    )
+    calibration_force_max_m_s2: float = Field(
+        default=0.25, gt=0, description="m/s^2, per axis, of a mean over 0.5 s; a larger change means a movement"
+    )
+    calibration_rate_max_rad_s: float = Field(default=0.02, gt=0, description="rad/s, the same for the rates")
+    calibration_bias_max_rad_s: float = Field(
+        default=GYRO_BIAS_MAX_RAD_S, gt=0, description="rad/s, per axis; no arming with a larger gyroscope bias"
     )
 
     pose_position_sigma_m: float = Field(default=0.0005, gt=0, description="m, per axis")

@@ -4,6 +4,9 @@ error_state_filter.py is the filter; this file decides which measurements it get
 
   start       at rest: roll and pitch from the accelerometer, gyro bias from the gyroscope, yaw and position 0. Without
               any pose this stays the origin
+  calibration at rest, motors off: calibration.py; the mean rate is the gyro bias, the mean specific force is gravity
+              plus the accelerometer's bias. What of it is bias and what is tilt the covariance decides: with the
+              attitude of a pose it is bias, without any pose almost all of it is tilt, and the horizontal bias is 0
   on ground   velocity is zero, the gyroscope reads its bias, height is zero unless a pose measures it
   pose        pose_fusion.py
   flow        body velocity = flow rate times distance to the floor along the camera's axis
@@ -17,13 +20,21 @@ from typing import Final
 
 import numpy as np
 
+from onboard.estimation.calibration import BenchCalibration, Calibration
 from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.corrections import Corrections
-from onboard.estimation.error_state_filter import ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, ErrorStateFilter
+from onboard.estimation.error_state_filter import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYRO_BIAS,
+    POSITION,
+    VELOCITY,
+    ErrorStateFilter,
+)
 from onboard.estimation.imu_conditioning import StillStart, VibrationMeter
 from onboard.estimation.pose_fusion import PoseFusion
 from onboard.estimation.state import VehicleState
-from protocol.conventions import NEVER_NS, Array
+from protocol.conventions import GRAVITY, NEVER_NS, Array
 from protocol.geometry import quaternion_of
 from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading, SensorReading
 from protocol.messages import Pose
@@ -53,7 +64,9 @@ class Estimator:
         self._aid_fresh_ns = int(config.aid_fresh_s * 1e9)
         self._recovery_ns = int(config.recovery_s * 1e9)
         self._h_flow: Array = np.zeros(15)
-        self._on_ground = True
+        self._on_ground = self._at_rest = True
+        self.calibration = BenchCalibration(config)
+        """Of the IMU, on the bench; `refusal` is why the vehicle must not be armed yet."""
         self._start = StillStart(config.start_samples, config.start_rate_max_rad_s)
         self._vibration = VibrationMeter()
         self._turn = 0
@@ -71,9 +84,15 @@ class Estimator:
         f = self._filter
         return math.isfinite(sum(f.position) + sum(f.velocity) + sum(f.quaternion) + sum(f.gyro_bias))
 
-    def set_on_ground(self, on_ground: bool) -> None:
-        """Whether the vehicle is on the floor. There its velocity and height are known."""
+    def set_on_ground(self, on_ground: bool, at_rest: bool = False) -> None:
+        """Whether the vehicle is on the floor. There its velocity and height are known.
+
+        at_rest: its motors are off as well, and have been for a while. Then its IMU is calibrated.
+        """
         self._on_ground = on_ground
+        if at_rest is not self._at_rest:
+            self._at_rest = at_rest
+            self.calibration.interrupt()
         self._corrections.in_flight = not on_ground
 
     @property
@@ -112,6 +131,8 @@ class Estimator:
             return
         first = state.last_imu_ns == NEVER_NS
         state.last_imu_ns = reading.time_ns
+        if self._at_rest:
+            self._calibrate(reading)
         if not state.initialised:
             self._find_start(reading)
             return
@@ -156,6 +177,34 @@ class Estimator:
         angles = f"roll {math.degrees(roll):.1f}, pitch {math.degrees(pitch):.1f} deg"
         self._corrections.report(reading.time_ns, f"attitude found: {angles}")
         self.state.publish(self._filter, reading)
+
+    def _calibrate(self, reading: ImuReading) -> None:
+        """Collect a sample at rest; use a calibration that it completes."""
+        bench = self.calibration
+        known, text = bench.accepted, bench.add(reading)
+        if text:
+            self._corrections.report(reading.time_ns, text)
+        if bench.accepted is not None and bench.accepted is not known:
+            self._use_calibration(bench.accepted)
+
+    def _use_calibration(self, found: Calibration) -> None:
+        """The gyro bias as found; specific force = gravity + bias as a measurement of tilt and accelerometer bias.
+
+        f = R^T a + b with a = (0, 0, -g): innovation f + g R^T e_d - b = R^T [a]x phi + db + noise. On the bench a
+        sample has up to three times the noise of `accelerometer_sigma`.
+        """
+        config, f = self._config, self._filter
+        share = 1.0 / math.sqrt(found.samples)
+        f.gyro_bias = found.rate
+        f.restart_error(GYRO_BIAS, config.gyro_sigma * share)
+        f.restart_error(ACCELEROMETER_BIAS, config.start_accelerometer_bias_sigma)  # no sample may count twice
+        for axis in range(3):
+            h: Array = np.zeros(15)
+            to_north, to_east, to_down = f.rotation[axis], f.rotation[3 + axis], f.rotation[6 + axis]
+            h[ATTITUDE : ATTITUDE + 2] = -GRAVITY * to_east, GRAVITY * to_north
+            h[ACCELEROMETER_BIAS + axis] = 1.0
+            innovation = found.force[axis] + GRAVITY * to_down - f.accelerometer_bias[axis]
+            f.correct_scalar(h, innovation, (3.0 * config.accelerometer_sigma * share) ** 2, math.inf)
 
     def _bridge_gap(self, time_ns: int, gap_s: float) -> float:
         """Increase the uncertainty after missing IMU samples; returns the time step to integrate over."""

@@ -121,6 +121,8 @@ TRANSITIONS: Final[dict[FlightMode, Row]] = {
 
 SPINNING: Final = frozenset({M.ARMED, M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
 """Modes in which the motors may turn."""
+RESTING: Final = frozenset({M.BOOT, M.READY})
+"""Modes of a vehicle that stands with its motors off. After a landing it has come to rest before them."""
 AIRBORNE: Final = frozenset({M.TAKE_OFF, M.FLYING, M.HOLD, M.HOLD_LEVEL, M.LANDING})
 
 COMMAND_EVENTS: Final = {command: Event[command.name] for command in Command}

@@ -101,6 +101,8 @@ class SupervisorInputs(NamedTuple):
     """The attitude is known."""
     preflight: str = ""
     """Why the vehicle must not be armed; "" if it may be."""
+    calibration: str = ""
+    """Why the calibration of the IMU forbids arming; "" if it does not."""
     fault: bool = False
     """The estimate is not finite."""
 
@@ -171,6 +173,10 @@ class Supervisor:
 
     def arming_refusal(self, inputs: SupervisorInputs) -> str:
         """The first reason to refuse arming; "" if there is none."""
+        return self._sensor_refusal(inputs) or inputs.calibration
+
+    def _sensor_refusal(self, inputs: SupervisorInputs) -> str:
+        """The first reason but the calibration."""
         config = self._config
         if inputs.preflight:  # first, because a fault of the link explains the other reasons
             return inputs.preflight
@@ -208,7 +214,7 @@ class Supervisor:
             if not condition(self, inputs):
                 if self._since_ns:
                     self._since_ns.pop(event, None)
-            elif self._has_lasted(event, inputs.now_ns):
+            elif self._has_lasted(event, inputs):
                 self._enter(target, event, inputs)
                 break
         self._report_offboard(inputs)
@@ -231,10 +237,13 @@ class Supervisor:
             return Command.TERMINATE
         return self._queue.popleft()
 
-    def _has_lasted(self, event: Event, now_ns: int) -> bool:
-        """Whether the condition of an event has been true long enough."""
-        lasting_ns = self._lasting_ns.get(event)
-        return lasting_ns is None or now_ns - self._since_ns.setdefault(event, now_ns) >= lasting_ns
+    def _has_lasted(self, event: Event, inputs: SupervisorInputs) -> bool:
+        """Whether the condition of an event has been true long enough. The calibration runs meanwhile."""
+        lasting_ns, now_ns = self._lasting_ns.get(event), inputs.now_ns
+        if lasting_ns is None:
+            return True
+        lasted = now_ns - self._since_ns.setdefault(event, now_ns) >= lasting_ns
+        return lasted and not (event is E.HEALTHY and inputs.calibration)
 
     def _enter(self, mode: FlightMode, event: Event, inputs: SupervisorInputs) -> None:
         why = f": {self.arming_refusal(inputs)}" if event is E.UNHEALTHY else ""
@@ -266,14 +275,15 @@ class Supervisor:
     # -- conditions ---------------------------------------------------------------------------------------------------
 
     def _healthy(self, inputs: SupervisorInputs) -> bool:
-        return not self.arming_refusal(inputs)
+        return not self._sensor_refusal(inputs)
 
     def _sensors_lost(self, inputs: SupervisorInputs) -> bool:
-        return not inputs.initialised or inputs.imu_age_s > self._config.imu_silent_s or bool(inputs.preflight)
+        silent = not inputs.initialised or inputs.imu_age_s > self._config.imu_silent_s
+        return silent or bool(inputs.preflight or inputs.calibration)
 
     def _wants_arming(self, inputs: SupervisorInputs) -> bool:
         auto = self._config.auto_arm and not self._flown
-        return (auto or self._command is Command.ARM) and self._healthy(inputs)
+        return (auto or self._command is Command.ARM) and not self.arming_refusal(inputs)
 
     def _wants_take_off(self, inputs: SupervisorInputs) -> bool:
         return self._command is Command.TAKE_OFF or (self._config.auto_arm and not self._flown)

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
+from onboard.estimation.config import GYRO_BIAS_MAX_RAD_S
 from onboard.preflight.recorder import StepData
 from protocol.conventions import GRAVITY, Array
 from protocol.geometry import normalised, rotation_of
@@ -66,7 +67,7 @@ class PreflightConfig(ConfigRecord):
     clock_rate_tolerance: float = Field(default=0.005, gt=0, description="1; vehicle's clock rate against ours")
     gravity_tolerance_m_s2: float = Field(default=1.0, gt=0, description="m/s^2; the Mambo's bias is up to 0.35")
     level_tolerance_rad: float = Field(default=0.1, gt=0, description="rad; accelerometer's tilt on level ground")
-    gyro_bias_max_rad_s: float = Field(default=0.15, gt=0, description="rad/s")
+    gyro_bias_max_rad_s: float = Field(default=GYRO_BIAS_MAX_RAD_S, gt=0, description="rad/s")
     gyro_sigma_max_rad_s: float = Field(default=0.1, gt=0, description="rad/s")
     battery_min_v: float = Field(default=3.7, gt=0, description="V at rest")
     battery_max_v: float = Field(default=4.45, gt=0, description="V; more is not one lithium cell in volts")

@@ -19,6 +19,7 @@ def test_a_flight_returns_its_record_and_can_be_loaded_again(tmp_path: Path) -> 
     assert flight[TRUTH.topic]["position_n"][0] == pytest.approx(0.1, abs=1e-3)
     assert (flight.summary["controller"], flight.summary["seed"], flight.summary["mode"]) == ("pid", 3, "lockstep")
     assert flight.summary["survived"]
+    assert flight.summary["onboard"]["calibration"]["accepted"] == 1
     assert {"config.yaml", "onboard.mcap", "summary.json", "flight.png", "report.html"} <= {
         path.name for path in out.iterdir()
     }

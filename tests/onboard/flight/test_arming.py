@@ -109,7 +109,7 @@ class RealFlight(Loop):
         return self.type(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
 
     def take_off(self):
-        return self.fly(2.0).arm().fly(0.5).type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(4.0)
+        return self.fly(2.1).arm().fly(0.5).type(mavlink.MAV_CMD_NAV_TAKEOFF).fly(4.0)
 
     def step(self):
         if self.heartbeats and self.tick % 200 == 0:
@@ -246,6 +246,38 @@ def test_a_good_vehicle_waits_for_its_pilot_flies_and_lands_when_the_ground_stat
     assert not flight.vehicle.crash_reason
     assert flight.modes[-1] in (FlightMode.LANDED, FlightMode.BOOT)
     assert "not ready to arm: no ground station" in flight.events
+
+
+def pushed(message):
+    message.yacc += 0.8
+    message.xgyro += 0.1
+
+
+def test_a_vehicle_that_moved_during_its_calibration_is_refused_and_armed_after_a_rest():
+    flight = RealFlight(lambda t, frames: [changed(f, pushed) if 1.2 < t < 3.2 else f for f in frames]).fly(1.1)
+    assert flight.core.status(flight.now_ns)["not_ready"] == "calibrating the IMU"
+    flight.fly(1.9).arm().fly(0.1)
+    moved = "the vehicle moved during the calibration of its IMU"
+    assert any(text.startswith(f"{moved}: ") for text in flight.events)
+    assert flight.said(f"refused to arm: {moved}")
+    assert any(text.startswith(f"refused to arm: {moved}"[:50]) for text in flight.texts)
+    assert flight.answers == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
+    assert not SPINNING & set(flight.modes)
+    flight.fly(2.7).arm().fly(0.1)
+    assert flight.modes[-1] is FlightMode.ARMED
+    calibration = flight.core.summary()["calibration"]
+    assert (calibration["accepted"], calibration["movements"]) == (1, 1)
+    np.testing.assert_allclose(calibration["gyro_bias_rad_s"], flight.vehicle._imu.bias[3:6], atol=0.003)
+
+
+def test_the_calibration_is_kept_for_the_second_flight():
+    flight = RealFlight().take_off()
+    flight.type(mavlink.MAV_CMD_NAV_LAND).fly(6.0)
+    assert flight.modes[-1] is FlightMode.READY
+    flight.arm().fly(0.1)
+    assert flight.modes[-1] is FlightMode.ARMED
+    assert len(flight.said("IMU calibrated")) == 1
+    assert flight.core.summary()["calibration"]["accepted"] == 1
 
 
 def test_flight_termination_stops_the_motors_in_the_air_until_the_end():

@@ -181,6 +181,7 @@ def test_a_flight_from_boot_to_boot():
         ({"battery_v": 3.4}, "3.40 V"),
         ({"battery_remaining": 0.05}, "5%"),
         ({"preflight": "motors swapped"}, "motors swapped"),
+        ({"calibration": "calibrating the IMU"}, "calibrating the IMU"),
         ({"battery_v": 0.0}, "battery"),
         ({"battery_v": 40.8}, "battery at 40.8 V: not one cell"),
         ({"distance_m": 11.2}, "11.2 m from the origin, the fence is at 10 m"),
@@ -215,6 +216,25 @@ def test_the_end_of_readiness_is_reported_at_once():
     pilot = Pilot(M.READY)
     pilot.step(preflight="IMU at 90 Hz")
     assert "READY -> BOOT: sensors not healthy: IMU at 90 Hz" in pilot.texts()
+
+
+def test_the_calibration_and_the_wait_for_health_run_together():
+    pilot = Pilot(auto_arm=True)
+    assert pilot.step(2.0, initialised=True, height_m=0.0, calibration="calibrating the IMU") is M.BOOT
+    assert pilot.supervisor.not_ready == "calibrating the IMU"
+    assert "calibrating" in pilot.command(Command.ARM)
+    assert pilot.step(0.015, calibration="") is M.TAKE_OFF
+    early = Pilot()
+    early.step(0.3, initialised=True, calibration="calibrating the IMU")
+    assert early.step(0.1, calibration="") is M.BOOT, "health has to last as well"
+
+
+def test_a_vehicle_that_is_carried_away_must_rest_again():
+    pilot = Pilot(M.READY)
+    assert pilot.step(calibration="the vehicle moved") is M.BOOT
+    assert "READY -> BOOT: sensors not healthy: the vehicle moved" in pilot.texts()
+    assert pilot.step(0.6) is M.BOOT
+    assert pilot.step(calibration="") is M.READY
 
 
 def test_auto_arm_flies_once():
