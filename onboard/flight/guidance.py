@@ -25,7 +25,9 @@ class GuidanceConfig(ConfigRecord):
 
     trajectory: TrajectoryConfig
     land_after_s: Annotated[float, Field(gt=0, description="path time at which the landing begins")]
-    feed_forward_lead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ff: lag of the inner loops")]
+    feed_forward_lead_s: Annotated[
+        float, Field(ge=-0.2, le=0.5, description="t_ff: lag of the inner loops; below 0 where they lead")
+    ]
     look_ahead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ahead of the position channel's features")]
     attitude_look_ahead_s: Annotated[float, Field(ge=0, le=0.5, description="t_ahead of the attitude channel's")]
     return_speed_m_s: float = Field(default=0.5, gt=0, le=2, description="m/s, back to the path after a jump")
