@@ -34,8 +34,9 @@ from onboard.estimation.error_state_filter import (
 from onboard.estimation.imu_conditioning import StillStart, VibrationMeter
 from onboard.estimation.pose_fusion import PoseFusion
 from onboard.estimation.state import VehicleState
+from onboard.estimation.stuck_gyro import AXES, Found, StuckGyro
 from protocol.conventions import GRAVITY, NEVER_NS, Array
-from protocol.geometry import quaternion_of
+from protocol.geometry import ZERO, Vector3, matrix_times, quaternion_of, vector
 from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading, SensorReading
 from protocol.messages import Pose
 
@@ -46,6 +47,10 @@ SLOW_AIDS: Final = 8
 PRESSURE_TURN: Final = 7
 COS_TILT_MIN: Final = 0.7
 """Flow and range count only at less tilt than this."""
+RATE_SIGMA: Final = 0.3
+"""rad/s, of the rate of a stuck axis when it is found."""
+TURN_SIGMA: Final = 0.03
+"""rad, of the attitude then."""
 GAP_MAX_S: Final = 0.1
 """The IMU is integrated over no longer gap than this."""
 
@@ -69,6 +74,7 @@ class Estimator:
         """Of the IMU, on the bench; `refusal` is why the vehicle must not be armed yet."""
         self._start = StillStart(config.start_samples, config.start_rate_max_rad_s)
         self._vibration = VibrationMeter()
+        self._gyro = StuckGyro(config.gyro_stuck_samples, config.gyro_stuck_disturbance_s)
         self._turn = 0
         self._pressure_sum, self._pressure_count = 0.0, 0
         self._pressure_zero_pa = 0.0
@@ -99,6 +105,15 @@ class Estimator:
     def mean_scores(self) -> dict[str, float]:
         """Mean NIS of each aid in flight, 1 where its sigmas fit. Pressure: against a height known better."""
         return self._corrections.mean_scores
+
+    @property
+    def gyro_stuck(self) -> bool:
+        """Whether an axis of the gyroscope is stuck. Its rate then comes from the motors, and the flight should end."""
+        return bool(self._gyro.axes)
+
+    def expect_turn(self, u_hat: Vector3, residual: Vector3) -> None:
+        """The motors' angular acceleration in this tick, and what it left unexplained, rad/s^2, body FRD."""
+        self._gyro.expect(u_hat, residual)
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
@@ -139,6 +154,10 @@ class Estimator:
         if first or dt > self._config.gap_s:
             dt = self._bridge_gap(reading.time_ns, dt)
         state.vibration = self._vibration.update(reading.accelerometer, dt)
+        if self._on_ground:
+            self._gyro.reset()
+        else:
+            reading = self._with_good_rates(reading, dt)
         config = self._config
         sigma = max(config.accelerometer_sigma, config.vibration_to_sigma * state.vibration)
         noise = (
@@ -157,6 +176,26 @@ class Estimator:
         state.height_valid = reading.time_ns - state.last_height_ns < 2 * self._aid_fresh_ns
         if self._turn == 0:
             state.publish_sigmas(self._filter)
+
+    def _with_good_rates(self, reading: ImuReading, dt: float) -> ImuReading:
+        """The reading, with the rate of a stuck axis replaced by one from the motors."""
+        for found in self._gyro.receive(reading.gyroscope, reading.accelerometer, dt):
+            self._lose_axis(found, reading.time_ns)
+        if not self._gyro.axes:
+            return reading
+        for axis in self._gyro.axes:
+            self._filter.inflate(GYRO_BIAS + axis, self._config.gyro_stuck_walk * math.sqrt(dt), 1)
+        return reading._replace(gyroscope=self._gyro.replaced(reading.gyroscope))
+
+    def _lose_axis(self, found: Found, now_ns: int) -> None:
+        """Undo what a stuck axis has done to the attitude, and report it."""
+        turn = [0.0, 0.0, 0.0]
+        turn[found.axis] = found.turn_rad
+        f = self._filter
+        f.shift(ZERO, ZERO, matrix_times(f.rotation, vector(turn)))
+        f.inflate(GYRO_BIAS + found.axis, RATE_SIGMA, 1)
+        f.inflate(ATTITUDE, TURN_SIGMA)
+        self._corrections.report(now_ns, f"gyroscope {AXES[found.axis]} stuck: its rate comes from the motors from now on")
 
     def _find_start(self, reading: ImuReading) -> None:
         """Wait for still samples in a row, then set attitude and gyro bias from their means."""

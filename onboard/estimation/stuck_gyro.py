@@ -1,0 +1,128 @@
+"""Finds an axis of the gyroscope that is stuck in flight, and replaces its rate by one from the motors' torque.
+
+A gyroscope in flight hardly ever gives the same value twice in a row: the rotors shake it by many times its step. An
+axis that repeats its value while the rest of the IMU changes is stuck. From then on its rate is
+
+    rate <- rate + (u_hat + d) dt
+
+with u_hat the angular acceleration by the motors, and d the disturbance: the residual, filtered. The filter holds the
+error of this rate as the gyroscope's bias of that axis, with a fast random walk. Poses and flow correct it. Each
+correction is part of the residual, so d follows.
+"""
+
+from collections import deque
+from itertools import islice, pairwise
+from math import exp
+from typing import Final, NamedTuple
+
+from protocol.geometry import ZERO, Vector3, add, vector
+
+AXES: Final = "xyz"
+KEPT: Final = 64
+"""Samples that are kept. Those before a run of equal ones show how often the axis repeats a value by chance."""
+
+
+class _Sample(NamedTuple):
+    rates: Vector3
+    dt: float
+    u_hat: Vector3
+    """rad/s^2, since the sample before."""
+    disturbance: Vector3
+    """rad/s^2, known before this sample."""
+
+
+class Found(NamedTuple):
+    """An axis that is stuck."""
+
+    axis: int
+    """0 to 2."""
+    turn_rad: float
+    """About that axis, since it is stuck, beyond the turn by its samples."""
+
+
+class StuckGyro:
+    """Rates of the gyroscope, with those of stuck axes replaced."""
+
+    def __init__(self, samples: int, disturbance_filter_s: float, period_s: float = 0.005) -> None:
+        """`samples`: equal ones in a row that mean stuck; 0: never."""
+        self._needed = samples
+        self._share = 1.0 - exp(-period_s / disturbance_filter_s)
+        self._samples: deque[_Sample] = deque(maxlen=KEPT)
+        self._last: tuple[Vector3, Vector3] = (ZERO, ZERO)
+        self._runs = [1, 1, 1]
+        self._u_hat: Vector3 = ZERO
+        self._disturbance: Vector3 = ZERO
+        self._rates = [0.0, 0.0, 0.0]
+        self.axes: list[int] = []
+        """The axes that are stuck, 0 to 2."""
+
+    def reset(self) -> None:
+        """Believe the gyroscope again: on the floor the checks before arming judge it."""
+        if self._samples:
+            self._samples.clear()
+            self._runs = [1, 1, 1]
+            self.axes = []
+
+    def expect(self, u_hat: Vector3, residual: Vector3) -> None:
+        """The motors' angular acceleration in the last tick, and what it left unexplained, rad/s^2, body FRD."""
+        self._u_hat, share = u_hat, self._share
+        (dx, dy, dz), (rx, ry, rz) = self._disturbance, residual
+        self._disturbance = (dx + share * (rx - dx), dy + share * (ry - dy), dz + share * (rz - dz))
+
+    def receive(self, rates: Vector3, accelerometer: Vector3, dt: float) -> list[Found]:
+        """Add a sample in flight, rad/s and m/s^2; returns the axes that are found stuck by it."""
+        self._samples.append(_Sample(rates, dt, self._u_hat, self._disturbance))
+        for axis in self.axes:
+            self._rates[axis] += (self._u_hat[axis] + self._disturbance[axis]) * dt
+        (p, q, r), (last_p, last_q, last_r) = rates, self._last[0]
+        found = []
+        if p == last_p or q == last_q or r == last_r:
+            found = self._judge(rates, accelerometer)
+        elif self._runs != [1, 1, 1]:
+            self._runs = [1, 1, 1]
+        self._last = rates, accelerometer
+        return found
+
+    def replaced(self, rates: Vector3) -> Vector3:
+        """The rates of a sample, rad/s, with those of stuck axes replaced."""
+        if not self.axes:
+            return rates
+        return vector(self._rates[axis] if axis in self.axes else rates[axis] for axis in (0, 1, 2))
+
+    def _judge(self, rates: Vector3, accelerometer: Vector3) -> list[Found]:
+        """Count the samples in a row that are equal; the axes that are found stuck by this one."""
+        if (rates, accelerometer) == self._last:  # the whole IMU repeats: the vehicle's link judges that
+            self._runs = [1, 1, 1]
+            return []
+        found = []
+        for axis in (0, 1, 2):
+            if rates[axis] != self._last[0][axis]:
+                self._runs[axis] = 1
+                continue
+            self._runs[axis] += 1
+            if self._runs[axis] >= self._needed > 0 and axis not in self.axes and self._is_no_chance(axis):
+                found.append(self._replace(axis))
+        return found
+
+    def _is_no_chance(self, axis: int) -> bool:
+        """Whether the axis is stuck. Each repeat before the run makes the run that is needed longer by half."""
+        run = self._runs[axis]
+        if len(self._samples) < KEPT:
+            return False
+        before = (sample.rates[axis] for sample in islice(self._samples, KEPT - run))
+        repeats = sum(first == second for first, second in pairwise(before))
+        return run >= self._needed * (1.0 + 0.5 * repeats)
+
+    def _replace(self, axis: int) -> Found:
+        """Begin with the last rate before the run, and add the motors' turn since then."""
+        run = list(self._samples)[-self._runs[axis] - 1 :]
+        rate, turn, disturbance = run[0].rates[axis], 0.0, run[0].disturbance
+        for sample in run[1:]:
+            rate += add(sample.u_hat, disturbance)[axis] * sample.dt
+            turn += (rate - sample.rates[axis]) * sample.dt
+        kept = list(self._disturbance)
+        kept[axis] = disturbance[axis]
+        self._disturbance = vector(kept)
+        self._rates[axis] = rate
+        self.axes = [*self.axes, axis]
+        return Found(axis, turn)
