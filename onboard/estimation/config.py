@@ -28,8 +28,8 @@ class EstimatorConfig(ConfigRecord):
     gyro_stuck_samples: int = Field(
         default=6, ge=0, le=20, description="equal samples of one axis in flight that mean stuck; 0: never"
     )
-    gyro_stuck_walk: float = Field(default=0.2, gt=0, description="rad/s/sqrt(s), error of the rate that replaces it")
-    gyro_stuck_disturbance_s: float = Field(default=0.15, gt=0, description="s, filter of that rate's disturbance")
+    gyro_stuck_walk: float = Field(default=0.5, gt=0, description="rad/s/sqrt(s), error of the rate that replaces it")
+    gyro_stuck_disturbance_s: float = Field(default=0.1, gt=0, description="s, filter of that rate's disturbance")
 
     start_samples: int = Field(default=50, ge=10, le=2000, description="still IMU samples needed for the start")
     start_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; a faster vehicle is not still")

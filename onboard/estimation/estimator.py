@@ -65,7 +65,8 @@ class Estimator:
         self._filter = ErrorStateFilter(config.covariance_every)
         self._corrections = Corrections(config, self._filter, self.state)
         self.counts, self.scores = self._corrections.counts, self._corrections.scores
-        self._poses = PoseFusion(config, self._filter, self.state, self._corrections)
+        self._gyro = StuckGyro(config.gyro_stuck_samples, config.gyro_stuck_disturbance_s)
+        self._poses = PoseFusion(config, self._filter, self.state, self._corrections, self._gyro)
         self._aid_fresh_ns = int(config.aid_fresh_s * 1e9)
         self._recovery_ns = int(config.recovery_s * 1e9)
         self._h_flow: Array = np.zeros(15)
@@ -74,7 +75,6 @@ class Estimator:
         """Of the IMU, on the bench; `refusal` is why the vehicle must not be armed yet."""
         self._start = StillStart(config.start_samples, config.start_rate_max_rad_s)
         self._vibration = VibrationMeter()
-        self._gyro = StuckGyro(config.gyro_stuck_samples, config.gyro_stuck_disturbance_s)
         self._turn = 0
         self._pressure_sum, self._pressure_count = 0.0, 0
         self._pressure_zero_pa = 0.0
@@ -185,6 +185,7 @@ class Estimator:
             return reading
         for axis in self._gyro.axes:
             self._filter.inflate(GYRO_BIAS + axis, self._config.gyro_stuck_walk * math.sqrt(dt), 1)
+        self._gyro.note_bias(self._filter.gyro_bias, reading.time_ns, dt)
         return reading._replace(gyroscope=self._gyro.replaced(reading.gyroscope))
 
     def _lose_axis(self, found: Found, now_ns: int) -> None:
@@ -195,7 +196,9 @@ class Estimator:
         f.shift(ZERO, ZERO, matrix_times(f.rotation, vector(turn)))
         f.inflate(GYRO_BIAS + found.axis, RATE_SIGMA, 1)
         f.inflate(ATTITUDE, TURN_SIGMA)
-        self._corrections.report(now_ns, f"gyroscope {AXES[found.axis]} stuck: its rate comes from the motors from now on")
+        self._corrections.report(
+            now_ns, f"gyroscope {AXES[found.axis]} stuck: its rate comes from the motors from now on"
+        )
 
     def _find_start(self, reading: ImuReading) -> None:
         """Wait for still samples in a row, then set attitude and gyro bias from their means."""

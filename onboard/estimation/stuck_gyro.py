@@ -53,6 +53,7 @@ class StuckGyro:
         self._u_hat: Vector3 = ZERO
         self._disturbance: Vector3 = ZERO
         self._rates = [0.0, 0.0, 0.0]
+        self._biases: deque[tuple[float, int, Vector3]] = deque(maxlen=KEPT)
         self.axes: list[int] = []
         """The axes that are stuck, 0 to 2."""
 
@@ -61,6 +62,7 @@ class StuckGyro:
         if self._samples:
             self._samples.clear()
             self._runs = [1, 1, 1]
+            self._biases.clear()
             self.axes = []
 
     def expect(self, u_hat: Vector3, residual: Vector3) -> None:
@@ -88,6 +90,19 @@ class StuckGyro:
         if not self.axes:
             return rates
         return vector(self._rates[axis] if axis in self.axes else rates[axis] for axis in (0, 1, 2))
+
+    def note_bias(self, bias: Vector3, time_ns: int, dt: float) -> None:
+        """The filter's bias, which a sample has been integrated with."""
+        self._biases.append((dt, time_ns, bias))
+
+    def turn_since(self, time_ns: int, bias: Vector3) -> Vector3:
+        """By how much the filter would have turned more since `time_ns`, rad, body FRD, with the present bias."""
+        x, y, z = 0.0, 0.0, 0.0
+        for dt, then_ns, (bx, by, bz) in reversed(self._biases):
+            if then_ns <= time_ns:
+                break
+            x, y, z = x + (bx - bias[0]) * dt, y + (by - bias[1]) * dt, z + (bz - bias[2]) * dt
+        return x, y, z
 
     def _judge(self, rates: Vector3, accelerometer: Vector3) -> list[Found]:
         """Count the samples in a row that are equal; the axes that are found stuck by this one."""
