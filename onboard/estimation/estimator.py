@@ -69,6 +69,7 @@ class Estimator:
         self._poses = PoseFusion(config, self._filter, self.state, self._corrections, self._gyro)
         self._aid_fresh_ns = int(config.aid_fresh_s * 1e9)
         self._recovery_ns = int(config.recovery_s * 1e9)
+        self._bias_before: Vector3 = ZERO
         self._h_flow: Array = np.zeros(15)
         self._on_ground = self._at_rest = True
         self.calibration = BenchCalibration(config)
@@ -111,9 +112,9 @@ class Estimator:
         """Whether an axis of the gyroscope is stuck. Its rate then comes from the motors, and the flight should end."""
         return bool(self._gyro.axes)
 
-    def expect_turn(self, u_hat: Vector3, residual: Vector3) -> None:
-        """The motors' angular acceleration in this tick, and what it left unexplained, rad/s^2, body FRD."""
-        self._gyro.expect(u_hat, residual)
+    def expect_turn(self, u_hat: Vector3, residual: Vector3, dt: float) -> None:
+        """The motors' angular acceleration over the last `dt`, and what it left unexplained, rad/s^2, body FRD."""
+        self._gyro.expect(u_hat, residual, dt)
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
@@ -154,10 +155,7 @@ class Estimator:
         if first or dt > self._config.gap_s:
             dt = self._bridge_gap(reading.time_ns, dt)
         state.vibration = self._vibration.update(reading.accelerometer, dt)
-        if self._on_ground:
-            self._gyro.reset()
-        else:
-            reading = self._with_good_rates(reading, dt)
+        reading = self._with_good_rates(reading, dt)
         config = self._config
         sigma = max(config.accelerometer_sigma, config.vibration_to_sigma * state.vibration)
         noise = (
@@ -179,20 +177,27 @@ class Estimator:
 
     def _with_good_rates(self, reading: ImuReading, dt: float) -> ImuReading:
         """The reading, with the rate of a stuck axis replaced by one from the motors."""
-        for found in self._gyro.receive(reading.gyroscope, reading.accelerometer, dt):
+        gyro, f = self._gyro, self._filter
+        for found in gyro.receive(reading.gyroscope, reading.accelerometer, dt, not self._on_ground):
             self._lose_axis(found, reading.time_ns)
-        if not self._gyro.axes:
+        if not gyro.axes:
             return reading
-        for axis in self._gyro.axes:
-            self._filter.inflate(GYRO_BIAS + axis, self._config.gyro_stuck_walk * math.sqrt(dt), 1)
-        self._gyro.note_bias(self._filter.gyro_bias, reading.time_ns, dt)
-        return reading._replace(gyroscope=self._gyro.replaced(reading.gyroscope))
+        if self._on_ground:
+            f.gyro_bias = self._bias_before
+            gyro.reset()
+            return reading
+        for axis in gyro.axes:
+            f.inflate(GYRO_BIAS + axis, self._config.gyro_stuck_walk * math.sqrt(dt), 1)
+        gyro.note_bias(f.gyro_bias, reading.time_ns, dt)
+        return reading._replace(gyroscope=gyro.replaced(reading.gyroscope))
 
     def _lose_axis(self, found: Found, now_ns: int) -> None:
         """Undo what a stuck axis has done to the attitude, and report it."""
         turn = [0.0, 0.0, 0.0]
         turn[found.axis] = found.turn_rad
         f = self._filter
+        if self._gyro.axes == [found.axis]:
+            self._bias_before = f.gyro_bias
         f.shift(ZERO, ZERO, matrix_times(f.rotation, vector(turn)))
         f.inflate(GYRO_BIAS + found.axis, RATE_SIGMA, 1)
         f.inflate(ATTITUDE, TURN_SIGMA)

@@ -12,7 +12,6 @@ correction is part of the residual, so d follows.
 
 from collections import deque
 from itertools import islice, pairwise
-from math import exp
 from typing import Final, NamedTuple
 
 from protocol.geometry import ZERO, Vector3, add, vector
@@ -20,6 +19,10 @@ from protocol.geometry import ZERO, Vector3, add, vector
 AXES: Final = "xyz"
 KEPT: Final = 64
 """Samples that are kept. Those before a run of equal ones show how often the axis repeats a value by chance."""
+PER_REPEAT: Final = 3
+"""Each such repeat makes the run that is needed so much longer."""
+REPEATS_MAX: Final = 16
+"""An axis with more of them is too quiet to be judged."""
 
 
 class _Sample(NamedTuple):
@@ -43,13 +46,15 @@ class Found(NamedTuple):
 class StuckGyro:
     """Rates of the gyroscope, with those of stuck axes replaced."""
 
-    def __init__(self, samples: int, disturbance_filter_s: float, period_s: float = 0.005) -> None:
+    def __init__(self, samples: int, disturbance_filter_s: float) -> None:
         """`samples`: equal ones in a row that mean stuck; 0: never."""
         self._needed = samples
-        self._share = 1.0 - exp(-period_s / disturbance_filter_s)
+        self._filter_s = disturbance_filter_s
         self._samples: deque[_Sample] = deque(maxlen=KEPT)
         self._last: tuple[Vector3, Vector3] = (ZERO, ZERO)
         self._runs = [1, 1, 1]
+        self._limits = [0, 0, 0]
+        self._found: list[int] = []
         self._u_hat: Vector3 = ZERO
         self._disturbance: Vector3 = ZERO
         self._rates = [0.0, 0.0, 0.0]
@@ -59,26 +64,28 @@ class StuckGyro:
 
     def reset(self) -> None:
         """Believe the gyroscope again: on the floor the checks before arming judge it."""
-        if self._samples:
-            self._samples.clear()
-            self._runs = [1, 1, 1]
-            self._biases.clear()
-            self.axes = []
+        self._biases.clear()
+        self.axes = []
 
-    def expect(self, u_hat: Vector3, residual: Vector3) -> None:
-        """The motors' angular acceleration in the last tick, and what it left unexplained, rad/s^2, body FRD."""
-        self._u_hat, share = u_hat, self._share
+    def expect(self, u_hat: Vector3, residual: Vector3, dt: float) -> None:
+        """The motors' angular acceleration over the last `dt`, and what it left unexplained, rad/s^2, body FRD."""
+        self._u_hat, share = u_hat, dt / (self._filter_s + dt)
         (dx, dy, dz), (rx, ry, rz) = self._disturbance, residual
+        if self._found:  # the rate jumps to the new one, which is no disturbance
+            rx, ry, rz = (
+                d if axis in self._found else r for axis, (r, d) in enumerate(zip(residual, (dx, dy, dz), strict=True))
+            )
+            self._found = []
         self._disturbance = (dx + share * (rx - dx), dy + share * (ry - dy), dz + share * (rz - dz))
 
-    def receive(self, rates: Vector3, accelerometer: Vector3, dt: float) -> list[Found]:
-        """Add a sample in flight, rad/s and m/s^2; returns the axes that are found stuck by it."""
+    def receive(self, rates: Vector3, accelerometer: Vector3, dt: float, flying: bool = True) -> list[Found]:
+        """Add a sample, rad/s and m/s^2; returns the axes that are found stuck by it, in flight only."""
         self._samples.append(_Sample(rates, dt, self._u_hat, self._disturbance))
         for axis in self.axes:
             self._rates[axis] += (self._u_hat[axis] + self._disturbance[axis]) * dt
         (p, q, r), (last_p, last_q, last_r) = rates, self._last[0]
         found = []
-        if p == last_p or q == last_q or r == last_r:
+        if flying and (p == last_p or q == last_q or r == last_r):
             found = self._judge(rates, accelerometer)
         elif self._runs != [1, 1, 1]:
             self._runs = [1, 1, 1]
@@ -96,7 +103,7 @@ class StuckGyro:
         self._biases.append((dt, time_ns, bias))
 
     def turn_since(self, time_ns: int, bias: Vector3) -> Vector3:
-        """By how much the filter would have turned more since `time_ns`, rad, body FRD, with the present bias."""
+        """The turn that the present bias, had it been known, would have added since `time_ns`; rad, body FRD."""
         x, y, z = 0.0, 0.0, 0.0
         for dt, then_ns, (bx, by, bz) in reversed(self._biases):
             if then_ns <= time_ns:
@@ -115,18 +122,19 @@ class StuckGyro:
                 self._runs[axis] = 1
                 continue
             self._runs[axis] += 1
-            if self._runs[axis] >= self._needed > 0 and axis not in self.axes and self._is_no_chance(axis):
+            if self._runs[axis] == self._needed:
+                self._limits[axis] = self._limit(axis)
+            if self._runs[axis] == self._limits[axis]:
                 found.append(self._replace(axis))
         return found
 
-    def _is_no_chance(self, axis: int) -> bool:
-        """Whether the axis is stuck. Each repeat before the run makes the run that is needed longer by half."""
-        run = self._runs[axis]
-        if len(self._samples) < KEPT:
-            return False
-        before = (sample.rates[axis] for sample in islice(self._samples, KEPT - run))
+    def _limit(self, axis: int) -> int:
+        """The run that means stuck, samples; 0: none does."""
+        if axis in self.axes or len(self._samples) < KEPT:
+            return 0
+        before = (sample.rates[axis] for sample in islice(self._samples, KEPT - self._needed))
         repeats = sum(first == second for first, second in pairwise(before))
-        return run >= self._needed * (1.0 + 0.5 * repeats)
+        return self._needed + PER_REPEAT * repeats if repeats <= REPEATS_MAX else 0
 
     def _replace(self, axis: int) -> Found:
         """Begin with the last rate before the run, and add the motors' turn since then."""
@@ -140,4 +148,5 @@ class StuckGyro:
         self._disturbance = vector(kept)
         self._rates[axis] = rate
         self.axes = [*self.axes, axis]
+        self._found.append(axis)
         return Found(axis, turn)
