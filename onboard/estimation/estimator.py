@@ -326,7 +326,8 @@ class Estimator:
         if distance_m < config.flow_height_min_m:
             return
         scale = distance_m / reading.integration_s
-        measured = (scale * (reading.flow_y - reading.rotation_y), -scale * (reading.flow_x - reading.rotation_x))
+        rotation_x, rotation_y = self._flow_rotation(reading)
+        measured = (scale * (reading.flow_y - rotation_y), -scale * (reading.flow_x - rotation_x))
         vx, vy, vz = past.velocity
         R, h = past.rotation, self._h_flow
         used = True
@@ -342,6 +343,15 @@ class Estimator:
             self.state.last_velocity_aid_ns = max(now_ns, self.state.last_velocity_aid_ns)
         else:
             self._recover("flow", VELOCITY, 3, now_ns)
+
+    def _flow_rotation(self, reading: FlowReading) -> tuple[float, float]:
+        """The rotation in the flow, rad. It comes from the gyroscope, so that of a stuck axis is replaced as well."""
+        x, y = reading.rotation_x, reading.rotation_y
+        if 0 in self._gyro.axes:
+            x = float(self.state.rates[0]) * reading.integration_s
+        if 1 in self._gyro.axes:
+            y = float(self.state.rates[1]) * reading.integration_s
+        return x, y
 
     def _receive_range(self, reading: RangeReading) -> None:
         """Height from the ultrasonic sensor over a level floor at d = 0.

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from math import isfinite
 from typing import Any, Final, Literal
 
@@ -10,7 +11,7 @@ AXES: Final = "xyz"
 
 
 class GyroStuck(Disturbance):
-    """One axis of the gyroscope gives the same rate in every sample; the rest of the IMU works."""
+    """One axis of the gyroscope gives the same rate in every sample, also to the optical flow; the others work."""
 
     axis: Literal["x", "y", "z"]
     rate_rad_s: float | None = Field(default=None, description="rad/s, body FRD; left out: its last value")
@@ -23,16 +24,21 @@ class GyroStuck(Disturbance):
         return rate
 
     def change(self, condition: Condition, drawn: Array) -> None:
-        """Replace the axis in the samples of the IMU, after an earlier fault of it, if there is one."""
-        before, index = condition.sensor_faults.get("imu"), AXES.index(self.axis)
+        """Replace the axis in the samples of the IMU, and its integral in those of the flow, after earlier faults."""
+        self._stick(condition, "imu", "gyroscope_rad_s", lambda sample: 1.0)
+        self._stick(condition, "flow", "gyroscope_rad", lambda sample: float(sample.time_s))
+
+    def _stick(self, condition: Condition, sensor: str, name: str, duration: Callable[[Any], float]) -> None:
+        """duration: of a sample's integral, s; 1 for a rate."""
+        before, index = condition.sensor_faults.get(sensor), AXES.index(self.axis)
 
         def sent(sample: Any, last: Any) -> Any:
             sample = sample if before is None else before(sample, last)
             if sample is None:
                 return None
-            rates = list(sample.gyroscope_rad_s)
-            held = last.gyroscope_rad_s[index] if last is not None else rates[index]
-            rates[index] = held if self.rate_rad_s is None else self.rate_rad_s
-            return sample._replace(gyroscope_rad_s=tuple(rates))
+            values, from_ = list(getattr(sample, name)), sample if last is None else last
+            rate = getattr(from_, name)[index] / duration(from_) if self.rate_rad_s is None else self.rate_rad_s
+            values[index] = rate * duration(sample)
+            return sample._replace(**{name: tuple(values)})
 
-        condition.sensor_faults["imu"] = sent
+        condition.sensor_faults[sensor] = sent
