@@ -335,6 +335,7 @@ class Estimator:
             rx, ry, rz = R[axis], R[3 + axis], R[6 + axis]
             expected = rx * vx + ry * vy + rz * vz
             h[3], h[4], h[5] = rx, ry, rz
+            h[9], h[10] = self._flow_of_lost_rate(axis, distance_m)
             h[6], h[7], h[8] = ry * vz - rz * vy, rz * vx - rx * vz, rx * vy - ry * vx
             sigma = config.flow_rate_sigma_rad_s * distance_m + config.flow_scale_sigma * abs(expected)
             innovation = measured[axis] - expected
@@ -352,6 +353,16 @@ class Estimator:
         if 1 in self._gyro.axes:
             y = float(self.state.rates[1]) * reading.integration_s
         return x, y
+
+    def _flow_of_lost_rate(self, axis: int, distance_m: float) -> tuple[float, float]:
+        """What an error of the biases about x and y adds to a body velocity by the flow, m/s per rad/s.
+
+        Only that of a stuck axis matters: v_x = d (flow_y - q + b_y), v_y = -d (flow_x - p + b_x), with p and q of the
+        gyroscope. So the flow measures that rate.
+        """
+        if axis == 0:
+            return 0.0, -distance_m if 1 in self._gyro.axes else 0.0
+        return distance_m if 0 in self._gyro.axes else 0.0, 0.0
 
     def _receive_range(self, reading: RangeReading) -> None:
         """Height from the ultrasonic sensor over a level floor at d = 0.
