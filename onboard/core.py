@@ -154,8 +154,7 @@ class OnboardCore:
         target = self._guide(state, mode)
         delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
         measured = self._uncertainty.step(state, delivered)
-        turn = measured[1]
-        self._estimator.expect_turn(vector(turn.u_hat.tolist()), vector(turn.residual.tolist()), self._dt)
+        self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
         adapt = self._may_adapt(state, mode, now_ns)

@@ -112,9 +112,9 @@ class Estimator:
         """Whether an axis of the gyroscope is stuck. Its rate then comes from the motors, and the flight should end."""
         return bool(self._gyro.axes)
 
-    def expect_turn(self, u_hat: Vector3, residual: Vector3, dt: float) -> None:
-        """The motors' angular acceleration over the last `dt`, and what it left unexplained, rad/s^2, body FRD."""
-        self._gyro.expect(u_hat, residual, dt)
+    def expect_turn(self, u_hat: Array, residual: Array, dt: float) -> None:
+        """[3] each: angular acceleration by the motors over the last `dt`, and the rest of it, rad/s^2, body FRD."""
+        self._gyro.expect(vector(u_hat.tolist()), vector(residual.tolist()), dt)
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
