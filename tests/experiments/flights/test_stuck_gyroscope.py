@@ -6,7 +6,7 @@ from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from onboard.flight.supervisor import FlightMode
 
-FAULT_S = 4.0
+FAULT_S = 5.0
 GAINS = (
     "onboard.controller.settings.position.gains.natural_frequency_rad_s=[4.5,4.5,5.0]",
     "onboard.controller.settings.position.gains.damping=0.7",
@@ -17,7 +17,7 @@ GAINS = (
 
 def flown(axis, rate="null", *assignments):
     fault = f"vehicle.disturbances=[{{kind: gyro_stuck, axis: {axis}, rate_rad_s: {rate}, onset_s: {FAULT_S}}}]"
-    return fly_lockstep(resolve("hover", Choices("pid", 21, 8.5, (fault, *GAINS, *assignments))))
+    return fly_lockstep(resolve("hover", Choices("pid", 21, 14.0, (fault, *GAINS, *assignments))))
 
 
 @pytest.mark.parametrize(("axis", "rate"), [("x", "null"), ("y", "0.0"), ("z", "0.3")])
