@@ -154,6 +154,7 @@ class OnboardCore:
         target = self._guide(state, mode)
         delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
         measured = self._uncertainty.step(state, delivered)
+        self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
         adapt = self._may_adapt(state, mode, now_ns)
@@ -281,6 +282,7 @@ class OnboardCore:
             preflight="" if self._mode in AIRBORNE else refusal,
             calibration=self._estimator.calibration.refusal,
             fault=not self._estimator.healthy,
+            gyro_stuck=self._estimator.gyro_stuck,
         )
 
     def _guide(self, state: VehicleState, mode: FlightMode) -> Target:

@@ -25,6 +25,11 @@ class EstimatorConfig(ConfigRecord):
     gyro_bias_walk: float = Field(default=1e-3, gt=0, description="rad/s/sqrt(s)")
     accelerometer_bias_walk: float = Field(default=5e-3, gt=0, description="m/s^2/sqrt(s)")
     gyro_delay_s: float = Field(default=0.005, ge=0, le=0.05, description="s; age of the rates at their time stamp")
+    gyro_stuck_samples: int = Field(
+        default=6, ge=0, le=12, description="equal samples of one axis in flight that mean stuck; 0: never"
+    )
+    gyro_stuck_walk: float = Field(default=0.5, gt=0, description="rad/s/sqrt(s), error of the rate that replaces it")
+    gyro_stuck_disturbance_s: float = Field(default=0.1, gt=0, description="s, filter of that rate's disturbance")
 
     start_samples: int = Field(default=50, ge=10, le=2000, description="still IMU samples needed for the start")
     start_rate_max_rad_s: float = Field(default=0.3, gt=0, description="rad/s; a faster vehicle is not still")

@@ -227,6 +227,16 @@ class ErrorStateFilter:
         (a, _, _), (b, d, _), (c, e, f) = PHt[6:9].tolist()
         return self._correct_three(PHt, (a, b, d, c, e, f), innovation, variance, gate)
 
+    def correct_past_attitude(self, innovation: Vector3, delay_s: float, variance: float, gate: float) -> float:
+        """An attitude measured tau = `delay_s` ago: H = [0, 0, I, tau R, 0]. Returns the score, as correct_scalar.
+
+        For a rate that is so uncertain that its error matters within that time.
+        """
+        tau_R = delay_s * np.array(self.rotation).reshape(3, 3)
+        PHt = self.P[:, 6:9] + self.P[:, 9:12].dot(tau_R.T)
+        (a, _, _), (b, d, _), (c, e, f) = (PHt[6:9] + tau_R.dot(PHt[9:12])).tolist()
+        return self._correct_three(PHt, (a, b, d, c, e, f), innovation, variance, gate)
+
     def _correct_three(
         self,
         PHt: Array,

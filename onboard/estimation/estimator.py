@@ -34,8 +34,9 @@ from onboard.estimation.error_state_filter import (
 from onboard.estimation.imu_conditioning import StillStart, VibrationMeter
 from onboard.estimation.pose_fusion import PoseFusion
 from onboard.estimation.state import VehicleState
+from onboard.estimation.stuck_gyro import AXES, Found, StuckGyro
 from protocol.conventions import GRAVITY, NEVER_NS, Array
-from protocol.geometry import quaternion_of
+from protocol.geometry import ZERO, Vector3, matrix_times, quaternion_of, vector
 from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading, SensorReading
 from protocol.messages import Pose
 
@@ -46,6 +47,10 @@ SLOW_AIDS: Final = 8
 PRESSURE_TURN: Final = 7
 COS_TILT_MIN: Final = 0.7
 """Flow and range count only at less tilt than this."""
+RATE_SIGMA: Final = 0.3
+"""rad/s, of the rate of a stuck axis when it is found."""
+TURN_SIGMA: Final = 0.03
+"""rad, of the attitude then."""
 GAP_MAX_S: Final = 0.1
 """The IMU is integrated over no longer gap than this."""
 
@@ -60,9 +65,11 @@ class Estimator:
         self._filter = ErrorStateFilter(config.covariance_every)
         self._corrections = Corrections(config, self._filter, self.state)
         self.counts, self.scores = self._corrections.counts, self._corrections.scores
-        self._poses = PoseFusion(config, self._filter, self.state, self._corrections)
+        self._gyro = StuckGyro(config.gyro_stuck_samples, config.gyro_stuck_disturbance_s)
+        self._poses = PoseFusion(config, self._filter, self.state, self._corrections, self._gyro)
         self._aid_fresh_ns = int(config.aid_fresh_s * 1e9)
         self._recovery_ns = int(config.recovery_s * 1e9)
+        self._bias_before: Vector3 = ZERO
         self._h_flow: Array = np.zeros(15)
         self._on_ground = self._at_rest = True
         self.calibration = BenchCalibration(config)
@@ -99,6 +106,15 @@ class Estimator:
     def mean_scores(self) -> dict[str, float]:
         """Mean NIS of each aid in flight, 1 where its sigmas fit. Pressure: against a height known better."""
         return self._corrections.mean_scores
+
+    @property
+    def gyro_stuck(self) -> bool:
+        """Whether an axis of the gyroscope is stuck. Its rate then comes from the motors, and the flight should end."""
+        return bool(self._gyro.axes)
+
+    def expect_turn(self, u_hat: Array, residual: Array, dt: float) -> None:
+        """[3] each: angular acceleration by the motors over the last `dt`, and the rest of it, rad/s^2, body FRD."""
+        self._gyro.expect(vector(u_hat.tolist()), vector(residual.tolist()), dt)
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
@@ -139,6 +155,7 @@ class Estimator:
         if first or dt > self._config.gap_s:
             dt = self._bridge_gap(reading.time_ns, dt)
         state.vibration = self._vibration.update(reading.accelerometer, dt)
+        reading = self._with_good_rates(reading, dt)
         config = self._config
         sigma = max(config.accelerometer_sigma, config.vibration_to_sigma * state.vibration)
         noise = (
@@ -157,6 +174,36 @@ class Estimator:
         state.height_valid = reading.time_ns - state.last_height_ns < 2 * self._aid_fresh_ns
         if self._turn == 0:
             state.publish_sigmas(self._filter)
+
+    def _with_good_rates(self, reading: ImuReading, dt: float) -> ImuReading:
+        """The reading, with the rate of a stuck axis replaced by one from the motors."""
+        gyro, f = self._gyro, self._filter
+        for found in gyro.receive(reading.gyroscope, reading.accelerometer, dt, not self._on_ground):
+            self._lose_axis(found, reading.time_ns)
+        if not gyro.axes:
+            return reading
+        if self._on_ground:
+            f.gyro_bias = self._bias_before
+            gyro.reset()
+            return reading
+        for axis in gyro.axes:
+            f.inflate(GYRO_BIAS + axis, self._config.gyro_stuck_walk * math.sqrt(dt), 1)
+        gyro.note_bias(f.gyro_bias, reading.time_ns, dt)
+        return reading._replace(gyroscope=gyro.replaced(reading.gyroscope))
+
+    def _lose_axis(self, found: Found, now_ns: int) -> None:
+        """Undo what a stuck axis has done to the attitude, and report it."""
+        turn = [0.0, 0.0, 0.0]
+        turn[found.axis] = found.turn_rad
+        f = self._filter
+        if self._gyro.axes == [found.axis]:
+            self._bias_before = f.gyro_bias
+        f.shift(ZERO, ZERO, matrix_times(f.rotation, vector(turn)))
+        f.inflate(GYRO_BIAS + found.axis, RATE_SIGMA, 1)
+        f.inflate(ATTITUDE, TURN_SIGMA)
+        self._corrections.report(
+            now_ns, f"gyroscope {AXES[found.axis]} stuck: its rate comes from the motors from now on"
+        )
 
     def _find_start(self, reading: ImuReading) -> None:
         """Wait for still samples in a row, then set attitude and gyro bias from their means."""
@@ -279,7 +326,8 @@ class Estimator:
         if distance_m < config.flow_height_min_m:
             return
         scale = distance_m / reading.integration_s
-        measured = (scale * (reading.flow_y - reading.rotation_y), -scale * (reading.flow_x - reading.rotation_x))
+        rotation_x, rotation_y = self._flow_rotation(reading)
+        measured = (scale * (reading.flow_y - rotation_y), -scale * (reading.flow_x - rotation_x))
         vx, vy, vz = past.velocity
         R, h = past.rotation, self._h_flow
         used = True
@@ -287,6 +335,7 @@ class Estimator:
             rx, ry, rz = R[axis], R[3 + axis], R[6 + axis]
             expected = rx * vx + ry * vy + rz * vz
             h[3], h[4], h[5] = rx, ry, rz
+            h[9], h[10] = self._flow_of_lost_rate(axis, distance_m)
             h[6], h[7], h[8] = ry * vz - rz * vy, rz * vx - rx * vz, rx * vy - ry * vx
             sigma = config.flow_rate_sigma_rad_s * distance_m + config.flow_scale_sigma * abs(expected)
             innovation = measured[axis] - expected
@@ -295,6 +344,25 @@ class Estimator:
             self.state.last_velocity_aid_ns = max(now_ns, self.state.last_velocity_aid_ns)
         else:
             self._recover("flow", VELOCITY, 3, now_ns)
+
+    def _flow_rotation(self, reading: FlowReading) -> tuple[float, float]:
+        """The rotation in the flow, rad. It comes from the gyroscope, so that of a stuck axis is replaced as well."""
+        x, y = reading.rotation_x, reading.rotation_y
+        if 0 in self._gyro.axes:
+            x = float(self.state.rates[0]) * reading.integration_s
+        if 1 in self._gyro.axes:
+            y = float(self.state.rates[1]) * reading.integration_s
+        return x, y
+
+    def _flow_of_lost_rate(self, axis: int, distance_m: float) -> tuple[float, float]:
+        """What an error of the biases about x and y adds to a body velocity by the flow, m/s per rad/s.
+
+        Only that of a stuck axis matters: v_x = d (flow_y - q + b_y), v_y = -d (flow_x - p + b_x), with p and q of the
+        gyroscope. So the flow measures that rate.
+        """
+        if axis == 0:
+            return 0.0, -distance_m if 1 in self._gyro.axes else 0.0
+        return distance_m if 0 in self._gyro.axes else 0.0, 0.0
 
     def _receive_range(self, reading: RangeReading) -> None:
         """Height from the ultrasonic sensor over a level floor at d = 0.

@@ -14,8 +14,20 @@ from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.corrections import Corrections
 from onboard.estimation.error_state_filter import ATTITUDE, POSITION, VELOCITY, ErrorStateFilter
 from onboard.estimation.state import VehicleState
+from onboard.estimation.state_history import PastState
+from onboard.estimation.stuck_gyro import StuckGyro
 from protocol.conventions import NEVER_NS
-from protocol.geometry import ZERO, Vector3, rotation_between, squared_length, subtract, turned_about_vertical, vector
+from protocol.geometry import (
+    ZERO,
+    Vector3,
+    add,
+    matrix_times,
+    rotation_between,
+    squared_length,
+    subtract,
+    turned_about_vertical,
+    vector,
+)
 from protocol.messages import Pose
 
 FUTURE_NS: Final = 20_000_000
@@ -29,12 +41,18 @@ class PoseFusion:
     """Decides which poses are used, and corrects the filter."""
 
     def __init__(
-        self, config: EstimatorConfig, error_state: ErrorStateFilter, state: VehicleState, corrections: Corrections
+        self,
+        config: EstimatorConfig,
+        error_state: ErrorStateFilter,
+        state: VehicleState,
+        corrections: Corrections,
+        gyro: StuckGyro,
     ) -> None:
         self._config = config
         self._filter = error_state
         self._state = state
         self._corrections = corrections
+        self._gyro = gyro
         self._counts = corrections.counts
         self._delay_max_ns = int(config.pose_delay_max_s * 1e9)
         self._last_capture_ns = NEVER_NS
@@ -82,7 +100,9 @@ class PoseFusion:
             return False
         self._corrections.announce_jump(before, "pose", now_ns)
         past = f.at(capture_ns)
-        if past is not None:
+        if past is not None and self._gyro.axes:
+            self._fuse_attitude_of_lost_axis(pose, past, capture_ns, time_sigma_s)
+        elif past is not None:
             turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
             sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
             variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
@@ -93,6 +113,23 @@ class PoseFusion:
                 self._counts["pose_attitude_refused"] += 1
                 return self._explained_by_time(turn, past.rate_world)
         return True
+
+    def _fuse_attitude_of_lost_axis(self, pose: Pose, past: PastState, capture_ns: int, time_sigma_s: float) -> None:
+        """Attitude while an axis of the gyroscope is stuck: it is the only measurement of that axis's rate.
+
+        So it is never left out. A correction of the rate turns the stored attitudes, and a pose that is far off gets
+        less weight.
+        """
+        config, f = self._config, self._filter
+        # R_past as if the present bias had been known since then: exp(-turn) R_past
+        more = matrix_times(f.rotation, self._gyro.turn_since(capture_ns, f.gyro_bias))
+        turn = add(rotation_between(tuple(pose.quaternion.tolist()), past.rotation), more)
+        sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
+        variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
+        delay_s = (self._state.last_imu_ns - capture_ns) * 1e-9
+        if f.correct_past_attitude(turn, delay_s, variance, config.pose_gate) > config.pose_gate:
+            softened = _softened(variance, squared_length(turn), math.inf, config.pose_gate)
+            f.correct_past_attitude(turn, delay_s, softened, math.inf)
 
     def _explained_by_time(self, turn: Vector3, rate: Vector3) -> bool:
         """Whether a wrong capture time alone may explain the difference `turn` of a pose's attitude from ours."""

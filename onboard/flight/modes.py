@@ -54,6 +54,7 @@ class Event(Enum):
     VELOCITY_BACK = "velocity aid back"
     POSITION_LOST = "position lost"
     POSITION_BACK = "position back"
+    GYRO_STUCK = "gyroscope axis stuck"
     BATTERY_LOW = "battery low"
     BATTERY_SILENT = "battery silent"
     GROUND_SILENT = "ground station silent"
@@ -81,6 +82,7 @@ _MOTORS_OFF: Final[Row] = (
 _MOTORS_OFF_DESCENDING: Final[Row] = (_MOTORS_OFF[0], (E.IMU_SILENT_LANDED, M.LANDED), *_MOTORS_OFF[1:])
 _COME_DOWN: Final[Row] = (
     (E.VELOCITY_LOST, M.HOLD_LEVEL),
+    (E.GYRO_STUCK, M.LANDING),
     (E.LAND, M.LANDING),
     (E.BATTERY_LOW, M.LANDING),
     (E.BATTERY_SILENT, M.LANDING),

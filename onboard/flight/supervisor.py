@@ -5,8 +5,8 @@ Some conditions must be true without a break, in one mode, for a given time. The
 the last progress, so a descent from any height ends on the floor.
 
 Reactions in flight when an input is silent: IMU, 50 ms: motors off. Velocity aid (pose or flow), 2 s: level and
-descend. Pose, 0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). Battery
-report, ground station: land, if configured. Offboard: a message only.
+descend. Pose, 0.5 s: hold the place on flow, or fly on while the estimate is good enough (`on_pose_stale`). An axis of
+the gyroscope that is stuck: land. Battery report, ground station: land, if configured. Offboard: a message only.
 """
 
 import math
@@ -105,6 +105,8 @@ class SupervisorInputs(NamedTuple):
     """Why the calibration of the IMU forbids arming; "" if it does not."""
     fault: bool = False
     """The estimate is not finite."""
+    gyro_stuck: bool = False
+    """The rate of an axis comes from the motors."""
 
 
 class Supervisor:
@@ -333,6 +335,7 @@ _CONDITIONS: Final[dict[Event, Callable[[Supervisor, SupervisorInputs], bool]]] 
     E.VELOCITY_BACK: lambda s, i: i.velocity_aid_age_s <= s._config.velocity_stale_s,
     E.POSITION_LOST: Supervisor._position_lost,
     E.POSITION_BACK: lambda s, i: not s._position_lost(i),
+    E.GYRO_STUCK: lambda s, i: i.gyro_stuck,
     E.BATTERY_LOW: Supervisor._battery_low,
     E.BATTERY_SILENT: lambda s, i: 0.0 < s._config.battery_silent_s < i.battery_age_s,
     E.GROUND_SILENT: lambda s, i: 0.0 < s._config.ground_silent_s < i.ground_age_s,

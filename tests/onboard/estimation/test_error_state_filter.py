@@ -25,6 +25,15 @@ NOISE = (0.3, 0.03, 1e-3, 5e-3)
 vectors = st.tuples(*[st.floats(-1.7, 1.7)] * 3)
 
 
+def moving_filter():
+    """A filter after some samples of a turn, whose rate is uncertain."""
+    f = ErrorStateFilter(1)
+    f.start(quaternion_of(0.2, -0.1, 0.5), (0.0, 0.0, 0.0), (0.1,) * 9 + (0.3,) * 3 + (0.1,) * 3)
+    for k in range(40):
+        f.predict((k + 1) * STEP_NS, 5e-3, (0.3, -0.2, -9.8), (0.5, -0.8, 0.3), NOISE)
+    return f
+
+
 def scipy_of(q):
     return Rotation.from_quat([q[1], q[2], q[3], q[0]])
 
@@ -215,3 +224,19 @@ def test_a_velocity_that_may_have_been_wrong_for_a_while_is_found_by_a_position(
     assert np.linalg.eigvalsh(f.P).min() > -1e-12
     f.correct_position((0.01, 0.0, 0.0), 0.01, 1e-8, math.inf)
     assert f.velocity[0] - before[0] == pytest.approx(0.01 / 0.02, rel=0.01)
+
+
+def test_a_past_attitude_corrects_the_rate_as_the_kalman_equations_say():
+    """H = [0, 0, I, tau R, 0], with the covariances of some samples."""
+    f = moving_filter()
+    R, tau, sigma = np.reshape(f.rotation, (3, 3)), 0.02, 0.01
+    H = np.zeros((3, 15))
+    H[:, 6:9], H[:, 9:12] = np.eye(3), tau * R
+    y = np.array([0.02, -0.01, 0.03])
+    S = H @ f.P @ H.T + sigma**2 * np.eye(3)
+    K = f.P @ H.T @ np.linalg.inv(S)
+    bias, P = np.array(f.gyro_bias), f.P.copy()
+    score = f.correct_past_attitude(tuple(y), tau, sigma**2, math.inf)
+    assert score == pytest.approx(y @ np.linalg.solve(S, y))
+    np.testing.assert_allclose(f.gyro_bias, bias + (K @ y)[9:12], rtol=1e-9)
+    np.testing.assert_allclose(f.P, P - K @ H @ P, atol=1e-12)

@@ -45,6 +45,7 @@ CAUSES = {
     E.VELOCITY_BACK: {"velocity_aid_age_s": 0.05},
     E.POSITION_LOST: {"pose_age_s": 0.6},
     E.POSITION_BACK: {"pose_age_s": 0.05},
+    E.GYRO_STUCK: {"gyro_stuck": True},
     E.BATTERY_LOW: {"battery_v": 3.1},
     E.BATTERY_SILENT: {"battery_age_s": 11.0},
     E.GROUND_SILENT: {"ground_age_s": 11.0},
