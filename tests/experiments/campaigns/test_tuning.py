@@ -181,7 +181,8 @@ def test_the_trial_of_a_killed_search_is_repeated(tmp_path: Path) -> None:
         one.name: flying.suggest_float(one.name, one.low, one.high, log=one.log)
         for one in search(2).config.space("pid")
     }
-    again = run_search(search(4), open_study(search(4), tmp_path), Inline(level), lambda study: None)
+    one = search(1 + len(search(2).config.starts))
+    again = run_search(one, open_study(one, tmp_path), Inline(level), lambda study: None)
     assert again.trials[0].state.name == "FAIL"
     assert [trial.params for trial in again.trials[1:]].count(values) == 1
 
