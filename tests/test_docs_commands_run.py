@@ -113,7 +113,7 @@ def test_every_kind_of_command_is_there() -> None:
     assert len(COMMANDS) > 40
     assert len(of("alone")) > 25
     assert {command.split()[0] for command in of("script")} <= NO_ARGUMENTS
-    assert len(TOGETHER_PAGES) == 4
+    assert len(TOGETHER_PAGES) == 5
 
 
 @pytest.mark.parametrize("command", of("cheap"))

@@ -18,15 +18,26 @@ SHORT = Band(1.0, 16.0, 10, 0.6, 5.0, 3)
 LONG = Band(1.0, 10.0, 10, 2.0, 10.0, 3)
 FINE = 2.0 * np.pi * np.geomspace(0.1, 40.0, 400)
 SETTINGS = "onboard.controller.settings"
-COMPENSATED = (
-    "onboard.airframe.motor_response_s=0.02",
-    f"{SETTINGS}.prediction=true",
-    f"{SETTINGS}.command_rate_filter_s=0.03",
-    f"{SETTINGS}.position.gains.natural_frequency_rad_s=[4.0,4.0,4.0]",
+GAINS = (
+    f"{SETTINGS}.position.gains.natural_frequency_rad_s=[6.9,6.9,5.0]",
+    f"{SETTINGS}.position.gains.damping=1.1",
+    f"{SETTINGS}.position.augmentation.gain=[4.6,4.6,54.0]",
+    f"{SETTINGS}.attitude.gains.natural_frequency_rad_s=[16.5,16.5,5.0]",
+    f"{SETTINGS}.attitude.gains.damping=1.1",
+    f"{SETTINGS}.attitude.augmentation.gain=[418.0,418.0,20.0]",
 )
+"""Whatever the search has found since."""
+PLAIN = (
+    *GAINS,
+    "onboard.airframe.motor_response_s=0.05",
+    f"{SETTINGS}.prediction=false",
+    f"{SETTINGS}.command_rate_filter_s=0.0",
+)
+COMPENSATED = (*GAINS, f"{SETTINGS}.position.gains.natural_frequency_rad_s=[4.0,4.0,4.0]")
+"""Prediction, motor compensation and rate feed-forward are the defaults."""
 
 
-def attitude(band: Band, assignments: tuple[str, ...] = ()) -> tuple[float, float]:
+def attitude(band: Band, assignments: tuple[str, ...]) -> tuple[float, float]:
     """Mean phase margin of roll and pitch of pid, measured and predicted, deg."""
     config = resolve("hover", Choices("pid", 3, 60.0, assignments))
     measured = [response.margins.phase_margin_deg for response in measure(config, 1, band)[:2]]
@@ -36,7 +47,7 @@ def attitude(band: Band, assignments: tuple[str, ...] = ()) -> tuple[float, floa
 
 def test_compensation_of_the_delays_raises_the_measured_and_the_predicted_phase_margin() -> None:
     """The measured loop contains the position loop around it, which the prediction leaves out."""
-    plain, predicted_plain = attitude(SHORT)
+    plain, predicted_plain = attitude(SHORT, PLAIN)
     assert plain == pytest.approx(predicted_plain, abs=8.0)
     better, predicted_better = attitude(LONG, COMPENSATED)
     assert better > plain + 10.0
@@ -44,9 +55,10 @@ def test_compensation_of_the_delays_raises_the_measured_and_the_predicted_phase_
 
 
 def test_a_delay_beyond_the_predicted_margin_loses_the_vehicle() -> None:
-    config = resolve("hover", Choices("pid", 3, 20.0))
+    config = resolve("hover", Choices("pid", 3, 20.0, PLAIN))
     margin_ms = margins(FINE, predicted_loop(config, 1, 0, FINE)).delay_margin_ms
-    late = resolve("hover", Choices("pid", 3, 20.0, (f"vehicle.motors.command_delay_s={1e-3 * margin_ms + 0.012}",)))
+    late_s = 1e-3 * margin_ms + 0.012
+    late = resolve("hover", Choices("pid", 3, 20.0, (*PLAIN, f"vehicle.motors.command_delay_s={late_s}")))
     assert fly_lockstep(late, with_offboard=False).crash_reason
     assert not fly_lockstep(config, with_offboard=False).crash_reason
 

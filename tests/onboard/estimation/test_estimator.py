@@ -210,7 +210,8 @@ def test_an_attitude_error_explained_by_the_capture_time_is_ignored():
         for k in range(6):
             time_ns = now_ns + (k + 1) * STEP_NS
             force = tuple((state.rotation.T @ (0.0, 0.0, -9.81)).tolist())
-            estimator.receive(ImuReading(time_ns, force, rates, 101325.0))
+            shaking = tuple(rate + 0.002 * (k % 2) for rate in rates)  # a rate that repeats is a stuck axis
+            estimator.receive(ImuReading(time_ns, force, shaking, 101325.0))
             turned = Rotation.from_matrix(state.rotation) * Rotation.from_rotvec((angle, 0.0, 0.0))
             pose = Pose(time_ns, state.position.astype(np.float32), turned.as_quat()[[3, 0, 1, 2]].astype(np.float32))
             estimator.receive_pose(pose, time_ns, time_ns)
