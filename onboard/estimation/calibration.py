@@ -68,7 +68,9 @@ class BenchCalibration:
         """Calibrations accepted so far."""
         self.movements = 0
         """How often a movement made a calibration begin again."""
-        self._begin_block(None)
+        self._began_ns: int | None = None
+        self._sums: tuple[float, ...] = (0.0,) * 6
+        self._samples = 0
         self._begin()
 
     def summary(self) -> dict[str, Any]:
@@ -92,16 +94,17 @@ class BenchCalibration:
         """Add a sample of a vehicle that rests with its motors off; returns the text of an event, or ""."""
         if not self._blocks_wanted:
             return ""
-        if self._began_ns is None:
-            self._began_ns = reading.time_ns
+        began_ns = self._began_ns
+        if began_ns is None:
+            began_ns = self._began_ns = reading.time_ns
         sums = self._sums
         ax, ay, az = reading.accelerometer
         gx, gy, gz = reading.gyroscope
         self._sums = (sums[0] + ax, sums[1] + ay, sums[2] + az, sums[3] + gx, sums[4] + gy, sums[5] + gz)
         self._samples += 1
-        if reading.time_ns - self._began_ns < BLOCK_S * 1e9:
+        if reading.time_ns - began_ns < BLOCK_S * 1e9:
             return ""
-        samples, seconds = self._samples, (reading.time_ns - self._began_ns) * 1e-9
+        samples, seconds = self._samples, (reading.time_ns - began_ns) * 1e-9
         block = tuple(total / samples for total in self._sums)
         self._begin_block(reading.time_ns)
         if samples < LEAST_SAMPLES:
