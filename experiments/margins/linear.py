@@ -16,11 +16,9 @@ import numpy as np
 from experiments.flights.scenario import FlightConfig
 from onboard.control.cascade import CascadeSettings, ChannelSettings
 from onboard.control.laws.adaptive import AdaptiveConfig
-from onboard.control.laws.ilc import IterativeLearningConfig
-from onboard.control.laws.indi import IndiConfig
+from onboard.control.laws.indi import IncrementalConfig
 from onboard.control.laws.integral import IntegralConfig
 from onboard.control.laws.l1 import L1Config
-from onboard.control.laws.repetitive import RepetitiveConfig
 from protocol.conventions import Array
 
 HOLD_TICKS: Final = 0.5
@@ -95,7 +93,7 @@ def _law(channel: ChannelSettings, axis: int, s: Any) -> Any:
     match law:
         case L1Config():
             return law.bandwidth_rad_s / (s + law.bandwidth_rad_s)
-        case IndiConfig() | RepetitiveConfig() | IterativeLearningConfig():  # a lap's table changes once per lap
+        case IncrementalConfig():  # a lap's table changes once per lap
             return 1.0 / (1.0 + law.filter_s * s)
         case AdaptiveConfig():
             k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]

@@ -128,6 +128,7 @@ class CascadedController:
         self._command: Vector3 = (0.0, 0.0, 0.0)
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self._command_turn: Vector3 = (0.0, 0.0, 0.0)
         self._command_rate: Vector3 = (0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
@@ -147,7 +148,7 @@ class CascadedController:
         self._output.thrust_n = thrust
         self._output.commanded_quaternion = commanded
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
-        self.bounds.step(inputs, self._output, self._command_rate)
+        self.bounds.step(inputs, self._output, self._command_turn, self._command_rate)
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
@@ -328,12 +329,12 @@ class CascadedController:
 
     def _commanded_rate(self, commanded: Quaternion, inputs: ControlInputs) -> Vector3:
         """Rate of the commanded attitude, rad/s, filtered; zero without that feed-forward and on the ground."""
-        before, self._commanded = self._commanded, commanded
+        w, x, y, z = self._commanded
+        self._commanded = commanded
+        self._command_turn = turn = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
         if self._settings.command_rate_filter_s == 0.0 or not inputs.adapt:
             self._command_rate = (0.0, 0.0, 0.0)
             return self._command_rate
-        w, x, y, z = before
-        turn = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
         if max(map(abs, turn)) > COMMAND_JUMP_RAD:
             turn = (0.0, 0.0, 0.0)
         share = 1.0 - exp(-inputs.dt / self._settings.command_rate_filter_s)

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from onboard.control.records import ControlInputs, ControlOutput
 from onboard.control.reference_model import ChannelGains
-from protocol.geometry import Quaternion, Vector3, quaternion_multiply, quaternion_to_rotation_vector
+from protocol.geometry import Vector3, quaternion_multiply, quaternion_to_rotation_vector
 
 RESIDUAL_FILTER_S: Final = 0.02
 """T of Delta_hat = (2 F - F^2) r, F = 1 / (1 + T s): no lag for a Delta that changes steadily. Not a tuned value."""
@@ -128,18 +128,18 @@ class TrackingBounds:
         self._running = False
         self._resets_seen = 0
         self._velocity = [0.0, 0.0, 0.0]
-        self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     def reset(self) -> None:
         """Start anew at the next step."""
         self._running = False
 
-    def step(self, inputs: ControlInputs, output: ControlOutput, command_rate: Vector3) -> None:
+    def step(self, inputs: ControlInputs, output: ControlOutput, command_turn: Vector3, command_rate: Vector3) -> None:
         """Write the bounds of this tick into the telemetry, 0 while the laws do not adapt.
 
         Parameters
         ----------
         output: with the commanded attitude of this tick.
+        command_turn: rad, turn of the commanded attitude since the last tick.
         command_rate: omega_ff, rad/s: the rate of the commanded attitude as it is fed forward.
         """
         if not inputs.adapt:
@@ -151,7 +151,7 @@ class TrackingBounds:
             self._start(inputs.dt)
         self._resets_seen = inputs.state.position_reset_count
         output.position.tracking_bound = self._position_bound(inputs, restart)
-        output.attitude.tracking_bound = self._attitude_bound(inputs, output, command_rate, restart)
+        output.attitude.tracking_bound = self._attitude_bound(inputs, output, command_turn, command_rate, restart)
 
     def _start(self, dt: float) -> None:
         self._running, self._dt = True, dt
@@ -175,14 +175,16 @@ class TrackingBounds:
         return sqrt(squared) + ESTIMATE_SIGMAS * state.position_sigma_m
 
     def _attitude_bound(
-        self, inputs: ControlInputs, output: ControlOutput, command_rate: Vector3, restart: bool
+        self,
+        inputs: ControlInputs,
+        output: ControlOutput,
+        command_turn: Vector3,
+        command_rate: Vector3,
+        restart: bool,
     ) -> float:
         """Bound on the angle between the vehicle and the commanded attitude, rad; axes: body FRD."""
-        before, self._commanded = self._commanded, output.commanded_quaternion
         w, x, y, z = inputs.state.quaternion.tolist()
-        e = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), self._commanded))
-        w, x, y, z = before
-        turn = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), self._commanded))
+        e = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), output.commanded_quaternion))
         rates, dt = inputs.state.rates.tolist(), inputs.dt
         u_hat, residual = inputs.attitude.u_hat.tolist(), inputs.attitude.residual.tolist()
         squared = 0.0
@@ -190,7 +192,7 @@ class TrackingBounds:
             if restart:
                 bound = axis.restart(0.0, e[i], -rates[i])
             else:
-                bound = abs(axis.respond(turn[i], command_rate[i], dt))
+                bound = abs(axis.respond(command_turn[i], command_rate[i], dt))
                 bound += axis.step(0.0, u_hat[i], residual[i], e[i], command_rate[i] - rates[i])
             squared += bound * bound
         return sqrt(squared)

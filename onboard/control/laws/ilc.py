@@ -13,30 +13,26 @@ While the path does not repeat, T fades out with the time constant of F, and the
 Overview: Bristow, Tharayil, Alleyne 2006, "A survey of iterative learning control".
 """
 
-from math import exp, pi
+from math import pi
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from configs.loader import ConfigRecord
-from onboard.control.laws.lap_table import LapTable
+from onboard.control.laws.indi import IncrementalFilter
+from onboard.control.laws.lap_table import LapConfig, LapTable
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from protocol.conventions import Array
 
 
-class IterativeLearningConfig(ConfigRecord):
+class IterativeLearningConfig(LapConfig):
     """Settings of iterative learning control."""
 
     kind: Literal["ilc"]
-    filter_s: Annotated[float, Field(ge=0.005, le=2, description="time constant of INDI's filter")]
-    limit: Annotated[float, Field(gt=0, description="bound on each axis of nu_ad, units of u")]
-    bins: Annotated[int, Field(ge=8, le=2000, description="of lap phase")] = 150
     learning: Annotated[float, Field(gt=0, le=1, description="share of the misfit that a lap corrects")]
     cutoff_hz: Annotated[float, Field(gt=0, le=50, description="of the smoothing filter Q")]
-    lead_s: Annotated[float, Field(ge=0, le=0.5, description="lag of the loop, by which the correction leads")]
 
 
 class IterativeLearning:
@@ -51,7 +47,7 @@ class IterativeLearning:
         self._sums: Array = np.zeros((config.bins, 3))
         self._counts = np.zeros(config.bins, dtype=int)
         self._last_phase = -1.0
-        self._rest: Array = np.zeros(3)
+        self._rest = IncrementalFilter(config)
         self._nu: Array = np.zeros(3)
 
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
@@ -60,9 +56,8 @@ class IterativeLearning:
             limit = self._config.limit
             self._record(channel)
             self.table.follow(channel.lap_phase, channel.dt)
-            share = 1.0 - exp(-channel.dt / self._config.filter_s)
-            self._rest = (self._rest + share * (channel.residual - self._rest)).clip(-limit, limit)
-            self._nu = (self.table.ahead(0.0) + self._rest).clip(-limit, limit)
+            rest = self._rest.step(channel.residual, channel.dt)
+            self._nu = (self.table.ahead(0.0) + rest).clip(-limit, limit)
         telemetry.adaptive_now[:] = self._nu
         return self._nu
 
@@ -95,4 +90,5 @@ class IterativeLearning:
         self.table.reset()
         self._sums[:], self._counts[:] = 0.0, 0
         self._last_phase = -1.0
-        self._rest, self._nu = np.zeros(3), np.zeros(3)
+        self._rest.reset()
+        self._nu = np.zeros(3)

@@ -1,10 +1,20 @@
 """A table over the lap: one vector for each bin of lap phase. The laws that learn over laps share it."""
 
 from math import exp
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from onboard.control.laws.indi import IncrementalConfig
 from protocol.conventions import Array
+
+
+class LapConfig(IncrementalConfig):
+    """Settings that the laws over laps share; INDI's filter takes what the table does not contain."""
+
+    bins: Annotated[int, Field(ge=8, le=2000, description="of lap phase")] = 150
+    lead_s: Annotated[float, Field(ge=0, le=0.5, description="lag of the loop, by which the table leads")]
 
 
 class LapTable:

@@ -13,23 +13,19 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from configs.loader import ConfigRecord
-from onboard.control.laws.lap_table import LapTable
+from onboard.control.laws.indi import IncrementalFilter
+from onboard.control.laws.lap_table import LapConfig, LapTable
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from protocol.conventions import Array
 
 
-class RepetitiveConfig(ConfigRecord):
+class RepetitiveConfig(LapConfig):
     """Settings of repetitive control."""
 
     kind: Literal["repetitive"]
-    filter_s: Annotated[float, Field(ge=0.005, le=2, description="time constant of INDI's filter")]
-    limit: Annotated[float, Field(gt=0, description="bound on each axis of nu_ad, units of u")]
-    bins: Annotated[int, Field(ge=8, le=2000, description="of lap phase")] = 150
     residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant on the residual to be stored")]
     learning: Annotated[float, Field(gt=0, le=1, description="least share of a new lap in the table")]
-    lead_s: Annotated[float, Field(ge=0, le=0.5, description="lag of the loop, by which the table is read ahead")]
 
 
 class Repetitive:
@@ -43,7 +39,7 @@ class Repetitive:
         self._sum: Array = np.zeros(3)
         self._count = 0
         self._Delta_hat: Array = np.zeros(3)
-        self._rest: Array = np.zeros(3)
+        self._rest = IncrementalFilter(config)
         self._now: Array = np.zeros(3)
         self._nu: Array = np.zeros(3)
 
@@ -55,10 +51,9 @@ class Repetitive:
             self.table.follow(channel.lap_phase, channel.dt)
             now = self.table.ahead(0.0)
             ahead = self.table.ahead(config.lead_s / channel.lap_s) if channel.lap_s > 0.0 else now
-            share = 1.0 - exp(-channel.dt / config.filter_s)
-            self._rest = (self._rest + share * (channel.residual - now - self._rest)).clip(-limit, limit)
-            self._now = (now + self._rest).clip(-limit, limit)
-            self._nu = (ahead + self._rest).clip(-limit, limit)
+            rest = self._rest.step(channel.residual - now, channel.dt)
+            self._now = (now + rest).clip(-limit, limit)
+            self._nu = (ahead + rest).clip(-limit, limit)
         telemetry.adaptive_now[:] = self._now
         telemetry.residual[:] = self._Delta_hat
         return self._nu
@@ -93,5 +88,6 @@ class Repetitive:
     def reset(self) -> None:
         """Set the filters to zero. The table stays."""
         self.table.reset()
+        self._rest.reset()
         self._begin(-1)
-        self._Delta_hat, self._rest, self._now, self._nu = (np.zeros(3) for _ in range(4))
+        self._Delta_hat, self._now, self._nu = (np.zeros(3) for _ in range(3))
