@@ -19,6 +19,7 @@ import math
 from typing import Any, Final, NamedTuple
 
 from onboard.estimation.config import EstimatorConfig
+from onboard.estimation.imu_conditioning import AXES
 from protocol.conventions import GRAVITY
 from protocol.geometry import Vector3
 from protocol.mavlink.vehicle import ImuReading
@@ -26,7 +27,6 @@ from protocol.mavlink.vehicle import ImuReading
 BLOCK_S: Final = 0.5
 LEAST_SAMPLES: Final = 20
 """A block of fewer samples is not used."""
-AXES: Final = "xyz"
 CALIBRATING: Final = "calibrating the IMU"
 MOVED: Final = "the vehicle moved during the calibration of its IMU"
 

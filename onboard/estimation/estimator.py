@@ -31,10 +31,10 @@ from onboard.estimation.error_state_filter import (
     VELOCITY,
     ErrorStateFilter,
 )
-from onboard.estimation.imu_conditioning import StillStart, VibrationMeter
+from onboard.estimation.imu_conditioning import AXES, StillStart, VibrationMeter
 from onboard.estimation.pose_fusion import PoseFusion
 from onboard.estimation.state import VehicleState
-from onboard.estimation.stuck_gyro import AXES, Found, StuckGyro
+from onboard.estimation.stuck_gyro import Found, StuckGyro
 from protocol.conventions import GRAVITY, NEVER_NS, Array
 from protocol.geometry import ZERO, Vector3, matrix_times, quaternion_of, vector
 from protocol.mavlink.vehicle import FlowReading, ImuReading, RangeReading, SensorReading

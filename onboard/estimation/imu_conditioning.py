@@ -7,6 +7,8 @@ from protocol.conventions import GRAVITY
 from protocol.geometry import Vector3
 from protocol.mavlink.vehicle import ImuReading
 
+AXES: Final = "xyz"
+"""Names of the body axes in messages."""
 _CORNER: Final = 0.2
 """Weight of a sample in the low-pass that the high-pass subtracts: corner at 8 Hz for 200 samples a second."""
 _SMOOTHING_S: Final = 0.15

@@ -104,8 +104,7 @@ class PoseFusion:
             self._fuse_attitude_of_lost_axis(pose, past, capture_ns, time_sigma_s)
         elif past is not None:
             turn = rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
-            sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
-            variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
+            variance = self._attitude_variance(past, time_sigma_s)
             variance = _softened(variance, squared_length(turn), config.pose_near_rad, config.pose_gate)
             score = f.correct_attitude(turn, variance, config.pose_gate)
             self._corrections.note_score("pose_attitude", score, config.pose_gate, 3)
@@ -124,12 +123,17 @@ class PoseFusion:
         # R_past as if the present bias had been known since then: exp(-turn) R_past
         more = matrix_times(f.rotation, self._gyro.turn_since(capture_ns, f.gyro_bias))
         turn = add(rotation_between(tuple(pose.quaternion.tolist()), past.rotation), more)
-        sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
-        variance = config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
+        variance = self._attitude_variance(past, time_sigma_s)
         delay_s = (self._state.last_imu_ns - capture_ns) * 1e-9
         if f.correct_past_attitude(turn, delay_s, variance, config.pose_gate) > config.pose_gate:
             softened = _softened(variance, squared_length(turn), math.inf, config.pose_gate)
             f.correct_past_attitude(turn, delay_s, softened, math.inf)
+
+    def _attitude_variance(self, past: PastState, time_sigma_s: float) -> float:
+        """Of the attitude of a pose, rad^2 per axis: its own noise, and the turn within the error of its time."""
+        config = self._config
+        sigma_s = max(config.pose_turn_time_sigma_s, time_sigma_s)
+        return config.pose_attitude_sigma_rad**2 + sigma_s**2 * squared_length(past.rate_world)
 
     def _explained_by_time(self, turn: Vector3, rate: Vector3) -> bool:
         """Whether a wrong capture time alone may explain the difference `turn` of a pose's attitude from ours."""

@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 
 from protocol.geometry import ZERO, Vector3, add, vector
 
-AXES: Final = "xyz"
 KEPT: Final = 64
 """Samples that are kept. Those before a run of equal ones show how often the axis repeats a value by chance."""
 PER_REPEAT: Final = 3
