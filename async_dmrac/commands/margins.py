@@ -13,7 +13,7 @@ from configs.loader import ConfigError
 EXAMPLES = """examples:
   dmrac margins dmrac
   dmrac margins l1 --vehicle mambo_real --bode margins.png
-  dmrac margins pid --set onboard.airframe.motor_response_s=0.02 --json margins.json
+  dmrac margins pid --set onboard.airframe.motor_response_s=0.05 --json margins.json
 """
 
 

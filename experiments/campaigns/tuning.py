@@ -23,6 +23,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -263,15 +264,18 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     return study
 
 
+def _flown_trials(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+    return [one for one in study.get_trials(deepcopy=False, states=ENDED) if one.user_attrs.get(FLOWN)]
+
+
+def _complete_cost(trial: optuna.trial.FrozenTrial) -> float:
+    """The cost of a trial; infinite if it was stopped early."""
+    return trial.value if trial.value is not None and trial.state is optuna.trial.TrialState.COMPLETE else math.inf
+
+
 def flown_values(study: optuna.Study) -> list[float]:
     """The best cost so far, after each flown trial."""
-    best, so_far = math.inf, []
-    for trial in study.get_trials(deepcopy=False, states=ENDED):
-        if trial.user_attrs.get(FLOWN):
-            if trial.value is not None and trial.state is optuna.trial.TrialState.COMPLETE:
-                best = min(best, trial.value)
-            so_far.append(best)
-    return so_far
+    return list(accumulate(map(_complete_cost, _flown_trials(study)), min))
 
 
 def is_done(best_so_far: Sequence[float], trials: int) -> bool:
@@ -322,8 +326,8 @@ def _fly(
     search: Search, study: optuna.Study, trial: optuna.Trial, values: dict[str, float], executor: Executor
 ) -> None:
     """Fly one trial and tell the study. A trial that is interrupted is the first when the search goes on."""
-    flown = [one for one in study.get_trials(deepcopy=False, states=ENDED[:1]) if one.user_attrs.get(FLOWN)]
-    best = min(flown, key=lambda one: one.value or 0.0, default=None)
+    complete = [one for one in _flown_trials(study) if _complete_cost(one) < math.inf]
+    best = min(complete, key=_complete_cost, default=None)
 
     def give_up(number: int, mean: float) -> bool:
         trial.report(mean, number)

@@ -10,12 +10,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from configs.loader import CONFIG_DIRECTORY, ConfigError, fill, parse_yaml
+from configs.loader import ConfigError, fill, parse_yaml
 from experiments.campaigns.campaign import CampaignConfig
 from experiments.campaigns.draws import Draw
 from experiments.campaigns.flight_jobs import FlightJob, unfold
-from experiments.campaigns.flight_row import SCHEMA, empty_row
-from experiments.campaigns.flown import read_flown
+from experiments.campaigns.flight_row import empty_row
 from experiments.campaigns.runner import CampaignRun, note_place, prepare_folder
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import TRACE_COLUMNS, TRUTH_COLUMNS
@@ -250,13 +249,6 @@ def test_rows_from_before_the_bound_on_the_tracking_error_have_neither_table_nor
     pictures, _ = draw_all(old, tmp_path, said.append)
     assert {picture.name.split("_", 3)[3] for picture in pictures} == set(KINDS) - {"bounds"}
     assert any("bounds: left out" in line for line in said)
-
-
-def test_the_published_rows_are_read_with_the_columns_of_today() -> None:
-    for file in sorted((CONFIG_DIRECTORY.parent / "docs" / "data").glob("*.parquet")):
-        table = read_flown(file).table
-        assert table.column_names == SCHEMA.names
-        assert table.column("settled_rmse_m").null_count < table.num_rows
 
 
 def test_every_kind_of_figure_is_drawn(folder: Path, tmp_path: Path) -> None:

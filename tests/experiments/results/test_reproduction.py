@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from configs.loader import ConfigError, read_tree
+from configs.loader import CONFIG_DIRECTORY, ConfigError, read_tree
 from experiments.campaigns import flown
 from experiments.campaigns.flight_jobs import FlightJob
-from experiments.campaigns.flight_row import Row, empty_row
-from experiments.campaigns.flown import CAMPAIGN_FILE
+from experiments.campaigns.flight_row import SCHEMA, Row, empty_row
+from experiments.campaigns.flown import CAMPAIGN_FILE, read_flown
 from experiments.campaigns.provenance import by_place
 from experiments.campaigns.runner import prepare_folder
 from experiments.campaigns.store import CampaignStore
@@ -147,3 +147,10 @@ def test_a_picture_of_another_entry_is_not_shown(tmp_path: Path) -> None:
     )
     assert len(kept) == 2
     assert "features_02_training: left out" in reported[-1]
+
+
+def test_the_published_rows_are_read_with_the_columns_of_today() -> None:
+    for file in sorted((CONFIG_DIRECTORY.parent / "docs" / "data").glob("*.parquet")):
+        table = read_flown(file).table
+        assert table.column_names == SCHEMA.names
+        assert table.column("settled_rmse_m").null_count < table.num_rows

@@ -1,4 +1,4 @@
-"""The choice of the physics: by configuration and by option, and what is said where it cannot be used."""
+"""The configuration or an option chooses the physics; an error names a choice that cannot be used."""
 
 import sys
 from pathlib import Path
