@@ -31,12 +31,13 @@ import numpy as np
 import optuna
 from pydantic import Field, model_validator
 
+from configs.flight_tree import DEFAULT_SCENARIO, read_scenario
 from configs.loader import ConfigError, ConfigRecord, load
 from experiments.campaigns.campaign import CampaignConfig, Case, Seeds, campaign_file
 from experiments.campaigns.flight_jobs import FlightJob, flights_of_seed
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.flights.scenario import Choices, resolve
-from experiments.margins.requirement import MarginRequirement
+from experiments.margins.requirement import Corner, MarginRequirement
 
 CONTROLLER_ROOT: Final = "onboard.controller."
 GUIDANCE_ROOT: Final = "onboard.guidance."
@@ -49,6 +50,8 @@ END_SHARE: Final = 0.05
 NOT_FLOWN_MAX: Final = 5000
 """Sets of gains without the margins, after which a search gives up."""
 FLOWN: Final = "flown"
+NOMINAL: Final = "nominal"
+"""The name of the nominal vehicle beside the corners."""
 HOPELESS: Final = 1.15
 GLOBAL_EVERY: Final = 4
 STEP_SHARE: Final = (0.02, 0.12)
@@ -104,6 +107,8 @@ class TuneConfig(ConfigRecord):
     crash_cost: Annotated[float, Field(gt=1)]
     margins: MarginRequirement
     """Least predicted margins of every loop, on the nominal vehicle."""
+    corners: tuple[Corner, ...] = ()
+    """Other vehicles, each with its least predicted margins."""
     common: tuple[Parameter, ...]
     """Parameters of every controller, with the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
@@ -191,11 +196,18 @@ def _flight_path(path: str) -> str:
     return CONTROLLER_ROOT + path
 
 
-def margin_shortfall(search: Search, values: dict[str, float]) -> float:
-    """The share that these gains miss of the campaign's margins, predicted for the nominal vehicle; 0 for nothing."""
+def margin_shortfalls(search: Search, values: dict[str, float]) -> dict[str, float]:
+    """The share that these gains miss of the predicted margins, on the nominal vehicle and at each corner, by name."""
     gains = assignments(search.config.space(search.controller), values)
     choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
-    return search.config.margins.shortfall(resolve(choices=choices))
+    flight, vehicle = resolve(choices=choices), read_scenario(DEFAULT_SCENARIO).vehicle
+    corners = {one.name: one.shortfall(flight, vehicle) for one in search.config.corners}
+    return {NOMINAL: search.config.margins.shortfall(flight)} | corners
+
+
+def margin_shortfall(search: Search, values: dict[str, float]) -> float:
+    """The sum of these shares; 0 for gains that miss nothing."""
+    return sum(margin_shortfalls(search, values).values())
 
 
 def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
