@@ -7,8 +7,8 @@ seed: some on the nominal vehicle, some on drawn ones. Its value is the mean cos
     cost = crash_cost (2 - share of the flight flown)    if it crashed,
 
 so a crash always costs more than a large error, and an early crash more than a late one. The case names the window of
-the RMSE. Gains whose predicted loops miss the campaign's margins are not flown: their cost is above that of any flight,
-and grows with what is missing. They are not part of the budget.
+the RMSE. Gains whose predicted loops miss the campaign's margins, on the nominal vehicle or at a corner, are not flown:
+their cost is above that of any flight, and grows with what is missing. They are not part of the budget.
 
 The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. Of the others,
 one in four comes from the estimator, over the whole ranges, and three are steps of random size from the best so far. A
@@ -51,7 +51,6 @@ NOT_FLOWN_MAX: Final = 5000
 """Sets of gains without the margins, after which a search gives up."""
 FLOWN: Final = "flown"
 NOMINAL: Final = "nominal"
-"""The name of the nominal vehicle beside the corners."""
 HOPELESS: Final = 1.15
 GLOBAL_EVERY: Final = 4
 STEP_SHARE: Final = (0.02, 0.12)
@@ -120,6 +119,13 @@ class TuneConfig(ConfigRecord):
     def _training_seeds(self) -> Self:
         if self.seeds.first + self.seeds.count - 1 not in TRAINING_SEEDS:
             raise ValueError("seeds: tuning uses seeds below 1000, evaluation those above")
+        return self
+
+    @model_validator(mode="after")
+    def _names_of_corners(self) -> Self:
+        names = [NOMINAL, *(corner.name for corner in self.corners)]
+        if len(set(names)) < len(names):
+            raise ValueError(f"corners: {names[1:]}: expected different names, none of them {NOMINAL}")
         return self
 
     @model_validator(mode="after")
@@ -197,7 +203,7 @@ def _flight_path(path: str) -> str:
 
 
 def margin_shortfalls(search: Search, values: dict[str, float]) -> dict[str, float]:
-    """The share that these gains miss of the predicted margins, on the nominal vehicle and at each corner, by name."""
+    """The share that these gains miss of the predicted margins: on the nominal vehicle and at each corner, by name."""
     gains = assignments(search.config.space(search.controller), values)
     choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
     flight, vehicle = resolve(choices=choices), read_scenario(DEFAULT_SCENARIO).vehicle

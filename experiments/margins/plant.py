@@ -1,7 +1,7 @@
 """The linear plant: actuators and dead time, of the simulated vehicle and of the nominal one that onboard assumes.
 
-Onboard drives the motors against their nominal lag tau_n, so that they answer with tau_r (onboard/control/actuators.py).
-Motors with the lag tau then answer with
+Onboard drives the motors against their nominal lag tau_n, so that they answer with tau_r
+(onboard/control/actuators.py). Motors with the lag tau then answer with
 
     A = (1 + tau_n s) / ((1 + tau_r s) (1 + tau s)),    nominal: A_n = 1 / (1 + tau_r s).
 

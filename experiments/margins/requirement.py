@@ -32,7 +32,9 @@ class MarginRequirement(ConfigRecord):
     delay_margin_ms: Positive
 
     def shortfall(self, config: FlightConfig) -> float:
-        """The largest share by which a predicted margin of a loop is below its least; 0 if none is, above 1 if unstable.
+        """The largest share by which a predicted margin of a loop is below its least.
+
+        0 if none is; above 1 if the closed loop is unstable.
 
         Raises
         ------
@@ -68,7 +70,7 @@ class Corner(ConfigRecord):
     margins: MarginRequirement
 
     def shortfall(self, config: FlightConfig, vehicle: str) -> float:
-        """As MarginRequirement.shortfall, with this vehicle in place of the flight's; onboard assumes the same airframe.
+        """As MarginRequirement.shortfall, with this vehicle in place of the flight's. Onboard assumes the same.
 
         vehicle: name of the description that has the ranges.
         """

@@ -53,7 +53,7 @@ def unstable_poles(characteristic: Complex) -> int:
 
     By the argument principle: with ascending omega the phase of f(j omega) falls by pi per zero. f is real at 0.
 
-    characteristic: f(j omega) [n], from far below to far above its zeros, with less than half a turn between two points.
+    characteristic: f(j omega) [n], from far below to far above its zeros, less than half a turn between two points.
     """
     phase = np.unwrap(np.angle(characteristic))
     return round(float(phase[0] - phase[-1]) / np.pi)
