@@ -274,9 +274,7 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
         study.enqueue_trial(start, user_attrs={"origin": "as it stood"})
         for one in search.config.starts:
             study.enqueue_trial(start | one, user_attrs={"origin": "starts"})
-    for left in study.get_trials(
-        deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)
-    ):  # by a search that was killed
+    for left in study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):  # by a killed search
         study.tell(left.number, state=optuna.trial.TrialState.FAIL)
         study.enqueue_trial(left.params)
     return study

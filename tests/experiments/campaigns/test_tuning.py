@@ -199,7 +199,7 @@ def test_a_search_soon_finds_gains_with_all_margins(tmp_path: Path) -> None:
 def test_two_corners_of_one_name_are_refused() -> None:
     tree = read_tree(TUNE)
     tree["corners"][1]["name"] = tree["corners"][0]["name"]
-    with pytest.raises(ValueError, match="heavy_inertia_weak_slow.*: expected different names, none of them nominal"):
+    with pytest.raises(ValueError, match=r"heavy_inertia_weak_slow.*: expected different names, none of them nominal"):
         tuning.TuneConfig.model_validate_json(__import__("json").dumps(tree), strict=False)
 
 
