@@ -69,7 +69,7 @@ class DemandLimits:
         acceleration that the delivered thrust does not explain, m/s^2, positive downwards.
         """
         self._lifted = self._lifted or adapting
-        self.lack = max(self.lack + (residual_z - self.lack) * min(dt / self._config.lack_filter_s, 1.0), 0.0)
+        self.lack = max(0.0, self.lack + (residual_z - self.lack) * min(dt / self._config.lack_filter_s, 1.0))
         if saturated:
             self.shortage += (1.0 - self.shortage) * min(dt / self._config.short_after_s, 1.0)
         else:
