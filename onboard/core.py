@@ -290,7 +290,7 @@ class OnboardCore:
         self._guidance.follow_jump(state, self._posed)
         if mode is LANDED:
             self._guidance.rest(vector(state.position.tolist()))
-        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt)
+        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt, mode is TAKE_OFF)
         if mode is HOLD_LEVEL:  # the vehicle drifts: a landing that follows begins where the vehicle is then
             self._guidance.place(vector(state.position.tolist()))
         return target

@@ -12,6 +12,9 @@ from onboard.control.demand_limits import FALL_MIN_M_S2, DemandLimits, DemandLim
 from protocol.conventions import GRAVITY
 
 CONFIG = DemandLimitsConfig()
+DT = 0.005
+HARD = (0.0, 0.0, -30.0)
+"""A climb that the limits cut."""
 accelerations = st.tuples(*(st.floats(-1e3, 1e3),) * 3)
 
 
@@ -23,7 +26,7 @@ def tilt(f: tuple[float, float, float]) -> float:
 def test_tilt_and_fall_stay_within_the_limits_for_any_demand(u: tuple, nu_z: float, ticks: list[bool]) -> None:
     limits = DemandLimits(CONFIG)
     for saturated in ticks:
-        limits.step(saturated, True, 0.005)
+        limits.step(saturated, True, 0.0, DT)
         assert 0.0 <= limits.shortage <= 1.0
     f = limits.specific_thrust(u, nu_z)
     assert f[2] >= FALL_MIN_M_S2
@@ -38,7 +41,7 @@ def test_a_take_off_may_ask_for_more_until_the_laws_adapt() -> None:
     limits, hard = DemandLimits(CONFIG), (0.0, 0.0, -20.0)
     assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.take_off_acceleration_max_m_s2)
     for adapting in (True, False):  # what it once knew it does not forget
-        limits.step(False, adapting, 0.005)
+        limits.step(False, adapting, 0.0, DT)
         assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.climb_acceleration_max_m_s2)
     limits.reset()
     assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.take_off_acceleration_max_m_s2)
@@ -46,30 +49,80 @@ def test_a_take_off_may_ask_for_more_until_the_laws_adapt() -> None:
 
 def test_nu_ad_comes_on_top_of_the_vertical_limits() -> None:
     climb, limits = CONFIG.climb_acceleration_max_m_s2, DemandLimits(CONFIG)
-    limits.step(False, True, 0.005)
+    limits.step(False, True, 0.0, DT)
     assert limits.specific_thrust((0.0, 0.0, -100.0), 3.0)[2] == pytest.approx(GRAVITY + climb + 3.0)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.8, 0.6])
+def test_a_vehicle_whose_thrust_is_weak_lifts_off_with_the_acceleration_that_the_limit_allows(share: float) -> None:
+    """The motors give a share of the thrust; the floor carries what is missing to the weight."""
+    limits, most, upwards = DemandLimits(CONFIG), 0.0, []
+    for _ in range(600):
+        most = limits.specific_thrust(HARD, 0.0)[2]
+        upwards.append(max(share * most - GRAVITY, 0.0))
+        limits.step(False, False, upwards[-1] * -1.0 - (GRAVITY - most), DT)
+    assert (upwards[0] > 0.5) is (share > 0.75), "the weaker ones stay on the floor at first"
+    assert upwards[-1] == pytest.approx(CONFIG.take_off_acceleration_max_m_s2, rel=0.01)
+
+
+def test_the_lack_of_thrust_counts_once_and_only_while_it_lasts() -> None:
+    climb, limits = CONFIG.climb_acceleration_max_m_s2, DemandLimits(CONFIG)
+    for _ in range(400):
+        limits.step(False, True, 3.0, DT)
+    for nu_z, extra in ((0.0, 3.0), (1.0, 3.0), (3.0, 3.0), (4.0, 4.0), (-1.0, 2.0)):
+        assert limits.specific_thrust(HARD, nu_z)[2] == pytest.approx(GRAVITY + climb + extra, abs=1e-3), nu_z
+    for _ in range(400):
+        limits.step(False, True, -3.0, DT)
+    assert limits.specific_thrust(HARD, -1.0)[2] == pytest.approx(GRAVITY + climb - 1.0), "strong motors: as ever"
+
+
+def test_a_residual_that_is_no_number_leaves_no_trace() -> None:
+    limits = DemandLimits(CONFIG)
+    limits.step(False, True, math.nan, DT)
+    assert limits.lack == 0.0
 
 
 def test_while_the_motors_fall_short_little_is_asked_for_and_the_limits_come_back() -> None:
     limits, wide, hard = DemandLimits(CONFIG), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0)
     assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
-    limits.step(True, True, 0.005)  # one tick of noise costs little
+    limits.step(True, True, 0.0, DT)  # one tick of noise costs little
     assert tilt(limits.specific_thrust(wide, 0.0)) > 0.9 * CONFIG.tilt_max_rad
     for _ in range(100):
-        limits.step(True, True, 0.005)
+        limits.step(True, True, 0.0, DT)
     assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.short_tilt_max_rad, rel=1e-2)
     climb = limits.specific_thrust(hard, 0.0)[2] - GRAVITY
     assert climb == pytest.approx(CONFIG.short_climb_max_m_s2, rel=1e-2)
     for _ in range(1000):
-        limits.step(False, True, 0.005)
+        limits.step(False, True, 0.0, DT)
     assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.tilt_max_rad, rel=1e-2)
 
 
 def test_short_limits_wider_than_the_others_change_nothing() -> None:
     limits = DemandLimits(DemandLimitsConfig(short_tilt_max_rad=1.2, short_climb_max_m_s2=20.0))
     for _ in range(100):
-        limits.step(True, True, 0.005)
+        limits.step(True, True, 0.0, DT)
     assert tilt(limits.specific_thrust((20.0, 0.0, 0.0), 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
+
+
+SHORT_OF_THRUST = (
+    "vehicle.motors.gain=[0.70, 0.70, 0.70, 0.70]",
+    "vehicle.body.mass_kg=0.0744",
+    "onboard.controller.settings.limits.lack_filter_s=",
+)
+"""Full thrust is 1.26 times the weight at the rated voltage."""
+
+
+@pytest.mark.parametrize("controller", ["l1", "pid"])
+def test_a_vehicle_with_a_quarter_of_thrust_to_spare_takes_off_and_hovers(controller: str) -> None:
+    """The ablation: if the lack is measured too slowly to matter, it stays on the floor."""
+    heights = []
+    for filter_s in ("0.2", "10"):
+        assignments = (*SHORT_OF_THRUST[:2], SHORT_OF_THRUST[2] + filter_s)
+        flight = fly_lockstep(resolve("hover", Choices(controller, 3, 5.0, assignments)))
+        assert not flight.crash_reason
+        heights.append(-float(flight.trace.truth["position_d"].min()))
+    assert heights[0] == pytest.approx(1.0, abs=0.15)
+    assert heights[1] < 0.3
 
 
 WEAK = (
