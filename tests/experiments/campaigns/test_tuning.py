@@ -12,6 +12,7 @@ import experiments.campaigns.tuning as tuning
 from configs.loader import CONFIG_DIRECTORY, ConfigError, parse_yaml, read_tree
 from experiments.campaigns.controller_file import tuned_text
 from experiments.campaigns.flight_row import empty_row
+from experiments.campaigns.search_space import near_an_end, present_values
 from experiments.campaigns.tuning import (
     Search,
     cost,
@@ -20,9 +21,7 @@ from experiments.campaigns.tuning import (
     load_tuning,
     margin_shortfall,
     margin_shortfalls,
-    near_an_end,
     open_study,
-    present_values,
     run_search,
     search_record,
 )
