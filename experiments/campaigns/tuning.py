@@ -309,8 +309,9 @@ def _fly(
 def with_margins(search: Search, values: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
     """The nearest gains to these that have the campaign's margins, or these if none were found."""
     space = search.config.space(search.controller)
-    found = nearest(shares(space, values), lambda point: margin_shortfall(search, values_at(space, point)), rng)
-    return values if found is None else values_at(space, found)
+    start = shares(space, values)
+    found = nearest(start, lambda point: margin_shortfall(search, values_at(space, point)), rng)
+    return values if found is None or found == start else values_at(space, found)
 
 
 def step_with_margins(search: Search, values: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
