@@ -30,7 +30,8 @@ ASTRAY_COSINE = 0.96, 0.90
 """Cosine of the angle between the vehicle's axis and the wanted thrust (16, 26 degrees): where the height begins to
 count instead of the projection, and where it alone counts."""
 UPRIGHT_MIN = 0.5
-"""Least cosine of the tilt that the thrust makes up for, 60 degrees."""
+"""Cosine of the tilt up to which thrust makes up for it, 60 degrees. Beyond, it has little effect on the height, and
+fades to nothing at 90 degrees."""
 
 
 class DemandLimitsConfig(ConfigRecord):
@@ -121,6 +122,6 @@ def thrust_along(f: Vector3, axis: Vector3) -> float:
     cosine = along / (fx * fx + fy * fy + fz * fz) ** 0.5
     if cosine >= begin or z <= 0.0:
         return max(along, 0.0)
-    upright = fz / max(z, UPRIGHT_MIN)
+    upright = fz / z if z > UPRIGHT_MIN else fz * z / UPRIGHT_MIN**2
     share = min((begin - cosine) / (begin - end), 1.0)
     return max(along + share * max(upright - along, 0.0), 0.0)
