@@ -3,17 +3,19 @@
 import math
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
+from onboard.control import cascade
 from onboard.control.demand_limits import ASTRAY_COSINE, FALL_MIN_M_S2, DemandLimits, DemandLimitsConfig, thrust_along
 from protocol.conventions import GRAVITY
+from tests.onboard.control.fixture import DT, Rig, shipped_controller
 
 CONFIG = DemandLimitsConfig()
-DT = 0.005
 HARD = (0.0, 0.0, -30.0)
 """A climb that the limits cut."""
 accelerations = st.tuples(*(st.floats(-1e3, 1e3),) * 3)
@@ -94,6 +96,25 @@ def test_a_vehicle_that_is_tilted_far_from_the_wanted_direction_keeps_its_height
     axis = axis_at(degrees)
     assert thrust_along(UP, axis) * axis[2] == pytest.approx(GRAVITY)
     assert GRAVITY * axis[2] ** 2 < 0.82 * GRAVITY, "the projection lets it sink"
+
+
+def height_while_something_rolls_it() -> float:
+    """Least height, m, of a vehicle that hovers at 1 m while a moment rolls it to and fro, beyond 40 degrees."""
+    rig, heights, tilts = Rig(shipped_controller("none")), [], []
+    for tick in range(400):
+        rig.torque[0] = 120.0 * math.sin(9.0 * tick * DT)
+        rig.fly(DT)
+        heights.append(-rig.position[2])
+        tilts.append(rig.state.tilt_rad)
+    assert math.radians(40.0) < max(tilts) < math.radians(60.0)
+    return min(heights)
+
+
+def test_a_vehicle_that_rolls_to_and_fro_does_not_sink(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ablation: with the projection alone, it does."""
+    assert height_while_something_rolls_it() > 0.95
+    monkeypatch.setattr(cascade, "thrust_along", lambda f, axis: max(float(np.dot(f, axis)), 0.0))
+    assert height_while_something_rolls_it() < 0.7
 
 
 def test_the_thrust_is_continuous_in_the_attitude_and_never_negative() -> None:
