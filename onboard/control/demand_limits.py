@@ -15,7 +15,7 @@ Before the laws adapt, nothing compensates motors that are weaker, or a vehicle 
 So take-off has a higher climb limit: most such vehicles lift off without delay.
 """
 
-from math import tan
+from math import hypot, tan
 from typing import Annotated
 
 from pydantic import Field
@@ -119,7 +119,7 @@ def thrust_along(f: Vector3, axis: Vector3) -> float:
     x, y, z = axis
     along = fx * x + fy * y + fz * z
     begin, end = ASTRAY_COSINE
-    cosine = along / (fx * fx + fy * fy + fz * fz) ** 0.5
+    cosine = along / hypot(fx, fy, fz)
     if cosine >= begin or z <= 0.0:
         return max(along, 0.0)
     upright = fz / z if z > UPRIGHT_MIN else fz * z / UPRIGHT_MIN**2
