@@ -15,7 +15,7 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
-from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig
+from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig, thrust_along
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.ilc import IterativeLearning, IterativeLearningConfig
 from onboard.control.laws.indi import Indi, IndiConfig
@@ -324,8 +324,7 @@ class CascadedController:
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
         commanded = attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()
-        thrust = self._airframe.mass_kg * (fx * r02 + fy * r12 + fz * r22)
-        return max(thrust, 0.0), commanded
+        return self._airframe.mass_kg * thrust_along((fx, fy, fz), (r02, r12, r22)), commanded
 
     def _commanded_rate(self, commanded: Quaternion, inputs: ControlInputs) -> Vector3:
         """Rate of the commanded attitude, rad/s, filtered; zero without that feed-forward and on the ground."""

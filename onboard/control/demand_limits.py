@@ -15,7 +15,7 @@ Before the laws adapt, nothing compensates motors that are weaker, or a vehicle 
 So take-off has a higher climb limit: most such vehicles lift off without delay.
 """
 
-from math import tan
+from math import hypot, tan
 from typing import Annotated
 
 from pydantic import Field
@@ -26,6 +26,12 @@ from protocol.geometry import Vector3
 
 FALL_MIN_M_S2 = 2.0
 """Lower limit of the specific thrust: without thrust there is no torque, and tilt has no effect."""
+ASTRAY_COSINE = 0.96, 0.90
+"""Cosine of the angle between the vehicle's axis and the wanted thrust (16, 26 degrees): where the height begins to
+count instead of the projection, and where it alone counts."""
+UPRIGHT_MIN = 0.5
+"""Cosine of the tilt up to which thrust makes up for it, 60 degrees. Beyond, it has little effect on the height, and
+fades to nothing at 90 degrees."""
 
 
 class DemandLimitsConfig(ConfigRecord):
@@ -100,3 +106,22 @@ class DemandLimits:
         if horizontal > most:
             fx, fy = fx * most / horizontal, fy * most / horizontal
         return fx, fy, fz
+
+
+def thrust_along(f: Vector3, axis: Vector3) -> float:
+    """Specific thrust [m/s^2] along the vehicle's axis for the wanted specific thrust f; `axis` [3] is a unit vector.
+
+    f' axis where the two agree: it moves the vehicle as much as it can towards f. A vehicle that is tilted far from f
+    would sink with that, because less than the vertical part of f is left. There the thrust is such that its vertical
+    part is that of f: height before position, as with the angle boost of ArduPilot and the tilt compensation of PX4.
+    """
+    fx, fy, fz = f
+    x, y, z = axis
+    along = fx * x + fy * y + fz * z
+    begin, end = ASTRAY_COSINE
+    cosine = along / hypot(fx, fy, fz)
+    if cosine >= begin or z <= 0.0:
+        return max(along, 0.0)
+    upright = fz / z if z > UPRIGHT_MIN else fz * z / UPRIGHT_MIN**2
+    share = min((begin - cosine) / (begin - end), 1.0)
+    return max(along + share * max(upright - along, 0.0), 0.0)

@@ -1,18 +1,21 @@
 """Limits of the position loop's demand, and what they are worth to a vehicle with a rotor that gives little thrust."""
 
 import math
+from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from onboard.control.demand_limits import FALL_MIN_M_S2, DemandLimits, DemandLimitsConfig
+from onboard.control import cascade
+from onboard.control.demand_limits import ASTRAY_COSINE, FALL_MIN_M_S2, DemandLimits, DemandLimitsConfig, thrust_along
 from protocol.conventions import GRAVITY
+from tests.onboard.control.fixture import DT, Rig, shipped_controller
 
 CONFIG = DemandLimitsConfig()
-DT = 0.005
 HARD = (0.0, 0.0, -30.0)
 """A climb that the limits cut."""
 accelerations = st.tuples(*(st.floats(-1e3, 1e3),) * 3)
@@ -74,6 +77,52 @@ def test_the_lack_of_thrust_counts_once_and_only_while_it_lasts() -> None:
     for _ in range(400):
         limits.step(False, True, -3.0, DT)
     assert limits.specific_thrust(HARD, -1.0)[2] == pytest.approx(GRAVITY + climb - 1.0), "strong motors: as ever"
+
+
+def axis_at(degrees: float) -> tuple[float, float, float]:
+    return math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))
+
+
+UP = (0.0, 0.0, GRAVITY)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 5.0, 16.0])
+def test_near_the_wanted_direction_the_thrust_is_its_projection(degrees: float) -> None:
+    assert thrust_along(UP, axis_at(degrees)) == GRAVITY * axis_at(degrees)[2]
+
+
+@pytest.mark.parametrize("degrees", [26.0, 40.0, 59.0])
+def test_a_vehicle_that_is_tilted_far_from_the_wanted_direction_keeps_its_height(degrees: float) -> None:
+    axis = axis_at(degrees)
+    assert thrust_along(UP, axis) * axis[2] == pytest.approx(GRAVITY)
+    assert GRAVITY * axis[2] ** 2 < 0.82 * GRAVITY, "the projection lets it sink"
+
+
+def height_while_something_rolls_it() -> float:
+    """Least height, m, of a vehicle that hovers at 1 m while a moment rolls it to and fro, beyond 40 degrees."""
+    rig, heights, tilts = Rig(shipped_controller("none")), [], []
+    for tick in range(400):
+        rig.torque[0] = 120.0 * math.sin(9.0 * tick * DT)
+        rig.fly(DT)
+        heights.append(-rig.position[2])
+        tilts.append(rig.state.tilt_rad)
+    assert math.radians(40.0) < max(tilts) < math.radians(60.0)
+    return min(heights)
+
+
+def test_a_vehicle_that_rolls_to_and_fro_does_not_sink(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ablation: with the projection alone, it does."""
+    assert height_while_something_rolls_it() > 0.95
+    monkeypatch.setattr(cascade, "thrust_along", lambda f, axis: max(float(np.dot(f, axis)), 0.0))
+    assert height_while_something_rolls_it() < 0.7
+
+
+def test_the_thrust_is_continuous_in_the_attitude_and_never_negative() -> None:
+    lean = (-3.0, 1.0, 9.0)
+    thrusts = [thrust_along(lean, axis_at(0.01 * step)) for step in range(-18000, 18000)]
+    assert max(abs(b - a) for a, b in pairwise(thrusts)) < 0.02
+    assert min(thrusts) == 0.0
+    assert ASTRAY_COSINE[0] > ASTRAY_COSINE[1]
 
 
 def test_a_residual_that_is_no_number_leaves_no_trace() -> None:
