@@ -5,8 +5,8 @@ Onboard drives the motors against their nominal lag tau_n, so that they answer w
 
     A = (1 + tau_n s) / ((1 + tau_r s) (1 + tau s)),    nominal: A_n = 1 / (1 + tau_r s).
 
-Onboard estimates the thrust scale k (onboard/control/thrust_scale.py). All gains here are what it leaves once it has settled:
-1 for weak motors; for a heavy vehicle 1 in the lift, and more than 1 in the attitude, by its mass.
+Onboard estimates the thrust scale k (onboard/control/thrust_scale.py). All gains here are what it leaves once it has
+settled: 1 for weak motors; for a heavy vehicle 1 in the lift, and more than 1 in the attitude, by its mass.
 
 The lags are means of up and down: of the motors that turn the vehicle, half speed up and half slow down. Not in it: the
 voltage of the battery, saturation, drag.

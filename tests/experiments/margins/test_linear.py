@@ -26,7 +26,9 @@ GAINS = (
 )
 """Of l1, whatever the search has found since."""
 YAW_AS_ASSUMED = "vehicle.motors.torque_ratio_m=0.002414"
+NO_SCALE = "onboard.thrust_scale.enabled=false"
 SLUGGISH = (
+    NO_SCALE,
     "vehicle.body.inertia_kg_m2=[8.6e-5,1.06e-4,1.47e-4]",
     "vehicle.motors.gain=[0.7,0.7,0.7,0.7]",
     "vehicle.motors.lag_up_s=0.06",
@@ -63,17 +65,26 @@ def test_on_the_nominal_vehicle_the_law_cancels_out(prediction: bool) -> None:
 
 
 def test_inertia_thrust_and_mass_act_as_gains() -> None:
+    """Without the thrust scale. With it, the gain is divided by that of the lift, in both channels."""
     plain = resolve(choices=Choices("none", 3, 20.0))
 
-    def gain(channel: int, axis: int, *assignments: str) -> Array:
+    def scaled_gain(channel: int, axis: int, *assignments: str) -> Array:
         changed = resolve(choices=Choices("none", 3, 20.0, assignments))
         ratio: Array = predicted_loop(changed, channel, axis, OMEGA) / predicted_loop(plain, channel, axis, OMEGA)
         return ratio
+
+    def gain(channel: int, axis: int, *assignments: str) -> Array:
+        return scaled_gain(channel, axis, NO_SCALE, *assignments)
 
     weak = "vehicle.motors.gain=[0.7,0.7,0.7,0.7]"
     for axis in range(3):
         np.testing.assert_allclose(gain(1, axis, weak), 0.7, rtol=1e-9)
     np.testing.assert_allclose(gain(0, 2, weak, "vehicle.body.mass_kg=0.07"), 0.7 * 63.0 / 70.0, rtol=1e-9)
+    for axis in range(3):
+        np.testing.assert_allclose(scaled_gain(1, axis, weak, "vehicle.body.mass_kg=0.07"), 70.0 / 63.0, rtol=1e-9)
+    np.testing.assert_allclose(scaled_gain(0, 2, weak, "vehicle.body.mass_kg=0.07"), 1.0, rtol=1e-9)
+    beyond = "onboard.thrust_scale.least=0.8"
+    np.testing.assert_allclose(scaled_gain(0, 2, weak, beyond), 0.7 / 0.8, rtol=1e-9)
     np.testing.assert_allclose(gain(1, 1, "vehicle.body.inertia_kg_m2=[1e-4,2e-4,3e-4]"), 0.716914 / 2.0, rtol=1e-9)
     np.testing.assert_allclose(gain(1, 2, YAW_AS_ASSUMED), 0.002414 / 0.003621, rtol=1e-9)
     late = gain(1, 0, "vehicle.motors.command_delay_s=0.01")
