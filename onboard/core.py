@@ -15,11 +15,12 @@ from typing import Any, Final, Self
 import numpy as np
 
 from onboard.config import OnboardConfig
-from onboard.control.actuators import ActuatorModel
+from onboard.control.actuators import ActuatorModel, Shares
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.interface import LearningController
-from onboard.control.mixer import Mixer, Thrusts
+from onboard.control.mixer import Mixer
 from onboard.control.records import ControlInputs, ControlOutput, Target
+from onboard.control.thrust_scale import ThrustScale
 from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.estimator import Estimator
 from onboard.estimation.state import VehicleState
@@ -43,7 +44,7 @@ from protocol.mavlink.vehicle import BatteryReading
 from protocol.messages import FeatureChunk
 from protocol.session import session_start_ns
 
-ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
+ZERO: Final[Shares] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
 """No adaptation below this height: ground effect and contact are not disturbances to learn."""
 VELOCITY_AID_MAX_S: Final = 0.3
@@ -106,6 +107,7 @@ class OnboardCore:
         self._arming = ArmingChecks(config, clearance)
         self._guidance = Guidance(config.guidance)
         self._actuators = ActuatorModel(config.airframe, self._dt)
+        self._thrust_scale = ThrustScale(config.thrust_scale, config.airframe, self._dt)
         self._uncertainty = UncertaintyMeasurement(config.airframe, self._dt)
         self._signals = SignalVector(self._dt)
         self._reception = FeatureReception()
@@ -116,12 +118,9 @@ class OnboardCore:
         self._notice = clearance.notice
         self._mode = FlightMode.BOOT
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
-        self._command: Thrusts = ZERO
-        self._command_before: Thrusts = ZERO
-        self._saturated = False
-        self._land_requested = False
+        self._command = self._command_before = ZERO
+        self._saturated = self._land_requested = self._posed = False
         self._ticks = self._missed_ticks = 0
-        self._posed = False
         self._tracking_error_m = 0.0
 
     def tick(
@@ -152,12 +151,14 @@ class OnboardCore:
         self._collect_events(output)
         mode = self._supervise(state, now_ns)
         target = self._guide(state, mode)
+        self._actuators.scale = self._mixer.scale = self._thrust_scale.value
         delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
         measured = self._uncertainty.step(state, delivered)
         self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
         adapt = self._may_adapt(state, mode, now_ns)
+        self._thrust_scale.step(float(state.specific_force[2]), delivered.thrust_n, adapt)
         version, feature_age_s = self._swap_features(now_ns)
         control_inputs = ControlInputs(
             self._dt, state, target, signals, *measured, self._saturated, adapt, coming, level_only=mode is HOLD_LEVEL
@@ -181,6 +182,7 @@ class OnboardCore:
             battery_v=self._battery.voltage_v,
             motors=motors,
             motor_thrusts_n=delivered.thrusts_n,
+            thrust_scale=self._actuators.scale,
         )
         self._tracking_error_m = dist(state.position.tolist(), target.path.position)
         self._ticks += 1
@@ -310,27 +312,24 @@ class OnboardCore:
         return self._reception.version, self._reception.age_s(now_ns)
 
     def _control(self, inputs: ControlInputs, mode: FlightMode) -> ControlOutput:
-        """Thrust and torque; on the ground the controller is held at its start."""
+        """Thrust and torque; on the ground the controller and the thrust scale are held at their start."""
         if mode not in AIRBORNE:
             self.controller.reset(inputs)
+            self._thrust_scale.reset()
         return self.controller.step(inputs)
 
     def _mix(self, control: ControlOutput, mode: FlightMode) -> list[float]:
         """Motor commands as shares of the maximum thrust, within limits and with motor lag compensated."""
-        self._command_before = self._command
-        thrust_max_n = self._airframe.motor_thrust_max_n
-        self._saturated = False
+        self._command_before, self._saturated = self._command, False
         if mode in AIRBORNE:
             demand = control.thrust_n, control.torque_nm
             wanted = self._mixer.thrusts(*demand)
             self._saturated = self._mixer.falls_short(wanted, *demand)
             self._command = self._actuators.overdriven(wanted)
-        elif mode is ARMED:
-            idle_n = self._airframe.motor_thrust_min_share * thrust_max_n
-            self._command = (idle_n, idle_n, idle_n, idle_n)
         else:
-            self._command = ZERO
-        return [thrust / thrust_max_n for thrust in self._command]
+            idle = self._airframe.motor_thrust_min_share if mode is ARMED else 0.0
+            self._command = (idle, idle, idle, idle)
+        return list(self._command)
 
     def _sample(self, inputs: ControlInputs, control: ControlOutput, version: int, now_ns: int) -> list[bytes]:
         """Samples for the trainer, from flight only, as datagrams when a batch is due."""

@@ -5,6 +5,9 @@ Onboard drives the motors against their nominal lag tau_n, so that they answer w
 
     A = (1 + tau_n s) / ((1 + tau_r s) (1 + tau s)),    nominal: A_n = 1 / (1 + tau_r s).
 
+Onboard estimates the thrust scale k (onboard/control/thrust_scale.py). All gains here are what it leaves once it has
+settled: 1 for weak motors; for a heavy vehicle 1 in the lift, and more than 1 in the attitude, by its mass.
+
 The lags are means of up and down: of the motors that turn the vehicle, half speed up and half slow down. Not in it: the
 voltage of the battery, saturation, drag.
 """
@@ -49,14 +52,25 @@ def lift_plant(config: FlightConfig, s: Any) -> Plant:
 
 
 def thrust_gain(config: FlightConfig) -> float:
-    """Thrust at a command, as a multiple of what onboard assumes; mean of the motors."""
-    motors = config.vehicle.motors
-    return float(np.mean(motors.gain)) * motors.max_thrust_n / config.onboard.airframe.motor_thrust_max_n
+    """Thrust at a command, as a multiple of what onboard assumes with its settled k; mean of the motors."""
+    gain = _nominal_gain(config)
+    return gain / config.onboard.thrust_scale.settled(gain * _mass_ratio(config))
 
 
 def lift_gain(config: FlightConfig) -> float:
     """rho: acceleration by the thrust at a command, as a multiple of what onboard assumes."""
-    return thrust_gain(config) * config.onboard.airframe.mass_kg / config.vehicle.body.mass_kg
+    return thrust_gain(config) * _mass_ratio(config)
+
+
+def _nominal_gain(config: FlightConfig) -> float:
+    """Thrust at a command, as a multiple of that of the nominal motors."""
+    motors = config.vehicle.motors
+    return float(np.mean(motors.gain)) * motors.max_thrust_n / config.onboard.airframe.motor_thrust_max_n
+
+
+def _mass_ratio(config: FlightConfig) -> float:
+    """Nominal over true mass."""
+    return config.onboard.airframe.mass_kg / config.vehicle.body.mass_kg
 
 
 def _plant(config: FlightConfig, gain: float, sensor_s: float, s: Any) -> Plant:

@@ -82,7 +82,7 @@ class Rig:
         hover = AIRFRAME.mass_kg * GRAVITY / 4.0
         self.motors.delivered.thrusts_n[:] = self.belief.delivered.thrusts_n[:] = hover
         self.uncertainty = UncertaintyMeasurement(AIRFRAME, DT)
-        self.commands = [(hover,) * 4]
+        self.commands = [(hover / AIRFRAME.motor_thrust_max_n,) * 4]
         self.mixer, self.signals, self.state = Mixer(AIRFRAME), SignalVector(DT), VehicleState()
         self.target: Any = np.array([0.0, 0.0, -1.0])
         self.yaw = 0.0
@@ -118,7 +118,7 @@ class Rig:
             rows.append(self._row())
             command = self.mixer.thrusts(self.output.thrust_n, self.output.torque_nm)
             self.saturated = abs(sum(command) - self.output.thrust_n) > 1e-3
-            self.commands.append(command)
+            self.commands.append(tuple(thrust / AIRFRAME.motor_thrust_max_n for thrust in command))
             self._move(self.commands.pop(0))
         return rows
 
@@ -141,7 +141,7 @@ class Rig:
         return row
 
     def _move(self, command: Any) -> None:
-        """One tick under a motor command."""
+        """One tick under a motor command, in shares of the maximum thrust."""
         jx, jy, jz = AIRFRAME.inertia_kg_m2
         J, dt = np.array([jx, jy, jz]), DT / SUBSTEPS
         force = np.zeros(3)
