@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from onboard.config import OnboardConfig
-from onboard.control.actuators import ActuatorModel
+from onboard.control.actuators import CATCH_UP_MAX, ActuatorModel
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.interface import LearningController
 from onboard.control.mixer import Mixer, Thrusts
@@ -95,7 +95,7 @@ class OnboardCore:
         clearance: Clearance = CLEAR,
     ) -> None:
         self._airframe = config.airframe
-        self._dt = config.period_ns * 1e-9
+        self._dt = self._period_s = config.period_ns * 1e-9
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
@@ -117,11 +117,8 @@ class OnboardCore:
         self._mode = FlightMode.BOOT
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
         self._command: Thrusts = ZERO
-        self._command_before: Thrusts = ZERO
-        self._saturated = False
-        self._land_requested = False
+        self._saturated = self._land_requested = self._posed = False
         self._ticks = self._missed_ticks = 0
-        self._posed = False
         self._tracking_error_m = 0.0
 
     def tick(
@@ -141,10 +138,11 @@ class OnboardCore:
         from_vehicle, from_offboard, from_ground: datagrams received since the last tick, oldest first. They may hold
             any bytes: a bad datagram is counted and dropped. An `Arrival` came `age_ns` before now, plain bytes now.
         land: the process is asked to end; land as soon as possible.
-        missed_ticks: ticks that the loop has skipped since its start, for status and log.
+        missed_ticks: ticks that the loop has skipped since its start. The last command was held meanwhile.
         """
         now_ns = self._clock.at(now_ns)
-        self._missed_ticks, output = missed_ticks, self._output.cleared()
+        missed = min(missed_ticks - self._missed_ticks, CATCH_UP_MAX)
+        self._missed_ticks, self._dt, output = missed_ticks, (1 + missed) * self._period_s, self._output.cleared()
         readings = [one for came in at_times(from_vehicle, now_ns) for one in self._vehicle_link.receive(*came)]
         poses = self._receive_offboard(from_offboard, now_ns)
         self._receive_ground(from_ground, land, now_ns)
@@ -152,15 +150,17 @@ class OnboardCore:
         self._collect_events(output)
         mode = self._supervise(state, now_ns)
         target = self._guide(state, mode)
-        delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
-        measured = self._uncertainty.step(state, delivered)
+        *_, delivered = passed = self._actuators.catch_up(self._command, missed)
+        measured = self._uncertainty.step(state, passed)
         self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
         adapt = self._may_adapt(state, mode, now_ns)
         version, feature_age_s = self._swap_features(now_ns)
         control_inputs = ControlInputs(
-            self._dt, state, target, signals, *measured, self._saturated, adapt, coming, level_only=mode is HOLD_LEVEL
+            *(self._dt, state, target, signals, *measured, self._saturated, adapt, coming),
+            level_only=mode is HOLD_LEVEL,
+            missed=missed,
         )
         control = self._control(control_inputs, mode)
         motors = self._mix(control, mode)
@@ -317,7 +317,6 @@ class OnboardCore:
 
     def _mix(self, control: ControlOutput, mode: FlightMode) -> list[float]:
         """Motor commands as shares of the maximum thrust, within limits and with motor lag compensated."""
-        self._command_before = self._command
         thrust_max_n = self._airframe.motor_thrust_max_n
         self._saturated = False
         if mode in AIRBORNE:

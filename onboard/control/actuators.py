@@ -1,7 +1,7 @@
 """The actuator model: the thrust that the motors deliver now, from which u_hat follows."""
 
 from math import exp
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from onboard.control.airframe import AirframeConfig
 from onboard.control.mixer import Thrusts, wrench
 from protocol.conventions import Array
 from protocol.geometry import Vector3
+
+CATCH_UP_MAX: Final = 20
+"""Missed ticks that are caught up: the vehicle stops its motors after 0.1 s without a command."""
 
 
 class Delivered(NamedTuple):
@@ -33,12 +36,27 @@ class ActuatorModel:
         self._lead_down = max(config.motor_lag_down_s / config.motor_response_s, 1.0) - 1.0
         self._max = config.motor_thrust_max_n
         self._min = config.motor_thrust_min_share * self._max
+        self._acting: Thrusts = (0.0, 0.0, 0.0, 0.0)
         self.delivered = Delivered(np.zeros(4), 0.0, (0.0, 0.0, 0.0))
 
     def step(self, commanded: Thrusts) -> Delivered:
         """Advance by one period under the thrusts [N] commanded during it."""
         self.delivered = self.ahead(commanded)
         return self.delivered
+
+    def catch_up(self, commanded: Thrusts, missed: int) -> list[Delivered]:
+        """What was delivered at the end of each period since the last tick, the last one now.
+
+        A command acts one tick after it was computed, and until the next one acts. So the command before acted in the
+        first period, and the last one in those of the missed ticks.
+
+        Parameters
+        ----------
+        commanded: thrusts of the last tick, N.
+        missed: ticks missed since then.
+        """
+        acting, self._acting = self._acting, commanded
+        return [self.step(acting), *(self.step(commanded) for _ in range(missed))]
 
     def ahead(self, commanded: Thrusts) -> Delivered:
         """What the motors will deliver one period later under these thrusts [N]; nothing changes."""
