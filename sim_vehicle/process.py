@@ -64,7 +64,7 @@ class SimProcess:
         self._next_step_ns = 0
         self._loop_record = np.zeros(len(LOOP.fields))
         self._crash_ns = 0
-        self._airborne = self._ever_armed = False
+        self._airborne = self._flown = self._ever_armed = False
         self._deliveries_logged: dict[Direction, int] = {"up": 0, "down": 0}
         self.steps = 0
         self.stalled_steps = 0
@@ -159,7 +159,8 @@ class SimProcess:
         armed_before = self._vehicle.armed
         output = self._vehicle.step(step_ns)
         self._ever_armed |= self._vehicle.armed
-        if armed_before and not self._vehicle.armed:
+        landed = self._flown and not self._airborne
+        if armed_before and not self._vehicle.armed and not landed:
             self.stalls.note_stop(now)
         for datagram in output.to_onboard:
             self._motors.send(datagram)
@@ -172,6 +173,7 @@ class SimProcess:
     def _record(self, step_ns: int, late_ns: int, truth: Any) -> None:
         at_ns = step_ns + self._start_ns
         self._airborne = bool(truth[_AIRBORNE])
+        self._flown |= self._airborne
         self._log.write(TRUTH, at_ns, truth)
         self._loop_record[0] = late_ns * 1e-3
         self._loop_record[1] = self.stalled_steps

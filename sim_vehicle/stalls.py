@@ -41,7 +41,7 @@ class Stalls:
             self.invalid_reason = f"the vehicle crashed {after}"
 
     def note_stop(self, now_ns: int) -> None:
-        """Note that onboard stopped the motors, at flight time `now_ns`."""
+        """Note that onboard stopped the motors, not at a landing, at flight time `now_ns`."""
         stall = self._stall_within(STOPPED_NS, now_ns)
         if stall is not None:
             self.invalid_reason = f"the motors were stopped when {_described(stall)}"
