@@ -15,7 +15,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from onboard.config import OnboardConfig
-from onboard.control.actuators import ActuatorModel, Shares
+from onboard.control.actuators import CATCH_UP_MAX, ActuatorModel, Shares
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.interface import LearningController
 from onboard.control.mixer import Mixer
@@ -96,7 +96,7 @@ class OnboardCore:
         clearance: Clearance = CLEAR,
     ) -> None:
         self._airframe = config.airframe
-        self._dt = config.period_ns * 1e-9
+        self._dt = self._period_s = config.period_ns * 1e-9
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
@@ -115,13 +115,11 @@ class OnboardCore:
         self._mixer = Mixer(config.airframe)
         self._samples = SampleQueue(config.samples)
         self._output = OnboardOutput()
-        self._notice = clearance.notice
-        self._mode = FlightMode.BOOT
+        self._notice, self._mode = clearance.notice, FlightMode.BOOT
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
-        self._command = self._command_before = ZERO
+        self._command: Shares = ZERO
         self._saturated = self._land_requested = self._posed = False
-        self._ticks = self._missed_ticks = 0
-        self._tracking_error_m = 0.0
+        self._ticks, self._missed_ticks, self._tracking_error_m = 0, 0, 0.0
 
     def tick(
         self,
@@ -140,10 +138,11 @@ class OnboardCore:
         from_vehicle, from_offboard, from_ground: datagrams received since the last tick, oldest first. They may hold
             any bytes: a bad datagram is counted and dropped. An `Arrival` came `age_ns` before now, plain bytes now.
         land: the process is asked to end; land as soon as possible.
-        missed_ticks: ticks that the loop has skipped since its start, for status and log.
+        missed_ticks: ticks that the loop has skipped since its start. The last command was held meanwhile.
         """
         now_ns = self._clock.at(now_ns)
-        self._missed_ticks, output = missed_ticks, self._output.cleared()
+        missed = min(missed_ticks - self._missed_ticks, CATCH_UP_MAX)
+        self._missed_ticks, self._dt, output = missed_ticks, (1 + missed) * self._period_s, self._output.cleared()
         readings = [one for came in at_times(from_vehicle, now_ns) for one in self._vehicle_link.receive(*came)]
         poses = self._receive_offboard(from_offboard, now_ns)
         self._receive_ground(from_ground, land, now_ns)
@@ -152,8 +151,8 @@ class OnboardCore:
         mode = self._supervise(state, now_ns)
         target = self._guide(state, mode)
         self._actuators.scale = self._mixer.scale = self._thrust_scale.value
-        delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
-        measured = self._uncertainty.step(state, delivered)
+        *_, delivered = passed = self._actuators.catch_up(self._command, missed)
+        measured = self._uncertainty.step(state, passed)
         self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
@@ -161,7 +160,9 @@ class OnboardCore:
         self._thrust_scale.step(float(state.specific_force[2]), delivered.thrust_n, adapt)
         version, feature_age_s = self._swap_features(now_ns)
         control_inputs = ControlInputs(
-            self._dt, state, target, signals, *measured, self._saturated, adapt, coming, level_only=mode is HOLD_LEVEL
+            *(self._dt, state, target, signals, *measured, self._saturated, adapt, coming),
+            level_only=mode is HOLD_LEVEL,
+            missed=missed,
         )
         control = self._control(control_inputs, mode)
         motors = self._mix(control, mode)
@@ -320,7 +321,7 @@ class OnboardCore:
 
     def _mix(self, control: ControlOutput, mode: FlightMode) -> list[float]:
         """Motor commands as shares of the maximum thrust, within limits and with motor lag compensated."""
-        self._command_before, self._saturated = self._command, False
+        self._saturated = False
         if mode in AIRBORNE:
             demand = control.thrust_n, control.torque_nm
             wanted = self._mixer.thrusts(*demand)

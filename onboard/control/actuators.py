@@ -5,7 +5,7 @@ Commands are shares of the maximum thrust. The motors give `scale` times the nom
 """
 
 from math import exp
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from protocol.geometry import Vector3
 
 Shares = tuple[float, float, float, float]
 """Shares of the maximum thrust, motor by motor."""
+CATCH_UP_MAX: Final = 20
+"""Missed ticks that are caught up: the vehicle stops its motors after 0.1 s without a command."""
 
 
 class Delivered(NamedTuple):
@@ -40,6 +42,7 @@ class ActuatorModel:
         self._lead_down = max(config.motor_lag_down_s / config.motor_response_s, 1.0) - 1.0
         self._min_share = config.motor_thrust_min_share
         self._scale = 1.0
+        self._acting: Shares = (0.0, 0.0, 0.0, 0.0)
         self.delivered = Delivered(np.zeros(4), 0.0, (0.0, 0.0, 0.0))
 
     @property
@@ -57,6 +60,20 @@ class ActuatorModel:
         """Advance by one period under the shares of the maximum thrust commanded during it."""
         self.delivered = self.ahead(commanded)
         return self.delivered
+
+    def catch_up(self, commanded: Shares, missed: int) -> list[Delivered]:
+        """What was delivered at the end of each period since the last tick, the last one now.
+
+        A command acts one tick after it was computed, and until the next one acts. So the command before acted in the
+        first period, and the last one in those of the missed ticks.
+
+        Parameters
+        ----------
+        commanded: shares of the maximum thrust, of the last tick.
+        missed: ticks missed since then.
+        """
+        acting, self._acting = self._acting, commanded
+        return [self.step(acting), *(self.step(commanded) for _ in range(missed))]
 
     def ahead(self, commanded: Shares) -> Delivered:
         """What the motors will deliver one period later under these shares of the maximum thrust; nothing changes."""

@@ -56,6 +56,8 @@ COMMAND_JUMP_RAD = 0.2
 """A commanded attitude that changes by more in a tick is a new command, and its change no rate."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Above this attitude error the linear error model does not hold: the reference is set to the vehicle's attitude."""
+MODEL_GAP_MAX_S = 0.02
+"""The same after a longer time since the last tick, which is no small step for the model of the attitude."""
 
 
 class ChannelSettings(ConfigRecord):
@@ -265,7 +267,7 @@ class CascadedController:
         self._attitude_model.step(self._turn_command, self._hedge(self._output.attitude, attitude), inputs.dt)
         self._attitude_model.error(state.quaternion, state.rates, attitude.model_error)
         e1, e2, e3, _, _, _ = attitude.model_error.tolist()
-        if e1 * e1 + e2 * e2 + e3 * e3 > MODEL_ERROR_MAX_RAD**2:
+        if inputs.dt > MODEL_GAP_MAX_S or e1 * e1 + e2 * e2 + e3 * e3 > MODEL_ERROR_MAX_RAD**2:
             self._attitude_model.reset(state.quaternion, state.rates)
             attitude.model_error[:] = 0.0
 
@@ -351,8 +353,8 @@ class CascadedController:
         p, q, r = inputs.state.rates.tolist()
         if not self._settings.prediction:
             return (w, x, y, z), (p, q, r)
-        dt, (now, next_) = inputs.dt, inputs.coming
-        before = inputs.attitude.u_hat.tolist()
+        dt, (now, next_) = inputs.period, inputs.coming
+        before = now if inputs.missed else vector(inputs.attitude.u_hat.tolist())
         nu = self._output.attitude.adaptive_now.tolist()
         delay = self._settings.gyro_delay_ticks
         here = vector(w_i + delay * dt * (u0 + n) for w_i, u0, n in zip((p, q, r), before, nu, strict=True))

@@ -95,7 +95,7 @@ class Rig:
         self._sense()
         point = PathPoint(tuple(self.target), REST, REST)
         delivered = self.belief.delivered
-        position, attitude = self.uncertainty.step(self.state, delivered)
+        position, attitude = self.uncertainty.step(self.state, [delivered])
         signals = self.signals.step(self.state, delivered.thrusts_n, 3.7)
         return ControlInputs(
             dt=DT,
