@@ -68,13 +68,17 @@ def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = 
     try:
         if learns(controller) and offboard is not None:
             from offboard.data.experience import ExperienceError
+            from offboard.memory.memory import UnusableMemoryError
+            from offboard.memory.memory_file import is_memory
 
             try:
-                if frozen:
+                if is_memory(data):
+                    offboard.recall(data)
+                elif frozen:
                     offboard.warm_start(data)
                 else:
                     offboard.resume(data)
-            except ExperienceError as error:
+            except (ExperienceError, UnusableMemoryError) as error:
                 raise ValueError(str(error)) from None
         elif hasattr(controller, "start_from"):
             with np.load(io.BytesIO(data), allow_pickle=False) as archive:

@@ -13,10 +13,10 @@ import numpy as np
 import torch
 
 from offboard.data.buffer import TEST, TRAINING, VALIDATION, SampleTable
-from offboard.training.gate import Evidence
+from offboard.training.evidence import evidence_of, held_out
 from offboard.training.gradient import LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
-from offboard.training.network import Array32, InputPlan, NetworkState, feature_set, phi, scales_from_data
+from offboard.training.network import InputPlan, NetworkState, feature_set, phi, scales_from_data
 from offboard.training.spectral_bound import SpectralBound
 from protocol.conventions import Array
 from protocol.feature_codec import decode_feature_set, encode_for_wire
@@ -53,7 +53,7 @@ class _Round:
         self._z, self._y_raw = self._inputs(newest.joined(buffer))
         self._label_scale = self._scale_of_labels()
         self._y = self._y_raw / self._label_scale
-        self._held_out = [self._inputs(self._held_out_table(split)) for split in (VALIDATION, TEST)]
+        self._held_out = [self._inputs(held_out(job, split)) for split in (VALIDATION, TEST)]
         self._parameters = parameters_of(network)
         self._parameters.last_layer.div_(self._label_scale.mT)
         self._parameters.last_bias.div_(self._label_scale.mT)
@@ -75,14 +75,15 @@ class _Round:
         parent = 0 if job.flying is None else job.flying.version
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
         candidate = decode_feature_set(encode_for_wire(trained, job.wire_dtype))
-        return TrainingResult(state, candidate, self._evidence(trained, candidate), losses, self._samples)
+        evidence = evidence_of(job, candidate, self._numpy_difference(trained))
+        return TrainingResult(state, candidate, evidence, losses, self._samples)
 
     def _diverged(self, losses: Array) -> TrainingResult:
         """The parameters are not finite: restore those from before the round, drop the momentum and send nothing."""
         state = TrainerState(self._job.state.network, (), 0, self._job.state.rounds + 1)
         candidate = feature_set(state.network, self._plan, self._job.version, 0, self._job.samples_seen)
         self._parameters = parameters_of(state.network)
-        evidence = self._evidence(candidate, candidate)
+        evidence = evidence_of(self._job, candidate, self._numpy_difference(candidate))
         evidence = replace(evidence, candidate_errors=np.full_like(evidence.candidate_errors, np.nan))
         return TrainingResult(state, candidate, evidence, losses, self._samples)
 
@@ -97,12 +98,6 @@ class _Round:
         floors = (self._job.config.position_label_floor_m_s2, self._job.config.attitude_label_floor_rad_s2)
         floor = torch.tensor([floors[at] for at in self._plan.channels])[:, None, None]
         return torch.maximum(self._y_raw.square().mean(dim=2, keepdim=True).sqrt(), floor)
-
-    def _held_out_table(self, split: int) -> SampleTable:
-        """Samples of a split, each once; a newest sample may also be in the buffer."""
-        table = _of_split(self._job.buffer, split).joined(_of_split(self._job.newest, split))
-        _, first = np.unique(table.time_ns, return_index=True)
-        return table.take(first)
 
     def _batches(self) -> Iterator[torch.Tensor]:
         """Row numbers of the mini-batches of each epoch, [batches per epoch, M]."""
@@ -184,24 +179,9 @@ class _Round:
         theta, theta_0 = (part * self._label_scale.mT for part in (trained.last_layer, trained.last_bias))
         return NetworkState(start.offset, start.scale, weights, biases, theta.numpy(), theta_0.numpy())
 
-    def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
-        """What the gate judges: the errors of the rounded candidate, and how far numpy's features are from torch's."""
-        table = self._held_out_table(VALIDATION)
-        labels = table.labels.astype(np.float64)
-        return Evidence(
-            time_ns=table.time_ns,
-            candidate_errors=squared_errors(candidate, table.signals, labels),
-            flying_errors=squared_errors(self._job.flying, table.signals, labels),
-            label_power=_power(labels, self._plan.channels),
-            numpy_difference=self._numpy_difference(trained, table),
-            spectral_norms=tuple(
-                float(np.linalg.norm(W, 2)) for channel in candidate.channels for W in channel.weights
-            ),
-        )
-
-    def _numpy_difference(self, trained: FeatureSet, table: SampleTable) -> float:
+    def _numpy_difference(self, trained: FeatureSet) -> float:
         """Largest difference of a feature between torch's float32 and numpy's float64 forward pass."""
-        z, _ = self._held_out[0]
+        (z, _), table = self._held_out[0], held_out(self._job, VALIDATION)
         if not table.rows:
             return 0.0
         by_torch = layer_outputs(z, self._parameters)[-1].numpy()
@@ -228,27 +208,9 @@ def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable
     return torch.from_numpy(np.concatenate([of_newest, of_buffer]))
 
 
-def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array) -> Array:
-    """norm(y - theta' Phi)^2 of each sample and channel, [n, 2]; a channel without features predicts 0."""
-    errors = labels.copy()
-    for at, channel in enumerate((features.position, features.attitude) if features is not None else ()):
-        if channel is not None and signals.shape[0]:
-            errors[:, at] -= phi(channel, signals) @ channel.last_layer
-    squared: Array = np.square(errors).sum(axis=2)
-    return squared
-
-
 def _scatter(errors: torch.Tensor) -> torch.Tensor:
     """Squared errors about their mean, [C], of errors [C, 3, n]: the law on board removes a constant error."""
     return (errors - errors.mean(dim=2, keepdim=True)).square().sum(dim=(1, 2))
-
-
-def _power(labels: Array, channels: tuple[int, ...]) -> Array:
-    """Mean squared norm of the labels of each channel, [2]; NaN for a channel that is not learnt."""
-    power = np.full(len(CHANNELS), np.nan)
-    if labels.shape[0]:
-        power[list(channels)] = np.square(labels).sum(axis=2).mean(axis=0)[list(channels)]
-    return power
 
 
 def _of_split(table: SampleTable, split: int) -> SampleTable:

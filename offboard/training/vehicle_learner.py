@@ -14,9 +14,13 @@ from offboard.config import OffboardConfig
 from offboard.data.buffer import TRAINING, FeatureFunction, NewestRing, NoveltyBuffer, split_of_block
 from offboard.data.experience import Experience, dump_experience
 from offboard.data.labels import LabelledSample, LabelMaker
+from offboard.memory.memory import Condition, Memory, thinned
+from offboard.memory.memory_file import require_fit
+from offboard.memory.recorder import FlightRecorder
 from offboard.training.gate import Gate, Verdict
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
 from offboard.training.network import InputPlan, NetworkState, feature_set, initial_state, phi, state_of
+from offboard.training.prior import NO_CONTEST
 from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
 from protocol.messages import SampleBatch
@@ -45,6 +49,9 @@ class VehicleLearner:
         self._state = TrainerState(initial_state(networks, np.random.default_rng([config.seed, 1])), (), 0, 0)
         self._buffer = NoveltyBuffer(config.buffer, networks, self._feature_function(self._state.network))
         self._newest = NewestRing(config.buffer.newest)
+        self._memory: Memory | None = None
+        self._contest = NO_CONTEST
+        self._recorder = FlightRecorder()
         self._gate = Gate(config.gate, networks.spectral_norm_max)
         self._issued: dict[int, FeatureSet] = {}
         self.latest: FeatureSet | None = None
@@ -92,6 +99,7 @@ class VehicleLearner:
             sample = self._on_one_clock(labelled)
             split = self._split(sample.time_ns)
             self._newest.put(sample, split)
+            self._recorder.put(sample)
             self._buffer.consider(sample, split)
             self.labelled += 1
             self._training_samples += split == TRAINING
@@ -130,12 +138,14 @@ class VehicleLearner:
             version=self.version + 1,
             samples_seen=self.labelled,
             wire_dtype=self._config.transfer.dtype,
+            prior=None if self._memory is None else self._memory.prior,
+            contest=self._contest,
         )
 
     def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:
         """Continue from the trained networks; issue a version if the gate allows it."""
         verdict = self._gate.judge(result.candidate, result.evidence, now_ns)
-        self._state = result.state
+        self._state, self._contest = result.state, result.contest
         self._buffer.set_features(self._feature_function(result.state.network))
         self.verdicts[verdict.name.lower()] += 1
         losses = (float(loss) if np.isfinite(loss) else None for loss in result.epoch_losses[-1, 1])
@@ -215,6 +225,22 @@ class VehicleLearner:
         self._state = TrainerState(state_of(features, self._config.features.trained), (), 0, 1)
         self._buffer.set_features(self._feature_function(self._state.network))
         self.latest = features
+
+    def recall(self, memory: Memory) -> None:
+        """Start from a memory: its inner layers and theta are the latest version, and every round starts from them.
+
+        Raises
+        ------
+        UnusableMemoryError
+            If its networks are not the configured ones.
+        """
+        require_fit(memory, self._config.features.trained)
+        self._memory = memory
+        self.warm_start(memory.version())
+
+    def condition(self, name: str) -> Condition:
+        """The flight so far as a condition of a memory."""
+        return Condition(name, self._config.vehicle_id, thinned(self._recorder.samples()))
 
     def _require_same_networks(self, network: NetworkState) -> None:
         mine = self._state.network

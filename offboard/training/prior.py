@@ -1,0 +1,139 @@
+"""A round of training that starts from a prior: what earlier flights taught (offboard.memory).
+
+Two entrants per channel: the prior's inner layers with their last layer refitted towards theta, and the networks that
+the round has trained on this flight, which also start from the prior. Trained on a few seconds, the second may be wrong
+wherever the vehicle has not been yet. It flies only after it has predicted better: each round's entrants are tried on
+the samples that arrive after them (`Contest`). Whoever leads there is the round's candidate, which the gate then judges
+like any other.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from offboard.data.buffer import TRAINING, SampleTable
+from offboard.memory.memory import INDEPENDENT_S, Prior, posterior_mean
+from offboard.training.evidence import evidence_of
+from offboard.training.network import InputPlan, feature_set, phi
+from protocol.conventions import Array
+from protocol.feature_codec import decode_feature_set, encode_for_wire
+from protocol.feature_set import ChannelFeatures, FeatureSet
+from protocol.signals import CHANNELS
+
+if TYPE_CHECKING:
+    from offboard.training.job import TrainingJob, TrainingResult
+
+EVIDENCE_HALF_LIFE_S: Final = 6.0
+EVIDENCE_MINIMUM_S: Final = 2.0
+"""Newer samples than this decide before the networks trained on this flight may fly."""
+LEAD: Final = 0.03
+"""Share by which their error must be smaller than that of the refitted prior."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contest:
+    """Two entrants and how they have predicted samples that were not there yet when they were made."""
+
+    made_ns: int = 0
+    """Time of the newest sample known when the entrants were made."""
+    refitted: FeatureSet | None = None
+    trained: FeatureSet | None = None
+    errors: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    """Sums of squared errors, fading: of refitted and trained, for each channel."""
+    seconds: float = 0.0
+    """s of samples in these sums, fading with them."""
+
+    def continued(self, samples: SampleTable) -> "Contest":
+        """The contest with the samples that are newer than its entrants.
+
+        Errors count about their mean over these samples: the law on board removes a constant error at once.
+        """
+        new = samples.take(samples.time_ns > self.made_ns)
+        if self.refitted is None or self.trained is None or new.rows < 2:
+            return self
+        elapsed_s = float(new.time_ns.max() - new.time_ns.min()) * 1e-9
+        fade = 0.5 ** (elapsed_s / EVIDENCE_HALF_LIFE_S)
+        now = [_scatter(entrant, new) for entrant in (self.refitted, self.trained)]
+        sums = fade * np.array(self.errors) + np.array(now)
+        (a, b), (c, d) = sums.tolist()
+        return replace(self, errors=((a, b), (c, d)), seconds=fade * self.seconds + elapsed_s)
+
+    def trained_leads(self, channel: int) -> bool:
+        """Whether the networks trained on this flight have predicted this channel better than the refitted prior."""
+        refitted, trained = (errors[channel] for errors in self.errors)
+        return self.seconds >= EVIDENCE_MINIMUM_S and trained < (1.0 - LEAD) * refitted
+
+
+NO_CONTEST: Final = Contest()
+
+
+def train_from_prior(job: "TrainingJob", prior: Prior, contest: Contest) -> "TrainingResult":
+    """Run one round with the prior and the contest of the rounds before."""
+    from offboard.training.round import train
+
+    known = job.buffer.joined(job.newest)
+    contest = contest.continued(job.newest)
+    result = train(replace(job, prior=None))
+    refitted = _as_flown(refit(job, prior), job)
+    trained = result.candidate
+    leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
+    candidate = replace(trained, position=leading[0], attitude=leading[1])
+    contest = replace(contest, made_ns=int(known.time_ns.max(initial=0)), refitted=refitted, trained=trained)
+    evidence = evidence_of(job, candidate, result.evidence.numpy_difference)
+    diverged = not np.isfinite(result.evidence.candidate_errors).all()
+    return result if diverged else replace(result, candidate=candidate, evidence=evidence, contest=contest)
+
+
+def _leading(contest: Contest, at: int, refitted: FeatureSet, trained: FeatureSet) -> ChannelFeatures | None:
+    entrant = trained if contest.trained_leads(at) else refitted
+    return (entrant.position, entrant.attitude)[at]
+
+
+def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
+    """The prior's inner layers with the posterior mean of the last layer, given the samples of this flight.
+
+    The newest samples and the buffer have the shares that a mini-batch gives them: the last layer follows a fault.
+    """
+    plan = InputPlan.of(job.network_config)
+    parent = 0 if job.flying is None else job.flying.version
+    start = feature_set(prior.network, plan, job.version, parent, job.samples_seen)
+    newest, buffer = (table.take(table.split == TRAINING) for table in (job.newest, job.buffer))
+    samples = newest.joined(buffer)
+    if samples.rows == 0:
+        return start
+    weights = _weights(newest, buffer, job.buffer_config.newest_fraction, job.buffer_config.newest_scale)
+    fitted: list[ChannelFeatures | None] = [None, None]
+    for row, (at, channel) in enumerate(zip(plan.channels, start.channels, strict=True)):
+        root = np.sqrt(weights)[:, None]
+        Phi, Delta = phi(channel, samples.signals) * root, samples.labels[:, at].astype(np.float64) * root
+        W = posterior_mean(Phi, Delta, channel.last_layer, float(prior.variance[row] / prior.noise[row]))
+        fitted[at] = replace(channel, last_layer=W)
+    return replace(start, position=fitted[0], attitude=fitted[1])
+
+
+def _weights(newest: SampleTable, buffer: SampleTable, newest_fraction: float, newest_scale: float) -> Array:
+    """Weight of each sample, newest first then buffer, [n]; their sum is the number of independent labels."""
+    times_ns = np.concatenate([newest.time_ns, buffer.time_ns])
+    independent = np.unique(times_ns // round(INDEPENDENT_S * 1e9)).size
+    share = newest_fraction if newest.rows and buffer.rows else float(newest.rows > 0)
+    fading = np.exp(-np.arange(newest.rows)[::-1] / newest_scale)
+    of_newest = share * fading / max(float(fading.sum()), 1e-12)
+    of_buffer = np.full(buffer.rows, (1.0 - share) / max(buffer.rows, 1))
+    weights: Array = independent * np.concatenate([of_newest, of_buffer])
+    return weights
+
+
+def _scatter(features: FeatureSet, samples: SampleTable) -> list[float]:
+    """Sum of squared errors about their mean, of both channels; 0 for a channel without features."""
+    found = [0.0, 0.0]
+    for at, channel in enumerate((features.position, features.attitude)):
+        if channel is not None:
+            errors = samples.labels[:, at] - phi(channel, samples.signals) @ channel.last_layer
+            found[at] = float(np.square(errors - errors.mean(axis=0)).sum())
+    return found
+
+
+def _as_flown(features: FeatureSet, job: "TrainingJob") -> FeatureSet:
+    """The features with their parameters rounded as for sending."""
+    return decode_feature_set(encode_for_wire(features, job.wire_dtype))
