@@ -68,12 +68,12 @@ class Contest:
 NO_CONTEST: Final = Contest()
 
 
-def train_from_prior(job: "TrainingJob", prior: Prior, contest: Contest) -> "TrainingResult":
-    """Run one round with the prior and the contest of the rounds before."""
+def train_from_prior(job: "TrainingJob", prior: Prior) -> "TrainingResult":
+    """Run one round of a flight that started from the prior."""
     from offboard.training.round import train
 
     known = job.buffer.joined(job.newest)
-    contest = contest.continued(job.newest)
+    contest = job.contest.continued(job.newest)
     result = train(replace(job, prior=None))
     refitted = _as_flown(refit(job, prior), job)
     trained = result.candidate
