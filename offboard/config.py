@@ -97,6 +97,14 @@ class ExperienceConfig(ConfigRecord):
 
     mode: Literal["learn", "frozen"] = Field(default="learn", description="frozen: fly what was loaded, learn nothing")
     checkpoint_period_s: float = Field(default=5.0, gt=0.0, description="s between checkpoints")
+    memory: str = Field(default="", description="folder of the memory to start from; empty: none (docs/memory.md)")
+    remember: bool = Field(default=False, description="add the flight to that memory when the process ends")
+
+    @model_validator(mode="after")
+    def _memory_to_remember_in(self) -> Self:
+        if self.remember and not self.memory:
+            raise ValueError("remember: true needs memory, the folder of the memory")
+        return self
 
 
 class PoseRelayConfig(ConfigRecord):

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from offboard.data.buffer import COLUMNS, SampleTable
-from offboard.training.network import InputPlan, NetworkState, feature_set, phi
+from offboard.training.network import InputPlan, NetworkState, feature_set, initial_state, phi
 from protocol.conventions import Array
 from protocol.feature_config import TrainedFeatures
 from protocol.feature_set import FeatureSet
@@ -105,6 +105,13 @@ class Memory:
             return self
         conditions = joined_conditions([(*self.conditions, condition)])
         return replace(self, prior=with_theta(self.prior, self.features, conditions), conditions=conditions)
+
+
+def unlearnt(features: TrainedFeatures) -> Memory:
+    """A memory without conditions; its inner layers are random, and no flight starts from them."""
+    network = initial_state(features, np.random.default_rng(0))
+    ones = np.ones(network.offset.shape[0])
+    return Memory(features, Prior(network, ones, ones), (), 0)
 
 
 def thinned(samples: SampleTable) -> SampleTable:

@@ -172,15 +172,11 @@ def _positive(key: str, values: NDArray[Any], channels: int) -> NDArray[np.float
     return values.astype(np.float64)
 
 
-def require_fit(memory: Memory, features: TrainedFeatures) -> None:
-    """Raise UnusableMemoryError, naming the key, if the memory's networks are not those that are configured."""
+def require_fit(learnt: TrainedFeatures, configured: TrainedFeatures) -> None:
+    """Raise UnusableMemoryError, naming the key, if the networks of a memory are not those that are configured."""
     for key in _SHAPE_KEYS:
-        of_memory, configured = getattr(memory.features, key), getattr(features, key)
-        if of_memory != configured:
+        of_memory, wanted = getattr(learnt, key), getattr(configured, key)
+        if of_memory != wanted:
             raise UnusableMemoryError(
-                f"features.trained.{key}: learnt with {_text(of_memory)}, configured is {_text(configured)}"
+                f"features.trained.{key}: {json.dumps(of_memory)}; allowed is {json.dumps(wanted)}"
             )
-
-
-def _text(value: Any) -> str:
-    return json.dumps(value)

@@ -24,11 +24,11 @@ from protocol.signals import CHANNELS
 if TYPE_CHECKING:
     from offboard.training.job import TrainingJob, TrainingResult
 
-EVIDENCE_HALF_LIFE_S: Final = 6.0
+EVIDENCE_HALF_LIFE_S: Final = 4.0
 EVIDENCE_MINIMUM_S: Final = 2.0
 """Newer samples than this decide before the networks trained on this flight may fly."""
 LEAD: Final = 0.03
-"""Share by which their error must be smaller than that of the refitted prior."""
+"""Share by which an entrant's errors must be smaller to take the lead of a channel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +43,8 @@ class Contest:
     """Sums of squared errors, fading: of refitted and trained, for each channel."""
     seconds: float = 0.0
     """s of samples in these sums, fading with them."""
+    trained_leads: tuple[bool, bool] = (False, False)
+    """Whether the networks trained on this flight lead, for each channel."""
 
     def continued(self, samples: SampleTable) -> "Contest":
         """The contest with the samples that are newer than its entrants.
@@ -57,12 +59,15 @@ class Contest:
         now = [_scatter(entrant, new) for entrant in (self.refitted, self.trained)]
         sums = fade * np.array(self.errors) + np.array(now)
         (a, b), (c, d) = sums.tolist()
-        return replace(self, errors=((a, b), (c, d)), seconds=fade * self.seconds + elapsed_s)
+        seconds = fade * self.seconds + elapsed_s
+        leads = self._lead(0, a, c, seconds), self._lead(1, b, d, seconds)
+        return replace(self, errors=((a, b), (c, d)), seconds=seconds, trained_leads=leads)
 
-    def trained_leads(self, channel: int) -> bool:
-        """Whether the networks trained on this flight have predicted this channel better than the refitted prior."""
-        refitted, trained = (errors[channel] for errors in self.errors)
-        return self.seconds >= EVIDENCE_MINIMUM_S and trained < (1.0 - LEAD) * refitted
+    def _lead(self, channel: int, refitted: float, trained: float, seconds: float) -> bool:
+        """Whether the trained networks lead with these errors: the lead changes only by a clear margin."""
+        if self.trained_leads[channel]:
+            return refitted >= (1.0 - LEAD) * trained
+        return seconds >= EVIDENCE_MINIMUM_S and trained < (1.0 - LEAD) * refitted
 
 
 NO_CONTEST: Final = Contest()
@@ -86,7 +91,7 @@ def train_from_prior(job: "TrainingJob", prior: Prior) -> "TrainingResult":
 
 
 def _leading(contest: Contest, at: int, refitted: FeatureSet, trained: FeatureSet) -> ChannelFeatures | None:
-    entrant = trained if contest.trained_leads(at) else refitted
+    entrant = trained if contest.trained_leads[at] else refitted
     return (entrant.position, entrant.attitude)[at]
 
 

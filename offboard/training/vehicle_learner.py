@@ -229,12 +229,16 @@ class VehicleLearner:
     def recall(self, memory: Memory) -> None:
         """Start from a memory: its inner layers and theta are the latest version, and every round starts from them.
 
+        A memory whose inner layers have not been learnt yet changes nothing.
+
         Raises
         ------
         UnusableMemoryError
             If its networks are not the configured ones.
         """
-        require_fit(memory, self._config.features.trained)
+        require_fit(memory.features, self._config.features.trained)
+        if memory.learnt == 0:
+            return
         self._memory = memory
         self.warm_start(memory.version())
 
