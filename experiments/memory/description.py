@@ -41,7 +41,7 @@ def _condition_row(memory: Memory, condition: Condition, own: Array) -> str:
     plan, values = InputPlan.of(memory.features), list[str]()
     channels = feature_set(memory.prior.network, plan, 1, 0, 0).channels
     for row, (at, channel) in enumerate(zip(plan.channels, channels, strict=True)):
-        Phi, Delta = phi(channel, condition.samples.signals), condition.samples.labels[:, at]
+        Phi, Delta = phi(channel, condition.samples.signals), condition.samples.labels[:, at].astype(np.float64)
         power = _rms(Delta)
         left = (_rms(Delta - Phi @ W) / max(power, 1e-12) for W in (own[row], channel.last_layer))
         values += [f"{power:.2f}", *(f"{share:.2f}" for share in left)]

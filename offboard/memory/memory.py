@@ -216,7 +216,8 @@ def agreement(fits: Sequence[_Fit]) -> Array:
     whole = np.maximum(power.sum(axis=0), 1e-12)
     f = match.sum(axis=0) / whole
     error = np.sqrt(np.square(match - f * power).sum(axis=0) * n / (n - 1)) / whole
-    return np.clip(f - error, 0.0, 1.0)
+    share: Array = np.clip(f - error, 0.0, 1.0)
+    return share
 
 
 def channel_names(features: TrainedFeatures) -> tuple[str, ...]:
