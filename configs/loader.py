@@ -150,7 +150,12 @@ def fill_section(record_type: type[RecordT], tree: Mapping[str, Any], source: st
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the keys of `over` laid over it: mappings are merged, everything else is replaced."""
+    """`base` with the keys of `over` laid over it: mappings are merged, everything else is replaced.
+
+    A mapping with another `kind` replaces: the keys of one kind mean nothing to the other.
+    """
+    if "kind" in over and "kind" in base and over["kind"] != base["kind"]:
+        return dict(over)
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)

@@ -14,8 +14,10 @@ from typing import Any, Final
 import numpy as np
 
 from experiments.flights.scenario import FlightConfig
+from experiments.margins.kalman import fastest_filter
 from onboard.control.cascade import CascadeSettings, ChannelSettings
 from onboard.control.laws.adaptive import AdaptiveConfig
+from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.indi import IncrementalConfig
 from onboard.control.laws.integral import IntegralConfig
 from onboard.control.laws.l1 import L1Config
@@ -95,6 +97,8 @@ def _law(channel: ChannelSettings, axis: int, s: Any) -> Any:
             return law.bandwidth_rad_s / (s + law.bandwidth_rad_s)
         case IncrementalConfig():  # a lap's table changes once per lap
             return 1.0 / (1.0 + law.filter_s * s)
+        case AdaptiveConfig(law=KalmanConfig()):
+            return fastest_filter(law.law, law.error_weight, gains, axis, s)
         case AdaptiveConfig():
             k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
             rate_weight = law.error_weight[1] / law.error_weight[0]

@@ -26,6 +26,7 @@ from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.laws.repetitive import Repetitive, RepetitiveConfig
 from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
+from onboard.control.slope import LoopGains
 from onboard.control.tracking_bound import TrackingBounds
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
@@ -87,7 +88,8 @@ def _augmentation(settings: CascadeSettings, channel: ChannelName, rng: np.rando
     config = one.augmentation
     match config:
         case AdaptiveConfig():
-            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng)
+            loop_gains = LoopGains.of(channel, settings.position.gains, settings.attitude.gains)
+            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng, loop_gains)
         case IntegralConfig():
             return Integral(config)
         case L1Config():
@@ -173,11 +175,11 @@ class CascadedController:
             new, plan = augmentation.plan(channel)
             if plan.refusal:
                 return plan.refusal
-            plans.append((augmentation, new, plan, channel.last_layer))
+            plans.append((augmentation, new, plan))
         if not plans:
             return "not_accepting"
-        for augmentation, new, plan, memory in plans:
-            augmentation.commit(new, plan, memory)
+        for augmentation, new, plan in plans:
+            augmentation.commit(new, plan)
         return ""
 
     def last_layers(self) -> tuple[Array | None, Array | None]:
