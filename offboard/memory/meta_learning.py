@@ -67,6 +67,10 @@ class _Learner:
         plan = InputPlan.of(features)
         labels = [one.samples.labels[:, list(plan.channels)].transpose(1, 0, 2) for one in conditions]
         self._scale = np.array([_rms([one[row] for one in labels]) for row in range(len(plan.channels))])
+        spreads = np.array([config.position_spread_m_s2, config.attitude_spread_rad_s2])[list(plan.channels)]
+        self._variance = spreads**2
+        self._relative = torch.from_numpy((spreads / self._scale) ** 2).float()[:, None, None, None]
+        """s of each channel."""
         self._data = [
             (
                 torch.from_numpy(plan.gather(one.samples.signals, network.offset, network.scale)).mT.contiguous(),
@@ -112,7 +116,7 @@ class _Learner:
 
     def _loss(self, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         """-2 log p of the labels, mean over conditions and samples, summed over channels and axes."""
-        Phi, n, s = self._phi(z), z.shape[2], self._config.variance
+        Phi, n, s = self._phi(z), z.shape[2], self._relative
         r = self._log_noise.exp()[:, None, None, None]
         k = Phi.shape[-1]
         L = torch.linalg.cholesky(Phi.mT @ Phi / r + torch.eye(k) / s)
@@ -133,7 +137,7 @@ class _Learner:
         blank = replace(start, last_layer=np.zeros_like(start.last_layer), last_bias=np.zeros_like(start.last_bias))
         network = replace(blank, weights=weights, biases=biases)
         noise = self._log_noise.detach().exp().double().numpy() * self._scale**2
-        return Prior(network, self._config.variance * self._scale**2, noise)
+        return Prior(network, self._variance, noise)
 
 
 def _rms(labels: Sequence[np.ndarray]) -> float:
