@@ -76,6 +76,9 @@ class TrainerConfig(ConfigRecord):
         description="of that regression, in standardised labels; each channel takes the one that does best"
         " on held-out samples, the first while there are too few",
     )
+    slope_weight: float = Field(
+        default=0.0, ge=0.0, description="of the mean squared slope over the unit box, in units of the ridge; 0: none"
+    )
     position_label_floor_m_s2: float = Field(default=0.2, gt=0.0, description="m/s^2, least scale of the labels")
     attitude_label_floor_rad_s2: float = Field(default=2.0, gt=0.0, description="rad/s^2, least scale of the labels")
 

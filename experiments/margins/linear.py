@@ -97,8 +97,8 @@ def _law(channel: ChannelSettings, axis: int, s: Any) -> Any:
             return law.bandwidth_rad_s / (s + law.bandwidth_rad_s)
         case IncrementalConfig():  # a lap's table changes once per lap
             return 1.0 / (1.0 + law.filter_s * s)
-        case AdaptiveConfig(law=KalmanConfig()):
-            return fastest_filter(law.law, law.error_weight, gains, axis, s)
+        case AdaptiveConfig(law=KalmanConfig() as covariance):
+            return fastest_filter(covariance, law.error_weight, gains, axis, s)
         case AdaptiveConfig():
             k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
             rate_weight = law.error_weight[1] / law.error_weight[0]

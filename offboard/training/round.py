@@ -16,7 +16,12 @@ from offboard.data.buffer import TEST, TRAINING, VALIDATION, SampleTable
 from offboard.training.evidence import evidence_of, held_out
 from offboard.training.gradient import LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
+<<<<<<< HEAD
 from offboard.training.network import InputPlan, NetworkState, feature_set, phi, scales_from_data
+=======
+from offboard.training.network import Array32, InputPlan, NetworkState, feature_set, phi, scales_from_data
+from offboard.training.slope_prior import slope_gram
+>>>>>>> kalman
 from offboard.training.spectral_bound import SpectralBound
 from protocol.conventions import Array
 from protocol.feature_codec import decode_feature_set, encode_for_wire
@@ -150,7 +155,7 @@ class _Round:
         """Ridge regression of the last layer, w_i being the probability that a mini-batch draws sample i.
 
         theta = argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge theta' D theta
-              = (Phi w Phi' + ridge D)^-1 Phi w y',  D = I, but nearly 0 for the constant feature
+              = (Phi w Phi' + ridge D)^-1 Phi w y',  D = I, but nearly 0 for the constant feature, + slope_weight G
 
         For each channel the ridge with the least scatter on the held-out samples is used.
         """
@@ -160,6 +165,9 @@ class _Round:
         gram, moment = Phi_w @ Phi.mT, Phi_w @ self._y.double().mT
         D = torch.eye(Phi.shape[1], dtype=torch.float64)
         D[-1, -1] = 1e-6
+        if self._job.config.slope_weight > 0.0:
+            used = tuple(map(len, self._plan.names))
+            D = D + self._job.config.slope_weight * slope_gram(self._parameters, used, self._generator)
         fits = [torch.linalg.solve(gram + ridge * D, moment) for ridge in self._job.config.ridges]
         scatters = torch.stack([_scatter(y_held_out - theta.mT @ Phi_held_out) for theta in fits])
         enough = Phi_held_out.shape[2] >= HELD_OUT_MINIMUM

@@ -95,4 +95,4 @@ def rounding_share(
     left = floor / (1.0 + floor * n / noise_variance)
     of_g = n * unit * largest * n**0.5 / noise_variance**0.5
     rounding = 4.0 * unit * largest + 2.0 * largest**0.5 * of_g + of_g * of_g
-    return rounding / left
+    return float(rounding / left)
