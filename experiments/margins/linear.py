@@ -17,9 +17,9 @@ from experiments.flights.scenario import FlightConfig
 from experiments.margins.kalman import fastest_filter
 from onboard.control.cascade import CascadeSettings, ChannelSettings
 from onboard.control.laws.adaptive import AdaptiveConfig
-from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.indi import IncrementalConfig
 from onboard.control.laws.integral import IntegralConfig
+from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.l1 import L1Config
 from protocol.conventions import Array
 

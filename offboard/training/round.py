@@ -16,12 +16,8 @@ from offboard.data.buffer import TEST, TRAINING, VALIDATION, SampleTable
 from offboard.training.evidence import evidence_of, held_out
 from offboard.training.gradient import LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
-<<<<<<< HEAD
 from offboard.training.network import InputPlan, NetworkState, feature_set, phi, scales_from_data
-=======
-from offboard.training.network import Array32, InputPlan, NetworkState, feature_set, phi, scales_from_data
 from offboard.training.slope_prior import slope_gram
->>>>>>> kalman
 from offboard.training.spectral_bound import SpectralBound
 from protocol.conventions import Array
 from protocol.feature_codec import decode_feature_set, encode_for_wire
