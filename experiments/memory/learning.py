@@ -1,16 +1,21 @@
 """Learns a memory from flights' logs and from other memories."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from configs.loader import ConfigError
+from experiments.flights.scenario import FlightConfig
+from experiments.flights.trace import FlightTrace
 from experiments.memory.logged_samples import labelled_samples
 from experiments.replays.recorded_flight import read_recorded
 from offboard.memory.config import MemoryConfig
 from offboard.memory.folder import memory_file, open_memory, write_memory
-from offboard.memory.memory import Condition, Memory, UnusableMemoryError, thinned
-from offboard.memory.memory_file import require_fit
+from offboard.memory.memory import Condition, Memory, UnusableMemoryError, thinned, unlearnt
+from offboard.memory.memory_file import dump_memory, load_memory, require_fit
 from protocol.feature_config import TrainedFeatures
 
 
@@ -38,14 +43,33 @@ def read_source(path: Path) -> Source:
     flight = read_recorded(path)
     if flight.trace is None:
         raise ConfigError(f"{path}: its logs have no onboard/tick to learn from")
-    time_ns = (flight.trace.time_s * 1e9).round().astype("int64")
-    samples = labelled_samples(time_ns, flight.trace.tick.rows, flight.config.offboard.labels)
-    if samples.rows == 0:
+    condition = condition_of(flight.config, flight.trace)
+    if condition.samples.rows == 0:
         raise ConfigError(f"{path}: no sample above the floor in which the controller could adapt")
-    config = flight.config
+    return Source(path, flight.config.features.trained, (condition,), None)
+
+
+def condition_of(config: FlightConfig, trace: FlightTrace) -> Condition:
+    """A flight as a condition."""
+    time_ns = (trace.time_s * 1e9).round().astype(np.int64)
+    samples = labelled_samples(time_ns, trace.tick.rows, config.offboard.labels)
     name = f"{config.scenario}, {config.controller}, seed {config.seed}"
-    condition = Condition(name, config.offboard.vehicle_id, thinned(samples))
-    return Source(path, config.features.trained, (condition,), None)
+    return Condition(name, config.offboard.vehicle_id, thinned(samples))
+
+
+def lesson(config: FlightConfig, trace: FlightTrace) -> bytes:
+    """The bytes of a memory that holds this flight alone; nothing is learnt from it yet."""
+    return dump_memory(unlearnt(config.features.trained).with_condition(condition_of(config, trace)))
+
+
+@lru_cache(maxsize=2)
+def learnt_from_lessons(lessons: tuple[bytes, ...]) -> bytes:
+    """The bytes of the memory that these memories teach together, with the default settings."""
+    sources = [
+        Source(Path(f"lesson {number}"), memory.features, memory.conditions, memory)
+        for number, memory in enumerate(map(load_memory, lessons))
+    ]
+    return dump_memory(learn_from(sources, MemoryConfig()))
 
 
 def learn_from(sources: Sequence[Source], config: MemoryConfig) -> Memory:
