@@ -83,12 +83,14 @@ class TrainerConfig(ConfigRecord):
 class GateConfig(ConfigRecord):
     """When a trained version is sent (docs/learning.md)."""
 
-    trigger_unexplained: float = Field(
-        default=0.01, ge=0.0, description="least held-out loss of the flying version, per power of the labels"
+    trigger: float = Field(
+        default=0.3,
+        ge=0.0,
+        description="least gain in held-out loss over the flying version, per held-out loss that training leaves",
     )
-    margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which the new loss must be smaller")
-    significance: float = Field(default=1.0, ge=0.0, description="standard errors by which it must be smaller")
-    minimum_validation: int = Field(default=20, ge=2, description="least held-out samples")
+    significance: float = Field(default=1.0, ge=0.0, description="standard errors by which the loss must be smaller")
+    margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which a channel's loss may rise")
+    minimum_validation: int = Field(default=20, ge=2, description="least held-out labels of each channel")
     interval_s: float = Field(default=1.0, ge=0.0, description="s, least time between two versions")
 
 

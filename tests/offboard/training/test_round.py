@@ -80,7 +80,7 @@ def test_a_diverged_round_is_undone() -> None:
     )
     assert result.state.rounds == job.state.rounds + 1
     config = offboard_config()
-    gate = Gate(config.gate, config.features.trained.spectral_norm_max)
+    gate = Gate(config.gate, config.features.trained)
     verdict = gate.judge(result.candidate, result.evidence, 10**10)
     assert verdict is Verdict.NOT_FINITE
 
