@@ -203,6 +203,7 @@ class OffboardCore:
             "flying_version": self._versions.flying_version,
             "sent_version": self.learner.version,
             **self.learner.counts(),
+            "unused": sum(self.learner.unused.values()),
             "poses": self._relay.relayed,
             **self.learner.validation_losses,
         }

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from offboard.config import BufferConfig
 from offboard.data.labels import LabelledSample
-from offboard.data.novelty import HistoryNovelty, KernelNovelty, gaussian_kernel, swap_for_largest_sigma_min
+from offboard.data.novelty import HistoryNovelty, KernelNovelty, swap_for_largest_sigma_min
 from protocol.conventions import Array
 from protocol.feature_config import FeatureInputs
 from protocol.signals import CHANNELS, SIGNAL_COUNT, input_indices
@@ -32,8 +32,8 @@ VALIDATION: Final = 1
 TEST: Final = 2
 COLUMNS: Final = ("time_ns", "signals", "labels", "split", "condition")
 """The fields of SampleTable, in their order."""
-SIMILAR: Final = float(np.exp(-0.5))
-"""Least kernel between two samples of two conditions that counts as the same place: one kernel width apart."""
+SAME_PLACE: Final = 1.0
+"""Kernel widths between two samples of different conditions below which they are at the same place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,10 +162,11 @@ class NoveltyBuffer:
         if own.all() or not own.any():
             return rows
         points = self._point(rows.signals.astype(np.float64))
-        covered = np.zeros(rows.rows, dtype=np.bool_)
-        for point in points[own]:
-            covered |= gaussian_kernel(points, point) > SIMILAR
-        return rows.take(own | ~covered)
+        theirs, ours = points[~own], points[own]
+        squares = (theirs**2).sum(axis=1)[:, None] + (ours**2).sum(axis=1) - 2.0 * theirs @ ours.T
+        used = own.copy()
+        used[~own] = squares.min(axis=1) > SAME_PLACE**2
+        return rows.take(used)
 
     def set_features(self, features: FeatureFunction) -> None:
         """Use other features. Their stack is computed when it is next needed."""
@@ -218,7 +219,7 @@ class NoveltyBuffer:
                 self._kernel.add(self.count - 1, self._point(sample.signals), sample.condition)
             self._fill(self.count - 1, sample, split)
             return
-        slots = self._largest_condition()
+        slots = self._largest_condition(sample.condition)
         if self._config.deletion == "svd":
             Phi, gram = self._need_stack(), self._gram
             if slots.size < self.count:
@@ -228,10 +229,12 @@ class NoveltyBuffer:
         else:
             self._replace(int(slots[np.argmin(self._entered[slots])]), sample, split)
 
-    def _largest_condition(self) -> NDArray[np.intp]:
-        """Slots of the condition with the most samples, of several equal ones the oldest."""
-        conditions, counts = np.unique(self.table.condition[: self.count], return_counts=True)
-        return np.flatnonzero(self.table.condition[: self.count] == conditions[np.argmax(counts)])
+    def _largest_condition(self, condition: int) -> NDArray[np.intp]:
+        """Slots of the condition with the most samples; of several equal ones `condition`, else the oldest."""
+        stored = self.table.condition[: self.count]
+        conditions, counts = np.unique(stored, return_counts=True)
+        largest = conditions[counts == counts.max()]
+        return np.flatnonzero(stored == (condition if condition in largest else largest[0]))
 
     def _replace(self, slot: int, sample: LabelledSample, split: int) -> None:
         if self._config.admission == "kernel":

@@ -49,7 +49,8 @@ class KernelNovelty:
     def _kernel(self, x: Array, condition: int) -> Array:
         """k_X = exp(-norm(X - x)^2 / 2), zero at empty slots and at those of other conditions."""
         size = self._K_inverse.shape[0]
-        k = gaussian_kernel(self._X[:size], x)
+        distance = self._X[:size] - x
+        k: Array = np.exp(-0.5 * np.einsum("ij,ij->i", distance, distance))
         k *= self._condition[:size] == condition
         return k
 
@@ -106,13 +107,6 @@ class KernelNovelty:
         self._X[slot] = x
         self._condition[slot] = condition
         self._asked = None
-
-
-def gaussian_kernel(X: Array, x: Array) -> Array:
-    """exp(-norm(X - x)^2 / 2) of each point of X [n, inputs] with x [inputs], [n]."""
-    distance = X - x
-    k: Array = np.exp(-0.5 * np.einsum("ij,ij->i", distance, distance))
-    return k
 
 
 class HistoryNovelty:

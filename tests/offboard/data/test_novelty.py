@@ -49,6 +49,24 @@ def test_gamma_does_not_drift_over_thousands_of_swaps() -> None:
     assert novelty.gamma(x)[0] == pytest.approx(brute_gamma(kept, x), abs=1e-5)
 
 
+def test_a_point_of_another_condition_explains_nothing() -> None:
+    rng = np.random.default_rng(4)
+    points, condition = rng.normal(0.0, 0.7, (60, 3)), rng.integers(0, 3, 60)
+    novelty = KernelNovelty(64, 3)
+    for slot, x in enumerate(points):
+        novelty.add(slot, x, int(condition[slot]))
+    for slot in range(0, 60, 7):  # a slot may pass to another condition
+        points[slot], condition[slot] = rng.normal(0.0, 0.7, 3), (condition[slot] + 1) % 3
+        novelty.replace(slot, points[slot], int(condition[slot]))
+    x = rng.normal(0.0, 0.7, 3)
+    for one in range(3):
+        gamma, nearest = novelty.gamma(x, one)
+        own = np.flatnonzero(condition == one)
+        assert gamma == pytest.approx(brute_gamma(points[own], x), abs=1e-6)
+        assert nearest == own[((points[own] - x) ** 2).sum(axis=1).argmin()]
+    assert novelty.gamma(x, 3) == (1.0, -1)
+
+
 def smallest_singular_value(Phi: np.ndarray) -> float:
     return float(np.linalg.svd(Phi, compute_uv=False)[-1])
 
