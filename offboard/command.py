@@ -120,9 +120,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _load_torch(vehicles: Sequence[Vehicle]) -> None:
-    """Load torch, which takes seconds, before the first pose waits for its relay."""
+    """Load torch, which takes seconds, before the first pose waits for its relay; one thread, for this process.
+
+    More threads make products this small slower, and one thread sums in a fixed order.
+    """
     if any(vehicle.config.experience.mode == "learn" for vehicle in vehicles):
+        import torch
+
         import offboard.training.round  # noqa: F401
+
+        torch.set_num_threads(1)
 
 
 def _open_services(vehicles: Sequence[Vehicle], logs: ExitStack, several: bool) -> list[VehicleService]:

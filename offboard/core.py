@@ -198,7 +198,8 @@ class OffboardCore:
             (self._relay.relayed, self._relay.rejected.total()),
             (self.learner.samples, self.learner.labelled),
         )
-        return [link_record(self.endpoint.statistics, poses, samples, self._versions.flying_version, now_ns)]
+        flying, unused = self._versions.flying_version, self.learner.unused
+        return [link_record(self.endpoint.statistics, poses, samples, flying, unused, now_ns)]
 
     def status(self, now_ns: int) -> dict[str, int | float | None]:
         """The values of a status line."""
@@ -208,6 +209,7 @@ class OffboardCore:
             "flying_version": self._versions.flying_version,
             "sent_version": self.learner.version,
             **self.learner.counts(),
+            "unused": sum(self.learner.unused.values()),
             "poses": self._relay.relayed,
             **self.learner.validation_losses,
         }
@@ -219,6 +221,7 @@ class OffboardCore:
             "version": self.learner.version,
             **self.learner.counts(),
             "verdicts": dict(self.learner.verdicts),
+            "unused": dict(self.learner.unused),
             "received": link.received,
             "lost": link.lost,
             "sent": link.sent,

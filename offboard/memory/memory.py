@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from offboard.data.buffer import COLUMNS, SampleTable
+from offboard.data.buffer import SampleTable
 from offboard.training.network import InputPlan, NetworkState, feature_set, initial_state, phi
 from protocol.conventions import Array
 from protocol.feature_config import TrainedFeatures
@@ -26,6 +26,8 @@ from protocol.signals import CHANNELS
 CONDITIONS_MAX: Final = 512
 SAMPLES_PER_CONDITION: Final = 600
 """A longer flight is thinned evenly to so many."""
+CONDITION_COLUMNS: Final = ("time_ns", "signals", "labels")
+"""What a memory stores of a sample."""
 INDEPENDENT_S: Final = 0.12
 """s; labels closer together in time share their smoothing window (offboard.config.LabelConfig)."""
 
@@ -43,7 +45,7 @@ class Condition:
     vehicle: int
     """offboard.vehicle_id."""
     samples: SampleTable
-    """In order of time; their split is not used."""
+    """In order of time, each with the labels of both channels: their CONDITION_COLUMNS are what counts."""
 
     @property
     def duration_s(self) -> float:
@@ -62,7 +64,7 @@ class Condition:
     def digest(self) -> str:
         """The same for the same samples: a condition is in a memory once, whatever its name."""
         state = blake2b(digest_size=8)
-        for column in COLUMNS[:3]:
+        for column in CONDITION_COLUMNS:
             state.update(np.ascontiguousarray(getattr(self.samples, column)).tobytes())
         return state.hexdigest()
 
@@ -115,7 +117,8 @@ def unlearnt(features: TrainedFeatures) -> Memory:
 
 
 def thinned(samples: SampleTable) -> SampleTable:
-    """At most SAMPLES_PER_CONDITION of the samples, evenly spread."""
+    """At most SAMPLES_PER_CONDITION of the samples that have all labels, evenly spread."""
+    samples = samples.take(np.flatnonzero(np.isfinite(samples.labels).all(axis=(1, 2))))
     if samples.rows <= SAMPLES_PER_CONDITION:
         return samples
     return samples.take(np.linspace(0, samples.rows - 1, SAMPLES_PER_CONDITION).round().astype(np.intp))

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from configs.loader import ConfigError, fill
-from offboard.data.buffer import COLUMNS, SampleTable
-from offboard.memory.memory import Condition, Memory, Prior, UnusableMemoryError
+from offboard.data.buffer import SampleTable
+from offboard.memory.memory import CONDITION_COLUMNS, Condition, Memory, Prior, UnusableMemoryError
 from offboard.training.network import NetworkState, initial_state
 from protocol.feature_config import TrainedFeatures
 from protocol.signals import SIGNAL_NAMES
@@ -55,7 +55,7 @@ def dump_memory(memory: Memory) -> bytes:
     for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
         arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
     for number, condition in enumerate(memory.conditions):
-        arrays |= {f"condition_{number}_{column}": getattr(condition.samples, column) for column in COLUMNS}
+        arrays |= {f"condition_{number}_{column}": getattr(condition.samples, column) for column in CONDITION_COLUMNS}
     header = {
         "format": FORMAT,
         "sha256": _digest(arrays),
@@ -155,14 +155,14 @@ def _check_network(network: NetworkState, blank: NetworkState) -> None:
 
 
 def _condition(number: int, about: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Condition:
-    table = SampleTable(*(arrays[f"condition_{number}_{column}"] for column in COLUMNS))
-    blank = SampleTable.empty(table.time_ns.shape[0])
-    for column in COLUMNS:
-        found, expected = getattr(table, column), getattr(blank, column)
+    table = SampleTable.empty(arrays[f"condition_{number}_time_ns"].shape[0])
+    for column in CONDITION_COLUMNS:
+        found, expected = arrays[f"condition_{number}_{column}"], getattr(table, column)
         if found.shape != expected.shape or found.dtype != expected.dtype:
             raise ValueError(f"condition_{number}_{column}: {found.dtype} {found.shape}, expected {expected.shape}")
         if not np.isfinite(found).all():
             raise ValueError(f"condition_{number}_{column}: a value is not finite")
+        expected[:] = found
     return Condition(str(about["name"]), int(about["vehicle"]), table)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from offboard.data.buffer import VALIDATION, SampleTable
 from offboard.training.gate import Evidence
-from offboard.training.network import Array32, InputPlan, phi
+from offboard.training.network import Array32, InputPlan, largest_singular_values, phi
 from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
@@ -25,7 +25,9 @@ def evidence_of(job: "TrainingJob", candidate: FeatureSet, numpy_difference: flo
         flying_errors=squared_errors(job.flying, table.signals, labels),
         label_power=_power(labels, InputPlan.of(job.network_config).channels),
         numpy_difference=numpy_difference,
-        spectral_norms=tuple(float(np.linalg.norm(W, 2)) for channel in candidate.channels for W in channel.weights),
+        spectral_norms=tuple(
+            float(largest_singular_values(W[None])[0]) for channel in candidate.channels for W in channel.weights
+        ),
     )
 
 
@@ -37,7 +39,10 @@ def held_out(job: "TrainingJob", split: int) -> SampleTable:
 
 
 def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array) -> Array:
-    """norm(y - theta' Phi)^2 of each sample and channel, [n, 2]; a channel without features predicts 0."""
+    """norm(y - theta' Phi)^2 of each sample and channel, [n, 2]; a channel without features predicts 0.
+
+    NaN where the channel has no label.
+    """
     errors = labels.copy()
     for at, channel in enumerate((features.position, features.attitude) if features is not None else ()):
         if channel is not None and signals.shape[0]:
@@ -47,8 +52,9 @@ def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array)
 
 
 def _power(labels: Array, channels: tuple[int, ...]) -> Array:
-    """Mean squared norm of the labels of each channel, [2]; NaN for a channel that is not learnt."""
+    """Mean squared norm of the labels of each channel, [2]; NaN for a channel that is not learnt, or has no label."""
     power = np.full(len(CHANNELS), np.nan)
-    if labels.shape[0]:
-        power[list(channels)] = np.square(labels).sum(axis=2).mean(axis=0)[list(channels)]
+    for channel in channels:
+        known = labels[~np.isnan(labels[:, channel, 0]), channel]
+        power[channel] = np.square(known).sum(axis=1).mean() if known.shape[0] else np.nan
     return power

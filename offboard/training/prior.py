@@ -83,16 +83,36 @@ def train_from_prior(job: "TrainingJob", prior: Prior) -> "TrainingResult":
     refitted = _as_flown(refit(job, prior), job)
     trained = result.candidate
     leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
-    candidate = replace(trained, position=leading[0], attitude=leading[1])
+    candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
     contest = replace(contest, made_ns=int(known.time_ns.max(initial=0)), refitted=refitted, trained=trained)
     evidence = evidence_of(job, candidate, result.evidence.numpy_difference)
     diverged = not np.isfinite(result.evidence.candidate_errors).all()
     return result if diverged else replace(result, candidate=candidate, evidence=evidence, contest=contest)
 
 
+def _without_losses(job: "TrainingJob", candidate: FeatureSet) -> FeatureSet:
+    """The candidate, but each channel that the flying version explains as well, on held-out samples, as it flies.
+
+    Otherwise the gate would keep back what one channel gains for what the other one may lose.
+    """
+    if job.flying is None:
+        return candidate
+    evidence, channels = evidence_of(job, candidate, 0.0), list[ChannelFeatures | None]()
+    for at, (new, flying) in enumerate(zip(_both(candidate), _both(job.flying), strict=True)):
+        gains = evidence.flying_errors[:, at] - evidence.candidate_errors[:, at]
+        gains = gains[np.isfinite(gains)]
+        keeps = flying is not None and not (gains.size and gains.mean() > 0.0)
+        channels.append(flying if keeps else new)
+    return replace(candidate, position=channels[0], attitude=channels[1])
+
+
+def _both(features: FeatureSet) -> tuple[ChannelFeatures | None, ChannelFeatures | None]:
+    return features.position, features.attitude
+
+
 def _leading(contest: Contest, at: int, refitted: FeatureSet, trained: FeatureSet) -> ChannelFeatures | None:
     entrant = trained if contest.trained_leads[at] else refitted
-    return (entrant.position, entrant.attitude)[at]
+    return _both(entrant)[at]
 
 
 def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
@@ -110,8 +130,10 @@ def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
     weights = _weights(newest, buffer, job.buffer_config.newest_fraction, job.buffer_config.newest_scale)
     fitted: list[ChannelFeatures | None] = [None, None]
     for row, (at, channel) in enumerate(zip(plan.channels, start.channels, strict=True)):
-        root = np.sqrt(weights)[:, None]
-        Phi, Delta = phi(channel, samples.signals) * root, samples.labels[:, at].astype(np.float64) * root
+        known = ~np.isnan(samples.labels[:, at, 0])
+        root = np.sqrt(weights[known])[:, None]
+        Phi = phi(channel, samples.signals[known]) * root
+        Delta = samples.labels[known, at].astype(np.float64) * root
         W = posterior_mean(Phi, Delta, channel.last_layer, float(prior.variance[row] / prior.noise[row]))
         fitted[at] = replace(channel, last_layer=W)
     return replace(start, position=fitted[0], attitude=fitted[1])
@@ -132,9 +154,10 @@ def _weights(newest: SampleTable, buffer: SampleTable, newest_fraction: float, n
 def _scatter(features: FeatureSet, samples: SampleTable) -> list[float]:
     """Sum of squared errors about their mean, of both channels; 0 for a channel without features."""
     found = [0.0, 0.0]
-    for at, channel in enumerate((features.position, features.attitude)):
-        if channel is not None:
-            errors = samples.labels[:, at] - phi(channel, samples.signals) @ channel.last_layer
+    for at, channel in enumerate(_both(features)):
+        known = ~np.isnan(samples.labels[:, at, 0])
+        if channel is not None and known.any():
+            errors = samples.labels[known, at] - phi(channel, samples.signals[known]) @ channel.last_layer
             found[at] = float(np.square(errors - errors.mean(axis=0)).sum())
     return found
 

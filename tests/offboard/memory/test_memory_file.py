@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offboard.data.buffer import COLUMNS
-from offboard.memory.memory import Memory, UnusableMemoryError
+from offboard.memory.memory import CONDITION_COLUMNS, Memory, UnusableMemoryError
 from offboard.memory.memory_file import HEADER, dump_memory, is_memory, load_memory, require_fit
 from tests.offboard.memory.conditions import FEATURES, condition, random_prior
 
@@ -38,7 +37,9 @@ def test_what_is_written_is_read() -> None:
     assert [one.name for one in after.conditions] == ["jet", "calm"]
     for one, other in zip(before.conditions, after.conditions, strict=True):
         assert one.digest == other.digest
-        assert all(np.array_equal(getattr(one.samples, name), getattr(other.samples, name)) for name in COLUMNS)
+        assert all(
+            np.array_equal(getattr(one.samples, name), getattr(other.samples, name)) for name in CONDITION_COLUMNS
+        )
     np.testing.assert_array_equal(after.prior.variance, before.prior.variance)
     for W, V in zip(after.prior.network.weights, before.prior.network.weights, strict=True):
         np.testing.assert_array_equal(W, V)
