@@ -170,15 +170,18 @@ class CascadedController:
 
     def offer_features(self, features: FeatureSet) -> str:
         """Swap the features of both channels in one tick, or refuse."""
-        plans = []
+        plans, offered = [], False
         for augmentation, channel in zip(self.augmentations, (features.position, features.attitude), strict=True):
             if channel is None or not isinstance(augmentation, AdaptiveAugmentation) or not augmentation.learns:
                 continue
+            offered = True
+            if augmentation.flies(channel):
+                continue  # a swap would forget S
             new, plan = augmentation.plan(channel)
             if plan.refusal:
                 return plan.refusal
             plans.append((augmentation, new, plan))
-        if not plans:
+        if not offered:
             return "not_accepting"
         for augmentation, new, plan in plans:
             augmentation.commit(new, plan)

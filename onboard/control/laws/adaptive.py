@@ -127,6 +127,10 @@ class AdaptiveAugmentation:
         """Whether the features may be replaced by trained ones."""
         return self._config.features == "network"
 
+    def flies(self, channel: ChannelFeatures) -> bool:
+        """Whether these features, with this theta, are in use already."""
+        return isinstance(self.features, NetworkFeatures) and self.features.channel.same_as(channel)
+
     def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
         """Plan a swap to these features; nothing changes yet."""
         new = NetworkFeatures(channel)

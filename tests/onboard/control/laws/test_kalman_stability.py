@@ -75,7 +75,7 @@ class Plant:
 @pytest.mark.parametrize("drift", [0.0, 0.5, 3.0])
 @pytest.mark.parametrize("tracking_gain", [300.0, 1e4])
 def test_v_obeys_its_inequality_on_a_linear_plant_with_a_drifting_delta(drift, tracking_gain):
-    """V_dot <= -kappa value + forcing, with nothing asked of the excitation or of the tracking gain."""
+    """V_dot <= -kappa V + forcing, with nothing asked of the excitation or of the tracking gain."""
     plant = Plant(drift, tracking_gain=tracking_gain)
     value = start = plant.V()
     for _ in range(3000):
