@@ -15,6 +15,8 @@ That ratio is what the position loop needs. The attitude loop needs the gain of 
 where the mass is nominal or grows like the inertia. A mean force of the air along the axis counts as thrust: 0.4 m/s^2
 of it are 4 %. A chipped rotor is a lower mean thrust, which k follows, and a torque, which is left to the laws. So is
 all that is faster than k: k is one number, and its error is part of Delta. Battery sag is slower than k; k follows.
+Where noise drives the motors hard, a lag up that differs from the lag down biases the mean of the modelled thrust, and
+k by some percent. Least k: with 0.47, full thrust is the weight of the nominal vehicle.
 
 **Why it is slow.** The laws of the cascade compensate within some 0.1 s what the model does not explain. k takes over
 the part that stays, as a gain: the loop gain becomes the nominal one again, which no additive nu_ad can do. With a tau
