@@ -56,7 +56,7 @@ def test_both_directions_of_the_attitude_dynamics_know_the_gyroscopic_torque() -
     torque = (1e-3, -2e-3, 3e-4)
     inputs = rig.inputs()
     for _ in range(2):  # u_hat is the mean of two ticks
-        _, attitude = rig.uncertainty.step(inputs.state, Delivered(np.zeros(4), 0.5, torque))
+        _, attitude = rig.uncertainty.step(inputs.state, [Delivered(np.zeros(4), 0.5, torque)])
     output = rig.controller.step(inputs)
     np.testing.assert_allclose(output.torque_nm, J @ output.attitude.demand + gyroscopic, rtol=1e-9)
     expected = np.linalg.solve(J, np.array(torque) - gyroscopic)
