@@ -71,10 +71,12 @@ def plan_posterior_swap(
     theta, _ = bounded_theta(channel, gains, law.config.slope_share, states, Phi_bar)
     if config.naive and law.theta.shape == theta.shape:
         X, S = np.vstack([law.W - theta, law.b]), law.state.S.copy()
+    elif law.config.composite_gain == 0.0:  # a law that is off flies the trained map
+        X, S = np.zeros((k + 1, 3)), np.diag(prior)
     else:
         X, S = posterior(law, prior, Phi_bar[:, :-2], y - Phi_bar[:, :-2].T @ theta, times)
     change = evaluate(law.config, theta, X, S, Phi_bar) - law.estimate(Phi)
-    if not config.naive:
+    if not config.naive and law.config.composite_gain > 0.0:
         X[-1] -= change[:, -2]
         change -= change[:, [-2]]
     jumps = np.sqrt((change * change).sum(axis=0))

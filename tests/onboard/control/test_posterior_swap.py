@@ -122,6 +122,15 @@ def test_a_map_that_was_right_is_kept_and_a_wrong_one_is_corrected_at_once():
     assert np.median(misfit[:, -20:]) < 0.35 * np.median(np.abs(np.ones((3, 10)) @ Phi))
 
 
+def test_a_law_that_is_off_flies_the_trained_map():
+    augmentation, state, _ = flying(SwapConfig(jump_max=1e9), composite_gain=0.0, tracking_gain=0.0)
+    source = channel(9)
+    augmentation.commit(*augmentation.plan(source))
+    Phi = augmentation.features.evaluate(augmentation.features.select(state.signals))
+    nu = augmentation.step(state, ChannelTelemetry())
+    np.testing.assert_allclose(nu, source.last_layer.T @ Phi[:, 1], atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("source", "swap_config", "reason"),
     [
