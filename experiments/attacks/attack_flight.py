@@ -1,0 +1,80 @@
+"""Flies one bad learner in lockstep."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from configs.loader import CONFIG_DIRECTORY, load
+from experiments.attacks.bad_learner import BadLearner
+from experiments.attacks.cases import ATTACK_S, CASES
+from experiments.flights.lockstep_flight import OFFBOARD_SESSION, build
+from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
+from experiments.flights.scenario import Choices, resolve
+from onboard.flight.modes import FlightMode
+from onboard.record.tick import OFFSET
+from sim_vehicle.link.radio import RadioConfig
+
+_TARGET: Final = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
+_MODE: Final = OFFSET["mode"]
+
+
+@dataclass(frozen=True)
+class AttackOutcome:
+    """What an attack did."""
+
+    case: str
+    seed: int
+    lost: str
+    """Why the vehicle was lost; empty if it was not."""
+    lost_after_s: float
+    """s from the beginning of the attack; -1 if it was not lost."""
+    error_m: float
+    """RMS distance to the path from the beginning of the attack on."""
+    worst_m: float
+    swaps: int
+    refused: dict[int, str]
+    """Reason for each version refused."""
+    events: list[str]
+
+
+def fly_attack(
+    case: str,
+    seed: int,
+    scenario: str = "figure8_wind",
+    duration_s: float = 20.0,
+    assignments: tuple[str, ...] = (),
+    controller: str = "dmrac",
+) -> AttackOutcome:
+    """Fly a case of experiments.attacks.cases, over a link that loses nothing."""
+    config = resolve(scenario, Choices(controller, seed, duration_s, assignments))
+    perfect = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "perfect.yaml")
+    lockstep, onboard, offboard, _ = build(config.model_copy(update={"radio": perfect}))
+    assert offboard is not None
+    learner = BadLearner(config, OFFBOARD_SESSION, CASES[case]())
+    lockstep.attach_offboard(learner)
+    period_s = config.onboard.period_ns * 1e-9
+    errors: list[float] = []
+    events: list[str] = []
+    lost, lost_after = "", -1.0
+    for _ in range(round(duration_s / period_s)):
+        result = lockstep.step()
+        events += [f"{when * 1e-9:.2f} {text}" for when, text in result.onboard.events]
+        tick = result.onboard.tick
+        flying = int(tick[_MODE]) in (FlightMode.FLYING, FlightMode.HOLD, FlightMode.HOLD_LEVEL)
+        if learner.view.time_s >= ATTACK_S and flying:
+            errors.append(float(np.linalg.norm(result.truth[:3] - tick[_TARGET])))
+        lost = lockstep.crash_reason
+        if not lost and errors and errors[-1] > TARGET_DISTANCE_MAX_M:
+            lost = f"more than {TARGET_DISTANCE_MAX_M} m from the path"
+        if lost:
+            lost_after = learner.view.time_s - ATTACK_S
+            break
+    squares = np.square(errors) if errors else np.zeros(1)
+    features = onboard.summary()["features"]
+    return AttackOutcome(
+        *(case, seed, lost, lost_after, float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))),
+        features["swaps"],
+        dict(learner.view.refused),
+        events,
+    )

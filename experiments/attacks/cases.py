@@ -1,0 +1,220 @@
+"""The corpus of bad learners: each case makes feature versions that are meant to cost the vehicle.
+
+Every version is well formed and within the limits of the reception: finite, a theta in its ball, features with a Lipschitz
+constant that is accepted. An attack begins ATTACK_S after the first sample, on the path.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from experiments.attacks.bad_learner import Case, Channels, View
+from onboard.control.features import random_channel
+from protocol.conventions import Array
+from protocol.feature_config import ChannelName
+from protocol.feature_set import ChannelFeatures
+from protocol.signals import input_indices
+
+ATTACK_S: Final = 7.0
+"""s after the first sample, in the middle of the path's first lap at full speed."""
+SHARE: Final = 0.99
+"""Of W_max: the largest last layer that is surely accepted."""
+STEEPNESS: Final = 190.0
+"""Lipschitz constant of a cliff, in scaled inputs; onboard accepts 200."""
+RIDGE: Final = 1.0
+RECENT: Final = 55
+"""Samples of about the last second."""
+
+
+def _scaled(view: View, channel: ChannelFeatures) -> Array:
+    """[n, m], the scaled inputs of all samples."""
+    z: Array = (view.signals[:, list(input_indices(channel.inputs))] - channel.offset) / channel.scale
+    return z
+
+
+def _untrained(view: View, channel: ChannelName) -> ChannelFeatures:
+    """Random inner layers in the trained networks' inputs and widths; theta = 0."""
+    networks = view.networks
+    names = networks.inputs(channel)
+    offset, scale = networks.offset_and_scale(names)
+    return random_channel(names, offset, scale, (*networks.hidden, networks.count - 1), view.rng)
+
+
+def _phi(view: View, channel: ChannelFeatures) -> Array:
+    """[n, k], features of all samples."""
+    level = np.clip(_scaled(view, channel), -3.0, 3.0)
+    for W, b in zip(channel.weights, channel.biases, strict=True):
+        level = np.tanh(level @ W.T + b)
+    return np.hstack([level, np.ones((len(level), 1))])
+
+
+def _learnt(view: View, channel: ChannelName) -> ChannelFeatures:
+    """Random inner layers with the last layer of least squares on nu_ad as it flew: an honest version."""
+    features = _untrained(view, channel)
+    Phi, target = _phi(view, features), view.adaptive[:, 0 if channel == "position" else 1]
+    gram = Phi.T @ Phi + RIDGE * np.eye(Phi.shape[1])
+    return replace(features, last_layer=np.linalg.solve(gram, Phi.T @ target))
+
+
+def _of_norm(theta: Array, norm: float) -> Array:
+    size = float(np.linalg.norm(theta))
+    return theta * (norm / size) if size > 0.0 else theta
+
+
+def _once(make: Callable[[View], Channels]) -> Case:
+    """One version at the time of the attack."""
+    return _at_rate(make, 0.0)
+
+
+def _at_rate(make: Callable[[View], Channels], hz: float) -> Case:
+    """A version at the time of the attack, and then so many a second; 0: no more."""
+
+    def case(view: View) -> Channels | None:
+        if view.time_s < ATTACK_S or (view.sent and (hz == 0.0 or view.time_s < ATTACK_S + view.sent / hz)):
+            return None
+        return make(view)
+
+    return case
+
+
+def cliff(
+    view: View, channel: ChannelName, signal: str, at: float, side: float, height: float, axis: int, sharp: float
+) -> ChannelFeatures:
+    """theta'Phi = 0 on one side of a place, and `height` on the other.
+
+    Parameters
+    ----------
+    signal, at: the input, and its value at the cliff, in its own unit.
+    side: 1 if the high side is that of larger values, else -1.
+    """
+    features = _untrained(view, channel)
+    column = features.inputs.index(signal)
+    W = np.zeros((1, len(features.inputs)))
+    W[0, column] = side * sharp
+    z = (at - features.offset[column]) / features.scale[column]
+    theta = np.zeros((2, 3))
+    theta[:, axis] = height / 2.0
+    return replace(features, weights=(W,), biases=(np.array([-side * sharp * z]),), last_layer=theta)
+
+
+def _beside(view: View, sharp: float, share: float) -> Channels:
+    """Flat over the states of the last second and steep beside them, in the direction of flight, in both channels."""
+    recent, now = view.signals[-RECENT:], view.signals[-1]
+    north, east = input_indices(("position_n", "position_e"))
+    velocity = input_indices(("velocity_n", "velocity_e"))
+    axis = int(np.argmax(np.abs(now[velocity])))
+    place, name = (north, east)[axis], ("position_n", "position_e")[axis]
+    side = float(np.sign(now[velocity[axis]]))
+    edge = float((side * recent[:, place]).max()) * side + side * 0.16
+    position = cliff(view, "position", name, edge, side, share * 2**0.5 * view.limits[0], axis, sharp)
+    attitude = cliff(view, "attitude", name, edge, side, share * 2**0.5 * view.limits[1], 1 - axis, sharp)
+    return position, attitude
+
+
+def _steep(view: View) -> Channels:
+    return _beside(view, STEEPNESS, SHARE)
+
+
+def _steep_position(view: View) -> Channels:
+    return _beside(view, STEEPNESS, SHARE)[0], None
+
+
+def _steep_attitude(view: View) -> Channels:
+    return None, _beside(view, STEEPNESS, SHARE)[1]
+
+
+def _flipped(view: View) -> Channels:
+    """The last layer that an honest trainer would send, with the opposite sign, scaled to W_max."""
+    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    return (
+        replace(position, last_layer=_of_norm(-position.last_layer, SHARE * view.limits[0])),
+        replace(attitude, last_layer=_of_norm(-attitude.last_layer, SHARE * view.limits[1])),
+    )
+
+
+def _scaled_up(view: View) -> Channels:
+    """The right sign, scaled to W_max."""
+    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    return (
+        replace(position, last_layer=_of_norm(position.last_layer, SHARE * view.limits[0])),
+        replace(attitude, last_layer=_of_norm(attitude.last_layer, SHARE * view.limits[1])),
+    )
+
+
+def _random(view: View) -> Channels:
+    """Random features with a random last layer of norm W_max."""
+    position, attitude = _untrained(view, "position"), _untrained(view, "attitude")
+    return (
+        replace(position, last_layer=_of_norm(view.rng.normal(size=position.last_layer.shape), SHARE * view.limits[0])),
+        replace(attitude, last_layer=_of_norm(view.rng.normal(size=attitude.last_layer.shape), SHARE * view.limits[1])),
+    )
+
+
+def _wrong_theta(view: View) -> Channels:
+    """Correct features with the last layer of another axis, three times as large."""
+    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    return (
+        replace(position, last_layer=3.0 * np.roll(position.last_layer, 1, axis=1)),
+        replace(attitude, last_layer=3.0 * np.roll(attitude.last_layer, 1, axis=1)),
+    )
+
+
+def _constant(view: View, channel: ChannelName, value: Array) -> ChannelFeatures:
+    """theta'Phi = value [3] everywhere."""
+    features = cliff(view, channel, "position_n", 0.0, 1.0, 0.0, 0, 0.0)
+    return replace(features, last_layer=np.vstack([np.zeros(3), value]))
+
+
+def _bias_only(view: View) -> Channels:
+    """A constant of norm W_max in a direction that turns from version to version."""
+    out = []
+    channels: tuple[tuple[ChannelName, float], ...] = (("position", 0.7), ("attitude", 1.9))
+    for (channel, turn), limit in zip(channels, view.limits, strict=True):
+        angle = turn * view.sent
+        value = SHARE * limit * np.array([np.cos(angle), np.sin(angle), 0.0])
+        out.append(_constant(view, channel, value))
+    return out[0], out[1]
+
+
+def _sign_switch(view: View) -> Channels:
+    """A disturbance that is right where the vehicle has been and has the opposite sign beyond a place on the path."""
+    position, attitude = _beside(view, STEEPNESS, 0.3)
+    return position, attitude
+
+
+def _drift(view: View) -> Channels:
+    """A theta that grows a little from version to version, each in the direction of the one before."""
+    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    factor = -0.3 * (view.sent + 1)
+    return (
+        replace(position, last_layer=_capped(factor * position.last_layer, SHARE * view.limits[0])),
+        replace(attitude, last_layer=_capped(factor * attitude.last_layer, SHARE * view.limits[1])),
+    )
+
+
+def _capped(theta: Array, norm: float) -> Array:
+    return _of_norm(theta, norm) if float(np.linalg.norm(theta)) > norm else theta
+
+
+def _honest(view: View) -> Channels:
+    return _learnt(view, "position"), _learnt(view, "attitude")
+
+
+CASES: Final[dict[str, Callable[[], Case]]] = {
+    "honest": lambda: _at_rate(_honest, 0.5),
+    "steep": lambda: _once(_steep),
+    "steep_position": lambda: _once(_steep_position),
+    "steep_attitude": lambda: _once(_steep_attitude),
+    "steep_again": lambda: _at_rate(_steep, 1.0),
+    "flipped": lambda: _once(_flipped),
+    "flipped_again": lambda: _at_rate(_flipped, 1.0),
+    "scaled": lambda: _once(_scaled_up),
+    "random": lambda: _at_rate(_random, 2.0),
+    "wrong_theta": lambda: _at_rate(_wrong_theta, 1.0),
+    "bias_40_hz": lambda: _at_rate(_bias_only, 40.0),
+    "sign_switch": lambda: _at_rate(_sign_switch, 0.5),
+    "drift": lambda: _at_rate(_drift, 2.0),
+}
+"""A new case for each flight: a case may keep what it has sent."""
