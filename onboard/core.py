@@ -17,7 +17,6 @@ import numpy as np
 from onboard.config import OnboardConfig
 from onboard.control.actuators import CATCH_UP_MAX, ActuatorModel, Shares
 from onboard.control.feature_reception import FeatureReception
-from onboard.control.interface import LearningController
 from onboard.control.mixer import Mixer
 from onboard.control.records import ControlInputs, ControlOutput, Target
 from onboard.control.thrust_scale import ThrustScale
@@ -163,6 +162,7 @@ class OnboardCore:
             *(self._dt, state, target, signals, *measured, self._saturated, adapt, coming),
             level_only=mode is HOLD_LEVEL,
             missed=missed,
+            thrust=(delivered.thrust_n, self._actuators.scale),
         )
         control = self._control(control_inputs, mode)
         motors = self._mix(control, mode)
@@ -305,11 +305,10 @@ class OnboardCore:
 
     def _swap_features(self, now_ns: int) -> tuple[int, float]:
         """Offer a complete feature version to the controller; returns the version in use and its age, s."""
-        features = self._reception.take_complete()
-        if features is not None:
-            learner = self.controller if isinstance(self.controller, LearningController) else None
-            refusal = "not_accepting" if learner is None else learner.offer_features(features)
-            self._output.events.append((now_ns, self._reception.conclude(features, refusal, now_ns)))
+        events, warnings = self._reception.swap(self.controller, now_ns)
+        self._output.events += events
+        for when_ns, warning in warnings:
+            self._announce(when_ns, warning)
         return self._reception.version, self._reception.age_s(now_ns)
 
     def _control(self, inputs: ControlInputs, mode: FlightMode) -> ControlOutput:
@@ -390,6 +389,7 @@ class OnboardCore:
                 "version": self._reception.version,
                 "swaps": self._reception.swaps,
                 "refused": self._reception.refusals,
+                "taken_back": self._reception.taken_back,
             },
             "rejected": dict(self._offboard_link.statistics.rejected),
             "vehicle_rejected": dict(self._vehicle_link.rejected),

@@ -123,6 +123,12 @@ REFUSALS: Final[tuple[str, ...]] = (
     "swap_jump",
     "stale",
     "not_accepting",
+    "reach",
+    "slope",
+    "swap_rate",
+    "probation",
+    "taken_back",
+    "not_trusted",
 )
 """The reasons for which onboard refuses a feature version; Status holds the index."""
 

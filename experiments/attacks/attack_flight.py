@@ -15,6 +15,10 @@ from onboard.flight.modes import FlightMode
 from onboard.record.tick import OFFSET
 from sim_vehicle.link.radio import RadioConfig
 
+DURATION_S: Final = 14.0
+"""About four seconds of it are the attack, two the landing."""
+BRISK: Final = tuple(f"onboard.guidance.trajectory.{name}" for name in ("takeoff_s=2.0", "settle_s=0.2", "ramp_s=1.0"))
+"""At full speed on the path soon."""
 _TARGET: Final = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 _MODE: Final = OFFSET["mode"]
 
@@ -42,12 +46,12 @@ def fly_attack(
     case: str,
     seed: int,
     scenario: str = "figure8_wind",
-    duration_s: float = 20.0,
+    duration_s: float = DURATION_S,
     assignments: tuple[str, ...] = (),
     controller: str = "dmrac",
 ) -> AttackOutcome:
     """Fly a case of experiments.attacks.cases, over a link that loses nothing."""
-    config = resolve(scenario, Choices(controller, seed, duration_s, assignments))
+    config = resolve(scenario, Choices(controller, seed, duration_s, (*BRISK, *assignments)))
     perfect = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "perfect.yaml")
     lockstep, onboard, offboard, _ = build(config.model_copy(update={"radio": perfect}))
     assert offboard is not None

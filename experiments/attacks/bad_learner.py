@@ -1,7 +1,7 @@
-"""A peer that lies: it relays the motion capture like offboard, and sends feature versions that are meant to do harm.
+"""A peer that lies: it relays the motion capture like offboard, and sends feature versions that are to do harm.
 
-It takes the place of the offboard core in a lockstep flight. It has the key, a right layout and an honest clock: nothing
-but the content of its versions is wrong. What it sends is a case (experiments.attacks.cases).
+It takes the place of the offboard core in a lockstep flight. It has the key, a right layout and an honest clock:
+nothing but the content of its versions is wrong. What it sends is a case (experiments.attacks.cases).
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ TRANSFER: Final = TransferConfig(dtype="float32", chunks_per_second=1000.0, chun
 
 @dataclass
 class View:
-    """What a bad learner knows when it makes a version: everything that an honest one is told, and the flight's limits."""
+    """What a bad learner knows when it makes a version: what an honest one is told, and the limits."""
 
     networks: TrainedFeatures
     limits: tuple[float, float]

@@ -1,7 +1,7 @@
 """The corpus of bad learners: each case makes feature versions that are meant to cost the vehicle.
 
-Every version is well formed and within the limits of the reception: finite, a theta in its ball, features with a Lipschitz
-constant that is accepted. An attack begins ATTACK_S after the first sample, on the path.
+Every version is well formed and within the limits of the reception: finite, a theta in its ball, features with a
+Lipschitz constant that is accepted. An attack begins ATTACK_S after the first sample, on the path.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ from protocol.feature_config import ChannelName
 from protocol.feature_set import ChannelFeatures
 from protocol.signals import input_indices
 
-ATTACK_S: Final = 7.0
-"""s after the first sample, in the middle of the path's first lap at full speed."""
+ATTACK_S: Final = 4.5
+"""s after the first sample, on the path at full speed (experiments.attacks.attack_flight)."""
 SHARE: Final = 0.99
 """Of W_max: the largest last layer that is surely accepted."""
 STEEPNESS: Final = 190.0
@@ -55,7 +55,8 @@ def _learnt(view: View, channel: ChannelName) -> ChannelFeatures:
     features = _untrained(view, channel)
     Phi, target = _phi(view, features), view.adaptive[:, 0 if channel == "position" else 1]
     gram = Phi.T @ Phi + RIDGE * np.eye(Phi.shape[1])
-    return replace(features, last_layer=np.linalg.solve(gram, Phi.T @ target))
+    theta: Array = np.linalg.solve(gram, Phi.T @ target).astype(np.float64)
+    return replace(features, last_layer=theta)
 
 
 def _of_norm(theta: Array, norm: float) -> Array:

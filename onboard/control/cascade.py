@@ -16,6 +16,7 @@ from pydantic import Field
 from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
 from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig, thrust_along
+from onboard.control.guard import Fall, Guard, GuardConfig
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.ilc import IterativeLearning, IterativeLearningConfig
 from onboard.control.laws.indi import Indi, IndiConfig
@@ -77,6 +78,7 @@ class CascadeSettings(ConfigRecord):
     hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
     limits: DemandLimitsConfig = DemandLimitsConfig()
+    guard: GuardConfig = GuardConfig()
     prediction: Annotated[bool, Field(description="attitude and rates predicted over the loop's dead time")] = True
     gyro_delay_ticks: Annotated[float, Field(ge=0, le=10, description="age of the rates, for the prediction")] = 1.0
     command_rate_filter_s: Annotated[
@@ -118,6 +120,8 @@ class CascadedController:
         self.augmentations = (_augmentation(settings, "position", rng), _augmentation(settings, "attitude", rng))
         """Position and attitude channel."""
         self._has_features = any(isinstance(one, AdaptiveAugmentation) for one in self.augmentations)
+        gains = settings.position.gains, settings.attitude.gains
+        self.guard = Guard(settings.guard, self.augmentations, gains, airframe, settings.limits.tilt_max_rad)
         self._position_model = PositionReferenceModel(settings.position.gains)
         self._attitude_model = AttitudeReferenceModel(settings.attitude.gains)
         self._k1 = tuple(settings.position.gains.stiffness().tolist())
@@ -152,6 +156,8 @@ class CascadedController:
         self._output.thrust_n = thrust
         self._output.commanded_quaternion = commanded
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
+        self._output.law = self.guard.level
+        self.guard.judge(inputs.dt, inputs.adapt)
         self.bounds.step(inputs, self._output, self._command_turn, self._command_rate)
         return self._output
 
@@ -160,6 +166,7 @@ class CascadedController:
         self._restart_models(inputs)
         self._limits.reset()
         self.bounds.reset()
+        self.guard.reset()
         for augmentation in self.augmentations:
             augmentation.reset()
 
@@ -170,22 +177,11 @@ class CascadedController:
 
     def offer_features(self, features: FeatureSet) -> str:
         """Swap the features of both channels in one tick, or refuse."""
-        plans, offered = [], False
-        for augmentation, channel in zip(self.augmentations, (features.position, features.attitude), strict=True):
-            if channel is None or not isinstance(augmentation, AdaptiveAugmentation) or not augmentation.learns:
-                continue
-            offered = True
-            if augmentation.flies(channel):
-                continue  # a swap would forget S
-            new, plan = augmentation.plan(channel)
-            if plan.refusal:
-                return plan.refusal
-            plans.append((augmentation, new, plan))
-        if not offered:
-            return "not_accepting"
-        for augmentation, new, plan in plans:
-            augmentation.commit(new, plan)
-        return ""
+        return self.guard.offer(features)
+
+    def take_falls(self) -> list[Fall]:
+        """What the guard did since the last call."""
+        return self.guard.take_falls()
 
     def last_layers(self) -> tuple[Array | None, Array | None]:
         """W [k, 3] of the position and the attitude channel; None for a channel without."""
@@ -308,8 +304,7 @@ class CascadedController:
     def _position_loop(self, inputs: ControlInputs) -> Vector3:
         """u = K_1 (p_d - p) + K_2 (v_d - v) + a_ff - nu_ad, m/s^2, world NED."""
         channel, telemetry = self._channels[0], self._output.position
-        nu_ad = self.augmentations[0].step(channel, telemetry)
-        telemetry.adaptive[:] = nu_ad
+        nu_ad = self.guard.step(0, channel, telemetry, inputs)
         K_1, K_2 = self._k1, self._k2
         e = channel.tracking_error.tolist()
         v = inputs.state.velocity.tolist()
@@ -379,8 +374,7 @@ class CascadedController:
         e_R = ex, ey, min(max(ez, -YAW_ERROR_MAX_RAD), YAW_ERROR_MAX_RAD)
         p, q, r = omega
         channel.tracking_error[:] = (*e_R, -p, -q, -r)
-        nu_ad = self.augmentations[1].step(channel, telemetry)
-        telemetry.adaptive[:] = nu_ad
+        nu_ad = self.guard.step(1, channel, telemetry, inputs)
         omega_d = self._commanded_rate(commanded, inputs)
         each_axis = zip(self._a1, e_R, self._a2, omega, omega_d, nu_ad.tolist(), strict=True)
         u = vector(k1 * e1 - k2 * (w_i - w_d) - nu for k1, e1, k2, w_i, w_d, nu in each_axis)

@@ -5,9 +5,14 @@ The core decodes a version and swaps it in the same tick, the one in which its l
 
 from typing import NamedTuple
 
+from onboard.control.guard import Fall
+from onboard.control.interface import Controller, GuardedController, LearningController
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
 from protocol.transfer import FeatureReceiver
+
+Event = tuple[int, str]
+"""Time, ns, and text."""
 
 
 class ReceptionStatus(NamedTuple):
@@ -32,6 +37,8 @@ class FeatureReception:
         self.swapped_ns: int | None = None
         self.swaps = 0
         self.refusals = 0
+        self.taken_back = 0
+        """Versions that flew and were taken back."""
 
     def receive(self, chunk: FeatureChunk) -> None:
         """Add one chunk. A version that is complete and valid waits for `take_complete`."""
@@ -45,10 +52,28 @@ class FeatureReception:
         self._complete = None
         self._refused = (0, 0)
 
-    def take_complete(self) -> FeatureSet | None:
-        """The complete version that waits, once."""
+    def swap(self, controller: Controller, now_ns: int) -> tuple[list[Event], list[Event]]:
+        """Offer the complete version that waits, if any, and take note of what the guard did.
+
+        Returns events, and those of them that the pilot should see.
+        """
+        events: list[Event] = []
         features, self._complete = self._complete, None
-        return features
+        if features is not None:
+            learner = controller if isinstance(controller, LearningController) else None
+            refusal = "not_accepting" if learner is None else learner.offer_features(features)
+            events.append((now_ns, self.conclude(features, refusal, now_ns)))
+        falls = controller.take_falls() if isinstance(controller, GuardedController) else []
+        return events, [(now_ns, self._fall_back(fall, now_ns)) for fall in falls]
+
+    def _fall_back(self, fall: Fall, now_ns: int) -> str:
+        """The guard has taken a version back, or lets one fly again."""
+        if fall.refused:
+            self.taken_back += 1
+            self._refused = (fall.refused, REFUSALS.index("probation"))
+        if fall.flying != self.version:
+            self.version, self.swapped_ns = fall.flying, now_ns if fall.flying else None
+        return fall.text
 
     def conclude(self, features: FeatureSet, refusal: str, now_ns: int) -> str:
         """Note what the controller answered; returns the event.

@@ -80,6 +80,8 @@ class SwapPlan:
     """Empty if the swap may be carried out, else a name of protocol.messages.REFUSALS."""
     theta: Array
     """[k, 3], theta_n that flies with W."""
+    step: float = 0.0
+    """The jump of nu_cmd, at the state ahead, units of u."""
 
 
 def plan_swap(
@@ -112,7 +114,8 @@ def plan_swap(
         return SwapPlan(W_new, jump, "not_finite", memory)
     if float(np.linalg.norm(W_new)) > weight_norm_max * (1.0 + PROJECTION_MARGIN) ** 0.5:
         return SwapPlan(W_new, jump, "weight_norm", memory)
-    return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "", memory)
+    step = float(np.sqrt(np.square(change[:, -1]).sum()))
+    return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "", memory, step)
 
 
 def resemblance(Phi: Array, Phi_bar: Array) -> float:

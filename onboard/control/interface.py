@@ -8,7 +8,7 @@ a controller file, `configs/controllers/<name>.yaml` or any path, and it flies l
 """
 
 from importlib import import_module
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from pydantic import BaseModel, Field
 
@@ -17,6 +17,9 @@ from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ControlInputs, ControlOutput
 from protocol.feature_config import FeaturesConfig
 from protocol.feature_set import FeatureSet
+
+if TYPE_CHECKING:
+    from onboard.control.guard import Fall
 
 
 class Controller(Protocol):
@@ -44,6 +47,14 @@ class LearningController(Protocol):
 
     def offer_features(self, features: FeatureSet) -> str:
         """Swap to the new features, all channels or none; returns "" or the refusal (protocol.messages.REFUSALS)."""
+
+
+@runtime_checkable
+class GuardedController(Protocol):
+    """A controller that may take a version back (onboard.control.guard)."""
+
+    def take_falls(self) -> "list[Fall]":
+        """What happened since the last call."""
 
 
 class ControllerConfig(ConfigRecord):

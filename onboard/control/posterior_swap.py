@@ -19,7 +19,7 @@ second a large change is no jump: the vehicle is not there, and there the new ma
 theta that is too steep for the loop is flattened first (onboard.control.slope).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,9 +35,9 @@ from protocol.feature_set import ChannelFeatures
 class PosteriorPlan(SwapPlan):
     """The result of planning a swap of the law with a covariance."""
 
-    X: Array
+    X: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """[k + 1, 3], [W - theta; b]."""
-    S: Array
+    S: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """[k + 1, k + 1]."""
 
 
@@ -88,11 +88,11 @@ def plan_posterior_swap(
         refusal = "weight_norm"
     else:
         refusal = "swap_jump" if commanded > config.jump_max else ""
-    return PosteriorPlan(W, jump, refusal, theta, X, S)
+    return PosteriorPlan(W, jump, refusal, theta, commanded, X, S)
 
 
 def _refused(reason: str, theta: Array) -> PosteriorPlan:
-    return PosteriorPlan(theta, 0.0, reason, theta, np.zeros((0, 3)), np.zeros((0, 0)))
+    return PosteriorPlan(theta, 0.0, reason, theta)
 
 
 def posterior(

@@ -67,6 +67,8 @@ class ControlInputs:
     """True without a velocity estimate: hold level, sink slowly, do not control position."""
     missed: int = 0
     """Ticks missed since the last one. The last command was held meanwhile."""
+    thrust: tuple[float, float] = (0.0, 1.0)
+    """Collective thrust delivered now, N, and thrust of the motors as a multiple of the nominal one."""
 
     @property
     def period(self) -> float:
@@ -79,7 +81,7 @@ class ChannelTelemetry:
 
     __slots__ = (
         *("adaptive", "adaptive_now", "demand", "eps_1", "eps_2", "eps_3", "error"),
-        *("residual", "tracking_bound", "vectors", "weight_norm"),
+        *("residual", "room", "tracking_bound", "vectors", "weight_norm"),
     )
 
     def __init__(self) -> None:
@@ -95,6 +97,8 @@ class ChannelTelemetry:
         """nu_ad of the present state, W'Phi(x); the same as `adaptive` for a controller that does not look ahead."""
         self.residual: Array = self.vectors[15:18]
         """Delta_hat."""
+        self.room: Array = np.zeros(3)
+        """Bound of |nu_ad| for each axis (onboard.control.room); zero where there is none."""
         self.weight_norm = 0.0
         self.eps_1 = 0.0
         self.eps_2 = 0.0
@@ -112,3 +116,5 @@ class ControlOutput:
     position: ChannelTelemetry = field(default_factory=ChannelTelemetry)
     attitude: ChannelTelemetry = field(default_factory=ChannelTelemetry)
     commanded_quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    law: int = 0
+    """Which law flies, onboard.control.guard.Level: 0 the controller's own, 1 the bias alone, 2 none."""

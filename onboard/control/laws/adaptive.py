@@ -4,6 +4,7 @@ The law of the last layer is one of two, by configuration: the gradient law (`la
 (`kalman_last_layer`). They differ in how they learn, what they estimate, and how they swap.
 """
 
+from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Annotated, Literal
 
@@ -55,6 +56,19 @@ def _start_features(
     return NetworkFeatures(random_channel(names, offset, scale, (*inputs.hidden, inputs.count - 1), rng))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Learnt:
+    """The features of a channel and all that its law has learnt with them."""
+
+    features: Features
+    theta: Array
+    """[k, 3], the trained last layer."""
+    W: Array
+    """[k, 3]; law (2a): X = [W - theta; b], [k + 1, 3]."""
+    S: Array | None
+    """[k + 1, k + 1], law (2a) only."""
+
+
 class AdaptiveAugmentation:
     """One channel's features, last layer, and swap."""
 
@@ -74,6 +88,8 @@ class AdaptiveAugmentation:
         P = lyapunov_p(A_rm, Q)
         self.features: Features = _start_features(config, inputs, channel, rng)
         PB, k = tracking_weights(P, gains.natural_frequency_rad_s), self.features.feature_count
+        self.tracking_weights = PB
+        """[6, 3], of e in the tracking term."""
         self.last_layer: LastLayer | KalmanLastLayer = (
             KalmanLastLayer(config.law, k, PB) if isinstance(config.law, KalmanConfig) else LastLayer(config.law, k, PB)
         )
@@ -126,6 +142,56 @@ class AdaptiveAugmentation:
     def learns(self) -> bool:
         """Whether the features may be replaced by trained ones."""
         return self._config.features == "network"
+
+    @property
+    def jump_max(self) -> float:
+        """Largest jump of a swap, units of u."""
+        return self._config.swap.jump_max
+
+    @property
+    def signals_now(self) -> Array:
+        """[SIGNAL_COUNT], of the last tick."""
+        return self._signals[:, 0]
+
+    @property
+    def recent_signals(self) -> Array:
+        """[SIGNAL_COUNT, n], of the last second, the oldest first."""
+        return self._recent.in_order()[0]
+
+    @property
+    def prior_layer(self) -> Array:
+        """[k, 3], what the map flies with where nothing was measured: theta of law (2a), W of law (2)."""
+        law = self.last_layer
+        return law.theta if isinstance(law, KalmanLastLayer) else law.W
+
+    @staticmethod
+    def prior_of(plan: SwapPlan) -> Array:
+        """The same after a swap."""
+        return plan.theta if isinstance(plan, PosteriorPlan) else plan.W
+
+    def learnt(self) -> Learnt:
+        """A copy of everything that a swap replaces."""
+        law = self.last_layer
+        if isinstance(law, KalmanLastLayer):
+            return Learnt(self.features, law.theta.copy(), law.state.X_rows.T.copy(), law.state.S.copy())
+        return Learnt(self.features, law.memory.copy(), law.W.copy(), None)
+
+    def restore(self, learnt: Learnt, nu: Vector3) -> None:
+        """Fly these features and this W again; the bias takes up what is missing to nu at the present state."""
+        law, self.features = self.last_layer, learnt.features
+        W = learnt.W.copy()
+        if isinstance(law, KalmanLastLayer):
+            assert learnt.S is not None
+            law.adopt(learnt.theta, W, learnt.S)
+        else:
+            law.replace(W, learnt.theta)
+        Phi = self.features.evaluate(self.features.select(self._signals))
+        W[-1] += np.array(nu) - law.estimate(Phi)[:, 0]
+        if isinstance(law, KalmanLastLayer):
+            law.adopt(learnt.theta, W, law.state.S.copy())
+        else:
+            law.replace(W, learnt.theta)
+        self._eps_2 = 0.0
 
     def flies(self, channel: ChannelFeatures) -> bool:
         """Whether these features, with this theta, are in use already."""
