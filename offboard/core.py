@@ -97,7 +97,9 @@ class OffboardCore:
         elif isinstance(message, Status):
             event = self._versions.receive(message, now_ns)
             self.learner.note_versions(message.feature_version, message.transfer_version, message.refused_version)
-            self._out.events += [(now_ns, event)] if event else []
+            if event:
+                self._out.events.append((now_ns, event))
+                self.learner.refuse(message.refused_version)
         elif isinstance(message, TimeSyncRequest):
             self._requests.append((message.origin_ns, now_ns))
             self._report_layout(now_ns)

@@ -168,6 +168,12 @@ class VehicleLearner:
         """Onboard knows these versions: the next number must be higher."""
         self.version = max(self.version, *versions)
 
+    def refuse(self, version: int) -> None:
+        """Onboard refused this version, 0 for none: it is never sent again. The newest other one is the latest."""
+        self._issued.pop(version, None)
+        if version and self.latest is not None and self.latest.version == version:
+            self.latest = self._issued[max(self._issued)] if self._issued else None
+
     def issue(self, features: FeatureSet) -> FeatureSet:
         """Give the features the next version number; they are then the latest version."""
         self.version += 1

@@ -190,7 +190,7 @@ class Guard:
             return None
         watch = self._config.watch
         for channel, one in self._watches.items():
-            if one.failed:
+            if one.failed and self.level is not Level.NONE:
                 return self._fall(f"{one.worse(self.level, self.level + 1) or 'misfit'} of {CHANNELS[channel]}")
         if self.level is Level.MAP:
             if not self._proven and all(one.stands(watch.proof_s) for one in self._informed(watch.proof_s)):

@@ -80,7 +80,7 @@ class VersionTest:
         """Bound, spread, slope along the path, slope over the box, of the last test."""
 
     def refusal(self, features: Features, theta: Array, now: Array, recent: Array) -> str:
-        """ "reach", "slope" or "" (protocol.messages.REFUSALS) for theta'Phi, [k, 3], before it flies.
+        """The refusal (protocol.messages.REFUSALS) of a map theta'Phi, theta [k, 3], before it flies; "" for none.
 
         Parameters
         ----------

@@ -87,7 +87,10 @@ class OffboardLink:
                 if offset_ns is not None:  # without it the pose has no time, and may be a recording
                     received.append(DatedPose(message, message.time_ns - offset_ns, now_ns, self._time_sigma_s()))
             case FeatureChunk():
-                received.append(message)
+                if self.endpoint.clock_offset_ns is not None:
+                    received.append(message)
+                else:  # it has not answered yet in this session, so it may be a recording
+                    self.statistics.rejected["not_alive"] += 1
             case TimeSyncRequest():
                 self._challenge = (message.origin_ns, now_ns)
             case _:

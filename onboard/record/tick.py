@@ -20,6 +20,7 @@ def _channel_fields(name: str, error_axes: tuple[str, str], units: tuple[str, st
         *vector_fields(f"{name}_adaptive", axes, u),
         *vector_fields(f"{name}_adaptive_now", axes, u),
         *vector_fields(f"{name}_residual", axes, u),
+        *vector_fields(f"{name}_room", axes, u),
         (f"{name}_weight_norm", u),
         (f"{name}_eps_1", u),
         (f"{name}_eps_2", u),
@@ -44,6 +45,7 @@ TICK: Final = RecordType(
         ("position_sigma", "m"),
         ("thrust", "N"),
         ("thrust_scale", "thrust as a multiple of the nominal one, estimated"),
+        ("law", "onboard.control.guard.Level"),
         *vector_fields("position", "ned", "m"),
         *vector_fields("velocity", "ned", "m/s"),
         *vector_fields("quaternion", "wxyz", ""),
@@ -109,6 +111,7 @@ def write_tick(
         state.position_sigma_m,
         control.thrust_n,
         thrust_scale,
+        control.law,
         *state.position.tolist(),
         *state.velocity.tolist(),
         *state.quaternion.tolist(),
@@ -130,7 +133,8 @@ def _write_channel(row: Array, at: int, telemetry: ChannelTelemetry, measured: C
     row[at : at + 9] = telemetry.vectors[:9]
     row[at + 9 : at + 12] = measured.u_hat
     row[at + 12 : at + 21] = telemetry.vectors[9:]
-    row[at + 21 : at + 26] = (
+    row[at + 21 : at + 24] = telemetry.room
+    row[at + 24 : at + 29] = (
         telemetry.weight_norm,
         telemetry.eps_1,
         telemetry.eps_2,
