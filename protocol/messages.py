@@ -123,6 +123,7 @@ REFUSALS: Final[tuple[str, ...]] = (
     "swap_jump",
     "stale",
     "not_accepting",
+    "misfit",
     "reach",
     "slope",
     "swap_rate",

@@ -10,14 +10,19 @@ from typing import Final
 
 import numpy as np
 
+from configs.loader import fill
 from experiments.flights.scenario import FlightConfig
 from offboard.core import OffboardOutput
 from offboard.links.pose_relay import PoseRelay
 from offboard.training.job import TrainingResult
+from onboard.control.cascade import CascadeSettings
+from onboard.control.features import NetworkFeatures
+from onboard.control.slope import LoopGains
+from onboard.control.version_test import VersionTest
 from protocol.config import TransferConfig
 from protocol.conventions import Array
 from protocol.endpoint import Endpoint
-from protocol.feature_config import TrainedFeatures, feature_digest
+from protocol.feature_config import ChannelName, TrainedFeatures, feature_digest
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.keys import load_key
 from protocol.messages import REFUSALS, Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
@@ -33,6 +38,8 @@ class View:
     networks: TrainedFeatures
     limits: tuple[float, float]
     """W_max of the two channels."""
+    tests: tuple[VersionTest, VersionTest]
+    """The test that onboard makes, with its limits."""
     rng: np.random.Generator
     time_s: float = 0.0
     """s since the first sample."""
@@ -47,10 +54,25 @@ class View:
     flying: int = 0
     """Version in use."""
 
+    def is_accepted(self, name: ChannelName, channel: ChannelFeatures) -> bool:
+        """Whether onboard's test of a version accepts this one now, as far as a learner can know."""
+        test, theta = self.tests[name == "attitude"], channel.last_layer
+        recent, nu = self.signals[-RECENT:].T, self.adaptive[-RECENT:, int(name == "attitude")]
+        return not test.refusal(NetworkFeatures(channel), theta, recent[:, -1], recent, nu)
 
+
+RECENT: Final = 50
+"""Samples of the last second."""
 Channels = tuple[ChannelFeatures | None, ChannelFeatures | None]
 Case = Callable[[View], Channels | None]
 """Called in every tick with samples; returns the channels of a new version, or None."""
+
+
+def _tests(config: FlightConfig) -> tuple[VersionTest, VersionTest]:
+    settings = fill(CascadeSettings, {**config.onboard.controller.settings, "features": config.features}, "attack")
+    gains = settings.position.gains, settings.attitude.gains
+    position, attitude = LoopGains.of("position", *gains), LoopGains.of("attitude", *gains)
+    return VersionTest(settings.guard.test, 0, position), VersionTest(settings.guard.test, 1, attitude)
 
 
 class BadLearner:
@@ -68,7 +90,7 @@ class BadLearner:
             float(settings[channel]["augmentation"]["law"]["weight_norm_max"]) for channel in ("position", "attitude")
         )
         rng = np.random.default_rng([config.seed, 666])
-        self.view = View(config.features.trained, (limits[0], limits[1]), rng)
+        self.view = View(config.features.trained, (limits[0], limits[1]), _tests(config), rng)
         self._first_ns: int | None = None
         self._batches: list[SampleBatch] = []
         self._poses: list[Pose] = []

@@ -26,6 +26,10 @@ STEEPNESS: Final = 190.0
 RIDGE: Final = 1.0
 RECENT: Final = 55
 """Samples of about the last second."""
+LEAST_STIFFNESS: Final = 25.0
+"""K_1 of the position channel's slowest axis, 1/s^2, shipped gains."""
+SEARCHED: Final = 12
+CHANNEL_NAMES: Final[tuple[ChannelName, ChannelName]] = ("position", "attitude")
 
 
 def _scaled(view: View, channel: ChannelFeatures) -> Array:
@@ -195,6 +199,69 @@ def _drift(view: View) -> Channels:
     )
 
 
+def _far_cliff(view: View) -> Channels:
+    """A cliff within the limits of height that is out of reach when the version arrives, but not for long."""
+    now = view.signals[-1]
+    velocity = input_indices(("velocity_n", "velocity_e"))
+    axis = int(np.argmax(np.abs(now[velocity])))
+    name = ("position_n", "position_e")[axis]
+    side = float(np.sign(now[velocity[axis]]))
+    at = float(np.clip(now[input_indices((name,))[0]] + 0.75 * side, *((-0.9, 0.9), (-0.4, 0.4))[axis]))
+    return (
+        cliff(view, "position", name, at, side, side * 20.0, axis, STEEPNESS),
+        cliff(view, "attitude", name, at, side, side * 200.0, 1 - axis, STEEPNESS),
+    )
+
+
+def _unstable(view: View) -> Channels:
+    """A gentle slope that takes the loop's stiffness away: nu = - slope (x - x_now), as steep as is accepted."""
+    now = view.signals[-1]
+    north = float(now[input_indices(("position_n",))[0]])
+    slope, gentle = 0.95 * LEAST_STIFFNESS, 0.2
+    position = cliff(view, "position", "position_n", north, 1.0, 0.0, 0, gentle)
+    theta = np.array([[-slope * 0.5 / gentle, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    return replace(position, last_layer=theta), None
+
+
+def _accepted(view: View, name: ChannelName, features: ChannelFeatures, theta: Array) -> ChannelFeatures:
+    """The largest multiple of a last layer that the test of onboard accepts now, by bisection."""
+    least, most = 0.0, 1.0
+    for _ in range(10):
+        share = 0.5 * (least + most)
+        if view.is_accepted(name, replace(features, last_layer=share * theta)):
+            least = share
+        else:
+            most = share
+    return replace(features, last_layer=0.98 * least * theta)
+
+
+def _limit_flipped(view: View) -> Channels:
+    """The flipped last layer, as large as is accepted."""
+    position, attitude = _flipped(view)
+    assert position is not None
+    assert attitude is not None
+    return (
+        _accepted(view, "position", position, position.last_layer),
+        _accepted(view, "attitude", attitude, attitude.last_layer),
+    )
+
+
+def _search(view: View) -> Channels:
+    """Of many random maps, each as large as is accepted, the one that is most wrong over the last second."""
+    worst: list[ChannelFeatures] = []
+    for index, name in enumerate(CHANNEL_NAMES):
+        target, found, most = view.adaptive[-RECENT:, index], _untrained(view, name), -1.0
+        for _ in range(SEARCHED):
+            features = _untrained(view, name)
+            theta = _of_norm(view.rng.normal(size=features.last_layer.shape), SHARE * view.limits[index])
+            one = _accepted(view, name, features, theta)
+            wrong = float(np.linalg.norm(_phi(view, one)[-RECENT:] @ one.last_layer - target, axis=1).mean())
+            if wrong > most:
+                found, most = one, wrong
+        worst.append(found)
+    return worst[0], worst[1]
+
+
 def _capped(theta: Array, norm: float) -> Array:
     return _of_norm(theta, norm) if float(np.linalg.norm(theta)) > norm else theta
 
@@ -216,6 +283,10 @@ CASES: Final[dict[str, Callable[[], Case]]] = {
     "wrong_theta": lambda: _at_rate(_wrong_theta, 1.0),
     "bias_40_hz": lambda: _at_rate(_bias_only, 40.0),
     "sign_switch": lambda: _at_rate(_sign_switch, 0.5),
+    "far_cliff": lambda: _at_rate(_far_cliff, 0.5),
+    "unstable": lambda: _at_rate(_unstable, 1.0),
+    "limit_flipped": lambda: _at_rate(_limit_flipped, 1.0),
+    "search": lambda: _at_rate(_search, 1.0),
     "drift": lambda: _at_rate(_drift, 2.0),
 }
 """A new case for each flight: a case may keep what it has sent."""

@@ -307,8 +307,7 @@ class Guard:
             new, plan = learner.plan(channel)
             refusal = plan.refusal
             if not refusal and self._config.test.enabled:
-                recent, now = learner.recent_signals, learner.signals_now
-                refusal = self._tests[i].refusal(new, learner.prior_of(plan), now, recent)
+                refusal = self._tests[i].refusal(new, learner.prior_of(plan), learner.signals_now, *learner.recent)
             if refusal:
                 return [], refusal
             plans.append((i, new, plan))

@@ -3,6 +3,8 @@
 The box holds what the vehicle can reach within `reach_s`: each signal by its rate now and what it can change beside it.
 The path ahead is a line through it, with points so close that no cliff lies between two of them unseen. Tested:
 
+- **misfit**: theta'Phi against the residual at the states of the last second, root mean square, against the size of the
+  residual itself. A map that does not know what has just been measured is not believed about what comes.
 - **bound**: norm(theta) norm(Phi), row of the constant apart, bounds how much the map can vary anywhere in the world.
 - **spread**: the largest change of theta'Phi from here to a state of the box.
 - **slope along the path**: change from point to point over the distance, as a share of what the loop has there (a steep
@@ -44,10 +46,12 @@ class VersionTestConfig(ConfigRecord):
         float, Field(gt=0, le=5, description="s, between two checks of the map that flies, on its box of then")
     ] = 0.1
     acceleration_m_s2: Annotated[float, Field(gt=0, le=50, description="m/s^2, by which the path may turn away")] = 3.0
+    misfit: Annotated[float, Field(gt=0, le=10, description="of the map, over the size of the residual")] = 1.3
+    misfit_floor: Annotated[tuple[Size, Size], Field(description="plus this, units of u")] = (2.0, 40.0)
     bound_max: Annotated[tuple[Size, Size], Field(description="norm(theta) norm(Phi), units of u")] = (30.0, 350.0)
     spread_max: Annotated[tuple[Size, Size], Field(description="largest change in the box, units of u")] = (10.0, 160.0)
-    path_slope: Annotated[tuple[Size, Size], Field(description="along the path, share of the gains")] = (1.5, 1.5)
-    box_slope: Annotated[tuple[Size, Size], Field(description="over the states, share of the gains")] = (3.0, 3.0)
+    path_slope: Annotated[tuple[Size, Size], Field(description="along the path, share of the gains")] = (1.0, 1.0)
+    box_slope: Annotated[tuple[Size, Size], Field(description="over the states, share of the gains")] = (2.0, 2.0)
 
 
 def ahead(config: VersionTestConfig, now: Array) -> tuple[Array, Array]:
@@ -76,15 +80,17 @@ class VersionTest:
         self._limits = config.bound_max[channel], config.spread_max[channel]
         self._slopes = config.path_slope[channel], config.box_slope[channel]
         self._place_gain = next(gain for names, gain in gains.groups if names == PLACE)
-        self.found: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-        """Bound, spread, slope along the path, slope over the box, of the last test."""
+        self._misfit_floor = config.misfit_floor[channel]
+        self.found: tuple[float, ...] = (0.0,) * 5
+        """Bound, spread, slope along the path, slope over the box, misfit over what is allowed, of the last test."""
 
-    def refusal(self, features: Features, theta: Array, now: Array, recent: Array) -> str:
+    def refusal(self, features: Features, theta: Array, now: Array, recent: Array, residuals: Array) -> str:
         """The refusal (protocol.messages.REFUSALS) of a map theta'Phi, theta [k, 3], before it flies; "" for none.
 
         Parameters
         ----------
-        now: [SIGNAL_COUNT], the present state. recent: [SIGNAL_COUNT, n], those of the last second.
+        now: [SIGNAL_COUNT], the present state.
+        recent: [SIGNAL_COUNT, n], those of the last second. residuals: [n, 3], measured there.
         """
         path, box = ahead(self._config, now)
         spread, along = self._reach(features, theta, path, np.hstack([recent, box]))
@@ -92,7 +98,10 @@ class VersionTest:
         over = 0.0
         if isinstance(features, NetworkFeatures):
             over = float(largest_shares(features.channel, theta, self._gains, np.hstack([path, box, recent])).max())
-        self.found = size, spread, along, over
+        misfit = self._misfit(features, theta, recent, residuals)
+        self.found = size, spread, along, over, misfit
+        if misfit > 1.0:
+            return "misfit"
         if size > self._limits[0] or spread > self._limits[1]:
             return "reach"
         return "slope" if along > self._slopes[0] or over > self._slopes[1] else ""
@@ -101,8 +110,16 @@ class VersionTest:
         """Whether the map that flies passes on the path and the box ahead of here."""
         path, box = ahead(self._config, now)
         spread, along = self._reach(features, theta, path, box)
-        self.found = 0.0, spread, along, 0.0
+        self.found = 0.0, spread, along, 0.0, 0.0
         return spread <= self._limits[1] and along <= self._slopes[0]
+
+    def _misfit(self, features: Features, theta: Array, recent: Array, residuals: Array) -> float:
+        """Misfit over the last second, as a share of what is allowed."""
+        if recent.shape[1] == 0:
+            return 0.0
+        nu = (theta.T @ features.evaluate(features.select(recent))).T
+        sizes = [float(np.sqrt(np.square(one).sum(axis=1).mean())) for one in (nu - residuals, residuals)]
+        return sizes[0] / (self._config.misfit * sizes[1] + self._misfit_floor)
 
     def _reach(self, features: Features, theta: Array, path: Array, states: Array) -> tuple[float, float]:
         """The largest change from here, and the largest slope along the path as a share of the loop's gain."""

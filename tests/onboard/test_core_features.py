@@ -31,7 +31,7 @@ def test_good_features_come_into_use_and_are_reported():
     assert loop.peer.statuses[-1].feature_version == 1
     assert loop.column("feature_version")[-1] == 1
     assert 0.0 < loop.column("feature_age")[-1] < 2.0
-    assert loop.core.summary()["features"] == {"version": 1, "swaps": 1, "refused": 0}
+    assert loop.core.summary()["features"] == {"version": 1, "swaps": 1, "refused": 0, "taken_back": 0}
     assert loop.peer.batches[-1].feature_version == 1
     assert loop.peer.sender.outstanding_version == 0
     assert loop.vehicle.crash_reason == ""
@@ -84,11 +84,43 @@ def test_a_controller_that_does_not_learn_refuses():
     reception = FeatureReception()
     for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
         reception.receive(chunk)
-    complete = reception.take_complete()
-    assert complete is not None
-    assert reception.conclude(complete, "not_accepting", 0) == "features 1 refused: not_accepting"
+    assert reception.swap(Plain(), 5) == ([(5, "features 1 refused: not_accepting")], [])
     assert reception.status[-2:] == (1, REFUSALS.index("not_accepting"))
-    assert reception.take_complete() is None
+    assert reception.swap(Plain(), 6) == ([], [])
+
+
+def test_a_version_taken_back_is_reported_to_the_trainer_and_on_the_pilots_screen():
+    loop = in_flight("dmrac")
+    loop.peer.sender.offer(features(), loop.now_ns)
+    loop.fly(0.5)
+    loop.core.controller.guard._watches[0]._worse_s = 1.0
+    texts = []
+    send_text = loop.core._ground_link.send_text
+    loop.core._ground_link.send_text = lambda text: (texts.append(text), send_text(text))
+    loop.fly(0.3)
+    status = loop.peer.statuses[-1]
+    assert (status.feature_version, status.refused_version) == (0, 1)
+    assert REFUSALS[status.refusal] == "probation"
+    assert loop.said("guard: ")
+    assert texts == loop.said("guard: ")
+    assert loop.core.summary()["features"]["taken_back"] == 1
+    assert loop.peer.batches[-1].feature_version == 0
+
+
+def test_chunks_of_a_peer_that_has_not_proven_life_are_not_taken():
+    loop = Loop("dmrac", peer=Peer())
+    take_in = loop.peer.take_in
+    loop.peer.take_in = lambda datagram, now_ns: [
+        one for one in take_in(datagram, now_ns) if type(one).__name__ != "TimeSyncReply"
+    ]
+    loop.core._offboard_link.endpoint.layout = loop.peer.endpoint.layout = bytes(8)  # the layout has a check of its own
+    loop.peer.sender.offer(features(), loop.now_ns)
+    loop.fly(0.5)
+    assert loop.core.summary()["features"]["version"] == 0
+    assert loop.core.summary()["rejected"]["not_alive"] > 0
+    loop.peer.take_in = take_in
+    loop.fly(3.0)
+    assert loop.core.summary()["features"]["version"] == 1
 
 
 def test_features_that_wait_are_void_when_the_peer_restarts():
@@ -99,7 +131,7 @@ def test_features_that_wait_are_void_when_the_peer_restarts():
     for chunk in split(encode_feature_set(features(), "float32"), 1, 1000):
         reception.receive(chunk)
     reception.restart()
-    assert reception.take_complete() is None
+    assert reception.swap(Plain(), 0) == ([], [])
     assert reception.status[-2:] == (0, 0)
 
 

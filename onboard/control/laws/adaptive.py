@@ -154,9 +154,9 @@ class AdaptiveAugmentation:
         return self._signals[:, 0]
 
     @property
-    def recent_signals(self) -> Array:
-        """[SIGNAL_COUNT, n], of the last second, the oldest first."""
-        return self._recent.in_order()[0]
+    def recent(self) -> tuple[Array, Array]:
+        """Signals [SIGNAL_COUNT, n] and residuals [n, 3] of the last second, the oldest first."""
+        return self._recent.in_order()
 
     @property
     def prior_layer(self) -> Array:

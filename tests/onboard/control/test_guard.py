@@ -111,7 +111,16 @@ def test_a_cliff_ahead_is_found_wherever_the_points_lie(at, sharp, height, refus
     now[SIGNAL_INDEX["velocity_n"]] = 1.0
     channel = cliff(at, sharp, height)
     recent = np.repeat(now[:, None], 5, axis=1)
-    assert test.refusal(NetworkFeatures(channel), channel.last_layer, now, recent) == refusal
+    assert test.refusal(NetworkFeatures(channel), channel.last_layer, now, recent, np.zeros((5, 3))) == refusal
+
+
+@pytest.mark.parametrize(("nu", "residual", "refusal"), [(4.0, 4.0, ""), (-4.0, 4.0, "misfit"), (9.0, 0.0, "misfit")])
+def test_a_map_that_contradicts_the_last_second_is_refused(nu, residual, refusal):
+    test = VersionTest(VersionTestConfig(), 0, LoopGains.of("position", POSITION, ATTITUDE))
+    channel, now = cliff(0.0, 0.0, 0.0), np.zeros(SIGNAL_COUNT)
+    theta = np.array([[0.0] * 3, [nu, 0.0, 0.0]])
+    recent, measured = np.zeros((SIGNAL_COUNT, 8)), np.full((8, 3), [residual, 0.0, 0.0])
+    assert test.refusal(NetworkFeatures(channel), theta, now, recent, measured) == refusal
 
 
 def test_the_map_that_flies_is_checked_on_what_is_ahead_by_then():
