@@ -46,7 +46,7 @@ from onboard.control.version_test import VersionTest, VersionTestConfig
 from onboard.control.watch import ChannelWatch, WatchConfig
 from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures, FeatureSet
-from protocol.geometry import Vector3, add, vector
+from protocol.geometry import Vector3, vector
 from protocol.signals import CHANNELS
 
 Plan = tuple[int, Features, SwapPlan]
@@ -164,21 +164,22 @@ class Guard:
         if learner is None:
             telemetry.adaptive[:] = nu
             return nu
-        now, commanded = vector(telemetry.adaptive_now.tolist()), vector(nu.tolist())
         watch = self._watches[channel]
         if state.adapt:
-            watch.step(state, vector(telemetry.residual.tolist()), (now, commanded), self.level)
+            watch.step(state, telemetry.residual, telemetry.adaptive_now, nu, self.level)
+        commanded = vector(nu.tolist())
         if self.level is not Level.MAP:
-            now = commanded = watch.d if self.level is Level.BIAS else (0.0, 0.0, 0.0)
+            commanded = watch.d if self.level is Level.BIAS else (0.0, 0.0, 0.0)
+            telemetry.adaptive_now[:] = commanded
         if self._config.room.enabled:
-            need = add(vector(demand), vector(before))
-            thrust_n, scale = inputs.thrust
+            (x, y, z), (a, b, c) = demand, before
+            (thrust_n, scale), need = inputs.thrust, (x + a, y + b, z + c)
             room = self._room.attitude(scale, thrust_n, need) if channel else self._room.position(scale, need)
             telemetry.room[:] = room
             bounded = _within(commanded, room)
             self.limited[channel] += bounded != commanded
-            now, commanded = _within(now, room), bounded
-        telemetry.adaptive_now[:] = now
+            commanded = bounded
+            telemetry.adaptive_now[:] = _within(vector(telemetry.adaptive_now.tolist()), room)
         telemetry.adaptive[:] = commanded
         return telemetry.adaptive
 
@@ -327,4 +328,5 @@ class Guard:
 
 
 def _within(nu: Vector3, room: Vector3) -> Vector3:
-    return vector(min(max(x, -most), most) for x, most in zip(nu, room, strict=True))
+    (x, y, z), (a, b, c) = nu, room
+    return min(max(x, -a), a), min(max(y, -b), b), min(max(z, -c), c)

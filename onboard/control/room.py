@@ -24,7 +24,7 @@ from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
 from onboard.control.demand_limits import FALL_MIN_M_S2
 from protocol.conventions import GRAVITY
-from protocol.geometry import Vector3, vector
+from protocol.geometry import Vector3
 
 Share = Annotated[float, Field(gt=0, le=2)]
 
@@ -63,4 +63,9 @@ class Room:
 
     def _room(self, channel: int, reach: Vector3, need: Vector3) -> Vector3:
         share, least = self._config.share[channel], self._config.least[channel]
-        return vector(max(share * (r - abs(n)), least * r) for r, n in zip(reach, need, strict=True))
+        (x, y, z), (a, b, c) = reach, need
+        return (
+            max(share * (x - abs(a)), least * x),
+            max(share * (y - abs(b)), least * y),
+            max(share * (z - abs(c)), least * z),
+        )

@@ -16,7 +16,7 @@ than the noise: a map that says the same as a bias has shown nothing.
 
 from collections import deque
 from math import exp, sqrt
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field
 
@@ -27,6 +27,8 @@ from protocol.geometry import Vector3, vector
 
 Seconds = Annotated[float, Field(gt=0, le=30)]
 Size = Annotated[float, Field(gt=0, le=1e3)]
+STRIDE: Final = 4
+"""Ticks between two comparisons. The bias-only law itself runs in each."""
 REST: Vector3 = (0.0, 0.0, 0.0)
 
 
@@ -72,66 +74,78 @@ class ChannelWatch:
         self.d: Vector3 = REST
         """nu of the bias-only law, units of u."""
         self._sent: deque[tuple[Vector3, Vector3]] = deque()
+        self._ticks, self._since_s = 0, 0.0
 
     def restart(self) -> None:
         """Another law flies, or another version: forget what was measured of the one before."""
-        self._delta: tuple[Vector3, Vector3] = REST, REST
-        self._misfits = self._errors = (0.0, 0.0, 0.0)
+        self._delta = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+        self._misfits, self._errors = (0.0, 0.0, 0.0), (0.0, 0.0)
         self._worse_s = 0.0
         self.evidence_s = 0.0
         """Time in which the two laws disagreed."""
         self._gain = 0.0
         """Sum over it of the bias-only law's squared misfit less the map's."""
 
-    def step(self, channel: ChannelState, Delta_hat: Vector3, of_map: tuple[Vector3, Vector3], level: int) -> None:
+    def step(self, channel: ChannelState, Delta_hat: Array, now: Array, commanded: Array, level: int) -> None:
         """One tick.
 
         Parameters
         ----------
-        Delta_hat: the filtered residual.
-        of_map: nu of the law that learns, at the present and as it would be commanded.
+        Delta_hat: [3], the filtered residual.
+        now, commanded: [3], nu of the law that learns, at the present and as it would be commanded.
         level: 0 the map flies, 1 the bias-only law, 2 none.
         """
-        dt, residual, e = channel.dt, channel.residual.tolist(), channel.model_error.tolist()
-        now, commanded = of_map
+        dt, (bx, by, bz), (rx, ry, rz) = channel.dt, self.d, channel.residual.tolist()
         share = 1.0 - exp(-self._rate * dt)
-        pull = (0.0, 0.0, 0.0)
+        bx, by, bz = bx + share * (rx - bx), by + share * (ry - by), bz + share * (rz - bz)
         if level == 1 and self._tracking > 0.0:
-            pull = vector((-self._tracking * dt * channel.model_error.dot(self._PB)).tolist())
-        self.d = d = vector(b + share * (r - b) + p for b, r, p in zip(self.d, residual, pull, strict=True))
-        self._sent.append((commanded, d))
+            px, py, pz = channel.model_error.dot(self._PB).tolist()
+            pull = self._tracking * dt
+            bx, by, bz = bx - pull * px, by - pull * py, bz - pull * pz
+        self.d = bx, by, bz
+        self._since_s += dt
+        self._ticks += 1
+        if self._ticks % STRIDE == 0:
+            since, self._since_s = self._since_s, 0.0
+            of_map = vector(now.tolist()), vector(commanded.tolist())
+            self._compare(channel.model_error.tolist(), vector(Delta_hat.tolist()), of_map, level, since)
+
+    def _compare(
+        self, e: list[float], Delta_hat: Vector3, of_map: tuple[Vector3, Vector3], level: int, dt: float
+    ) -> None:
+        """Misfit and e of both laws, after `dt`."""
+        now, commanded = of_map
+        self._sent.append((commanded, self.d))
         if len(self._sent) * dt < self._lag_s:
             return
         then_map, then_bias = self._sent.popleft()
         fresh = min(dt / self._config.average_s, 1.0)
-        new = _squares(then_map, Delta_hat), _squares(then_bias, Delta_hat), _squares(REST, Delta_hat)
-        self._misfits = vector(m + fresh * (n - m) for m, n in zip(self._misfits, new, strict=True))
-        flown, other = (now, d) if level == 0 else (d, now)
-        self._errors = self._e_step(e, flown, other, level, dt, fresh)
+        m0, m1, m2 = self._misfits
+        n0, n1, n2 = _squares(then_map, Delta_hat), _squares(then_bias, Delta_hat), _squares(REST, Delta_hat)
+        self._misfits = m0 + fresh * (n0 - m0), m1 + fresh * (n1 - m1), m2 + fresh * (n2 - m2)
+        flown, other = (now, self.d) if level == 0 else (self.d, now)
+        mine, would = self._squared_errors(e, flown, other, dt)
+        e0, e1 = self._errors
+        of_map_e, of_bias_e = (mine, would) if level == 0 else (would, mine)
+        self._errors = e0 + fresh * (of_map_e - e0), e1 + fresh * (of_bias_e - e1)
         if _squares(then_map, then_bias) > self._apart2:
             self.evidence_s += dt
-            self._gain += dt * (new[1] - new[0])
-        worse = self.worse(level, level + 1)
-        self._worse_s = self._worse_s + dt if worse else max(self._worse_s - dt, 0.0)
+            self._gain += dt * (n1 - n0)
+        self._worse_s = self._worse_s + dt if self.worse(level, level + 1) else max(self._worse_s - dt, 0.0)
 
-    def _e_step(
-        self, e: list[float], flown: Vector3, other: Vector3, level: int, dt: float, fresh: float
-    ) -> tuple[float, float, float]:
-        """Mean squares of the weighted e with the map, with the bias-only law, and 0."""
-        (d1, d2), (k1, k2) = self._delta, (self._k1, self._k2)
-        each = zip(d1, d2, k1, k2, other, flown, strict=True)
-        d2 = vector(b + dt * (o - f - s * a - r * b) for a, b, s, r, o, f in each)
-        d1 = vector(a + dt * b for a, b in zip(d1, d2, strict=True))
-        self._delta = d1, d2
+    def _squared_errors(self, e: list[float], flown: Vector3, other: Vector3, dt: float) -> tuple[float, float]:
+        """norm(K_1 e_1 + K_2 e_2)^2 as flown, and as it would be with the other law."""
+        d1, d2 = self._delta
         mine = would = 0.0
-        for a, b, s, r, a_other, b_other in zip(e[:3], e[3:], k1, k2, d1, d2, strict=True):
-            here = s * a + r * b
-            there = here + s * a_other + r * b_other
+        for i in (0, 1, 2):
+            s, r = self._k1[i], self._k2[i]
+            d2[i] += dt * (other[i] - flown[i] - s * d1[i] - r * d2[i])
+            d1[i] += dt * d2[i]
+            here = s * e[i] + r * e[3 + i]
+            there = here + s * d1[i] + r * d2[i]
             mine += here * here
             would += there * there
-        of_map, of_bias = (mine, would) if level == 0 else (would, mine)
-        old_map, old_bias, _ = self._errors
-        return old_map + fresh * (of_map - old_map), old_bias + fresh * (of_bias - old_bias), 0.0
+        return mine, would
 
     def worse(self, one: int, other: int) -> str:
         """Why law `one` is worse than law `other` now; empty if it is not. 0 the map, 1 the bias-only law, 2 none."""

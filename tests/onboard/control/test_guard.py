@@ -142,7 +142,7 @@ def watched(nu, residual, seconds, config=None, level=0, error=0.0):
     for _ in range(round(seconds / DT)):
         state.residual[:] = residual
         state.model_error[:] = error
-        watch.step(state, tuple(residual), ((nu,) * 3, (nu,) * 3), level)
+        watch.step(state, np.array(residual), np.full(3, nu), np.full(3, nu), level)
     return watch
 
 
@@ -170,7 +170,8 @@ def test_evidence_is_time_in_which_the_laws_disagree():
 
     for tick in range(400):
         state.residual[:] = disturbance(tick)
-        watch.step(state, tuple(state.residual), ((disturbance(tick),) * 3, (disturbance(tick + lag - 1),) * 3), 0)
+        now, then = np.full(3, disturbance(tick)), np.full(3, disturbance(tick + lag - 4))
+        watch.step(state, state.residual, now, then, 0)
     assert watch.stands(1.0)
     assert 1.0 < watch.evidence_s < 2.0
 
@@ -184,7 +185,7 @@ def test_a_model_error_that_the_bias_would_not_have_had_counts():
         e[3:] += DT * (3.0 - 16.0 * e[:3] - 8.0 * e[3:])
         e[:3] += DT * e[3:]
         state.model_error[:] = e
-        watch.step(state, (0.0, 0.0, 0.0), ((3.0,) * 3, (3.0,) * 3), 0)
+        watch.step(state, np.zeros(3), np.full(3, 3.0), np.full(3, 3.0), 0)
     assert watch.worse(0, 1) == "model error"
     assert watch.numbers[3] < 0.1 * watch.numbers[2]
 
