@@ -35,6 +35,7 @@ SHORT_FLIGHT = ["--duration", "6", *(f"--set=network.{name}={address}" for name,
 SHORTER: dict[str, list[str]] = {
     "fly": SHORT_FLIGHT,
     "config": SHORT_FLIGHT,
+    "attack": ["--case", "steep", "--seeds", "1"],
     "bench": ["--seconds", "2"],
     "campaign": ["--seeds", "1"],
     "dropouts": ["--duration", "6"],

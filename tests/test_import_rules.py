@@ -43,6 +43,7 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "campaigns": ("flights", "margins", "memory"),
     "results": ("campaigns",),
     "link": ("flights", "replays", "campaigns", "results"),
+    "attacks": ("flights", "campaigns"),
 }
 """The rooms of `experiments`, each with the other rooms that it may import."""
 FOR_EVERYONE = ("configs.loader", "flight_log.schema")

@@ -270,7 +270,10 @@ def _honest(view: View) -> Channels:
     return _learnt(view, "position"), _learnt(view, "attitude")
 
 
+SILENT: Final = "silent"
+"""No version at all."""
 CASES: Final[dict[str, Callable[[], Case]]] = {
+    SILENT: lambda: lambda view: None,
     "honest": lambda: _at_rate(_honest, 0.5),
     "steep": lambda: _once(_steep),
     "steep_position": lambda: _once(_steep_position),

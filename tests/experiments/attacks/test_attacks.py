@@ -1,0 +1,49 @@
+"""Bad learners in flight: with the guard nothing is lost, and without it the same attack costs the vehicle."""
+
+import pytest
+
+from experiments.attacks.attack_flight import fly_attack
+from experiments.attacks.cases import CASES
+
+GUARD = "onboard.controller.settings.guard"
+OFF = tuple(
+    f"{GUARD}.{one}"
+    for one in (
+        *("room.enabled=false", "test.enabled=false", "watch.enabled=false"),
+        *("swaps_per_s_max=1000.0", "jumps_max=1000.0"),
+    )
+)
+JET = ("vehicle.disturbances.0.speed_m_s=8.0",)
+ERROR_MAX_M = 0.1
+"""RMS from the beginning of the attack on. Without an attack: 0.02."""
+
+
+def test_a_cliff_beside_the_states_of_the_last_second_is_refused():
+    outcome = fly_attack("steep", 1, assignments=JET)
+    assert not outcome.lost
+    assert outcome.swaps == 0
+    assert set(outcome.refused.values()) <= {"reach", "slope"}
+    assert outcome.error_m < ERROR_MAX_M
+
+
+def test_without_the_guard_the_same_cliff_throws_the_vehicle_off_its_path():
+    outcome = fly_attack("steep", 1, assignments=(*JET, *OFF))
+    assert outcome.swaps == 1
+    assert outcome.lost or outcome.worst_m > 1.0
+
+
+def test_a_cliff_that_is_out_of_reach_on_arrival_is_taken_back_before_it_is_reached():
+    outcome = fly_attack("far_cliff", 1, assignments=JET)
+    assert not outcome.lost
+    assert outcome.refused[1] == "probation"
+    assert any("taken back" in event for event in outcome.events)
+    assert outcome.error_m < ERROR_MAX_M
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("jet", ["0.0", "8.0"])
+@pytest.mark.parametrize("case", sorted(CASES))
+def test_no_bad_learner_costs_the_vehicle(case, jet):
+    outcome = fly_attack(case, 2, assignments=(f"vehicle.disturbances.0.speed_m_s={jet}",))
+    assert not outcome.lost
+    assert outcome.error_m < ERROR_MAX_M
