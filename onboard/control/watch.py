@@ -45,7 +45,7 @@ class WatchConfig(ConfigRecord):
     disagreement: Annotated[tuple[Size, Size], Field(description="above this a tick is evidence, units of u")] = (
         *(0.3, 4.0),
     )
-    proof_s: Annotated[Seconds, Field(description="s of evidence after which a version is proven")] = 1.0
+    proof_s: Annotated[Seconds, Field(description="s of evidence after which a version is proven")] = 0.5
     audition_s: Annotated[Seconds, Field(description="s of evidence after which a version may fly at all")] = 0.4
 
 
