@@ -26,10 +26,21 @@ def test_a_cliff_beside_the_states_of_the_last_second_is_refused():
     assert outcome.error_m < ERROR_MAX_M
 
 
-def test_without_the_guard_the_same_cliff_throws_the_vehicle_off_its_path():
-    outcome = fly_attack("steep", 1, assignments=(*JET, *OFF))
-    assert outcome.swaps == 1
-    assert outcome.lost or outcome.worst_m > 1.0
+@pytest.mark.full
+def test_without_the_guard_cliffs_cost_the_vehicle():
+    outcome = fly_attack("steep_again", 1, duration_s=20.0, assignments=(*JET, *OFF))
+    assert outcome.swaps > 0
+    assert outcome.lost
+
+
+def test_each_part_of_the_guard_makes_the_same_attack_less_bad():
+    """Nothing, the room, room and probation, and all."""
+    parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
+    errors = [fly_attack("steep_again", 1, duration_s=12.0, assignments=(*JET, *off)).error_m for off in parts]
+    assert errors[0] > 1.5 * errors[1]
+    assert errors[1] > 1.5 * errors[2]
+    assert errors[2] > 1.5 * errors[3]
+    assert errors[3] < ERROR_MAX_M
 
 
 def test_a_cliff_that_is_out_of_reach_on_arrival_is_taken_back_before_it_is_reached():
