@@ -150,12 +150,7 @@ def fill_section(record_type: type[RecordT], tree: Mapping[str, Any], source: st
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the keys of `over` laid over it: mappings are merged, everything else is replaced.
-
-    A mapping with another `kind` replaces: the keys of one kind mean nothing to the other.
-    """
-    if "kind" in over and "kind" in base and over["kind"] != base["kind"]:
-        return dict(over)
+    """`base` with the keys of `over` laid over it: mappings are merged, everything else is replaced."""
     merged = dict(base)
     for key, value in over.items():
         below = merged.get(key)
@@ -165,6 +160,8 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
     """`tree` with one `path.to.key=value` assignment (the value is YAML) laid over it.
+
+    A mapping of another `kind` than the one at this path replaces it.
 
     Raises
     ------
@@ -182,7 +179,10 @@ def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
 def _with_value(node: Any, keys: list[str], depth: int, value: Any, assignment: str) -> Any:
     """`node` with `value` at keys[depth:]; a number in the path counts the items of a list from 0."""
     if depth == len(keys):
-        return merge(node, value) if isinstance(value, Mapping) and isinstance(node, Mapping) else value
+        merges = (
+            isinstance(value, Mapping) and isinstance(node, Mapping) and value.get("kind") in (None, node.get("kind"))
+        )
+        return merge(node, value) if merges else value
     key = keys[depth]
     if isinstance(node, list | tuple):
         if not key.isdigit() or int(key) >= len(node):

@@ -25,7 +25,7 @@ SETTLING_TICKS: Final = 40000
 def fastest_filter(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
     """nu / r at the largest gain that the law can have: composite_gain, divided as S0 says.
 
-    That is the law after its start and after a swap. As S falls, the gain does; a loop with margins here has them there.
+    That is the law after its start and after a swap. As S falls, the gain does: margins here are margins there.
     """
     of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
     share = of_W / (of_W + of_b)

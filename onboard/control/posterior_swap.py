@@ -1,20 +1,22 @@
 """The swap of the law with a covariance: W, b and S in the new features are the posterior on the recent states.
 
-Prior: W ~ N(theta, S0), b an Ornstein-Uhlenbeck process (sigma_b, s_b). Measured: the filtered residual y_i at the n states of
-the last second,
+Prior: W ~ N(theta, S0), b an Ornstein-Uhlenbeck process (sigma_b, s_b). Measured: the filtered residual y_i at the n
+states of the last second,
 
     y_i = W'Phi_bar(x_i) + b(t_i) + v_i,    v_i ~ (0, R dt / (2 T))        T: time constant of the filter
 
-so with the joint covariance of y and [W; b now],
+so with the joint covariance of y and of [W; b] now,
 
-    C = Phi_bar'S0 Phi_bar + sigma_b^2 exp(-s_b |t_i - t_j|) + R dt / (2 T) I,    M = [S0 Phi_bar; sigma_b^2 exp(-s_b (t - t_i))]
+    C = Phi_bar'S0 Phi_bar + sigma_b^2 exp(-s_b |t_i - t_j|) + R dt / (2 T) I
+    M = [S0 Phi_bar; sigma_b^2 exp(-s_b (t - t_i))]
     [W - theta; b] = M C^-1 (y - Phi_bar'theta),    S = diag(S0, sigma_b^2) - M C^-1 M'.
 
 This is the filter of the law, run over these states from its prior, but for the mean reversion of W within the second.
-Then b takes up what is left of the jump of nu at the present state, so that nu is continuous there to rounding. eps_2, the
-largest change of nu over the recent states, the present one and the one ahead, is measured before anything changes. A swap
-that would make nu_cmd, at the state ahead, jump by more than `jump_max` is refused. At a state of the past second a large
-change is no jump: the vehicle is not there, and there the new map was fitted to what was measured. A theta that is too steep for the loop is flattened first (onboard.control.slope).
+Then b takes up what is left of the jump of nu at the present state, so that nu is continuous there to rounding. eps_2,
+the largest change of nu over the recent states, the present one and the one ahead, is measured before anything changes.
+A swap that would make nu_cmd, at the state ahead, jump by more than `jump_max` is refused. At a state of the past
+second a large change is no jump: the vehicle is not there, and there the new map was fitted to what was measured. A
+theta that is too steep for the loop is flattened first (onboard.control.slope).
 """
 
 from dataclasses import dataclass
@@ -69,10 +71,12 @@ def plan_posterior_swap(
     theta, _ = bounded_theta(channel, gains, law.config.slope_share, states, Phi_bar)
     if config.naive and law.theta.shape == theta.shape:
         X, S = np.vstack([law.W - theta, law.b]), law.state.S.copy()
+    elif law.config.composite_gain == 0.0:  # a law that is off flies the trained map
+        X, S = np.zeros((k + 1, 3)), np.diag(prior)
     else:
         X, S = posterior(law, prior, Phi_bar[:, :-2], y - Phi_bar[:, :-2].T @ theta, times)
     change = evaluate(law.config, theta, X, S, Phi_bar) - law.estimate(Phi)
-    if not config.naive:
+    if not config.naive and law.config.composite_gain > 0.0:
         X[-1] -= change[:, -2]
         change -= change[:, [-2]]
     jumps = np.sqrt((change * change).sum(axis=0))

@@ -1,15 +1,16 @@
 """The slope of a map theta'Phi, and its bound by the loop's own gains.
 
-A map over the state is feedback: nu = theta'Phi(p, v, ...) adds -d nu/dp to the stiffness of the loop and -d nu/dv to its
+A map over the state is feedback: nu = theta'Phi(p, v, ...) adds d nu/dp to the stiffness of the loop and d nu/dv to its
 damping, with either sign. So the slope of each axis is compared with what the loop itself has there:
 
 | channel | input | gain of the loop |
 |---|---|---|
 | position | position; velocity, also in body axes | K_1, K_2 of the position channel |
 | attitude | roll, pitch, yaw; body rates | K_1, K_2 of the attitude channel |
-| attitude | position; velocity | K_1 of both channels / g, K_1 K_2 / g: nu tilts the vehicle by nu / K_1, and g turns the tilt into acceleration |
+| attitude | position; velocity | K_1 of both channels / g; K_1 K_2 / g |
 
-An input of another kind (motor thrusts, battery) is not bounded: what nu does to it is not in the loop's gains.
+The last line: nu tilts the vehicle by nu / K_1, and g turns the tilt into acceleration. An input of another kind (motor
+thrusts, battery) is not bounded: what nu does to it is not in the loop's gains.
 """
 
 from dataclasses import dataclass
@@ -88,8 +89,8 @@ def bounded_theta(
 ) -> tuple[Array, Array]:
     """theta [k, 3] with the slope of every axis at these states within its share, and the shares before, [3].
 
-    An axis with too steep a map is flattened about its mean over the states: its rows but that of the constant are scaled,
-    and the constant takes up the change of the mean.
+    An axis with too steep a map is flattened about its mean over the states: its rows but that of the constant are
+    scaled, and the constant takes up the change of the mean.
 
     Parameters
     ----------

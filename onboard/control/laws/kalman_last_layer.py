@@ -1,25 +1,26 @@
 """The last-layer law with a covariance: W and a fast bias b are estimated together by a Kalman filter.
 
     Delta = W'Phi + b + v,    v ~ (0, R) in each tick
-    W_dot = -s_w (W - theta) + noise,    b_dot = -s_b b + noise          stationary covariance S0 = diag(p^2, ..., sigma_b^2)
+    W_dot = -s_w (W - theta) + noise,    b_dot = -s_b b + noise          stationary: S0 = diag(p^2, ..., sigma_b^2)
     nu     = W'Phi + b                                                   at the present state
     nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b                       at the state ahead
 
-theta is the trained last layer, the prior of W. A tick first predicts (W, b and S decay to theta, 0 and S0), then corrects
-with the residual r, phi = [Phi; 1] and s = phi'S phi:
+theta is the trained last layer, the prior of W. A tick first predicts (W, b and S decay to theta, 0 and S0), then
+corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
 
-    [W; b] += S phi (r - W'Phi - b - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
+    [W; b] += S phi (r - nu - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
 
-- Composite and tracking term in one: Gamma = S / R_t. t is tracking_gain / lambda, so the tracking term moves nu by at most
-  tracking_gain per second and unit of e_1, as in the gradient law.
-- R_t bounds the bandwidth of the loop: nu follows the residual at no more than lambda, whatever S0, R and Phi are. It is
-  the noise with which that rate is optimal.
-- [W - theta; b] stays in a ball, by projection in the metric of S^-1 (`_project`).
-- Confidence: c(x) = 1 - Phi'S Phi / Phi'S0 Phi is the share of the prior's variance that is explained at x. a = c(x_ahead) /
-  c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi + b instead of extrapolating. At the present
-  state nothing has to fade: the residual corrects nu there, at the full lambda where S is large.
+- Composite and tracking term in one: Gamma = S / R_t. t is tracking_gain / lambda, so the tracking term moves nu by at
+  most tracking_gain per second and unit of e_1, as in the gradient law.
+- R_t bounds the bandwidth of the loop: nu follows the residual at no more than lambda, whatever S0, R and Phi are. It
+  is the noise with which that rate is optimal.
+- [W - theta; b] stays in a ball, by projection in the metric of S^-1.
+- Confidence: c(x) = 1 - Phi'S Phi / Phi'S0 Phi is the share of the prior's variance that is explained at x. a =
+  c(x_ahead) / c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi + b instead of
+  extrapolating. At the present state nothing has to fade: the residual corrects nu there, at the full lambda where S is
+  large.
 
-Stability, what is proven and what is measured: docs/theory.md, "The law with a covariance".
+Stability, what is proven and what is measured: docs/theory_covariance.md.
 """
 
 import math
@@ -236,8 +237,8 @@ def fade(here: float, ahead: float) -> float:
 def project(X_rows: Array, S: Array, radius: float) -> Array:
     """X' [3, n] projected onto the ball norm(X) <= radius in the metric of S^-1, so that V never grows by it.
 
-    The nearest X in that metric is (I + mu S)^-1 X with the mu >= 0 that makes its norm the radius. In the axes of S each
-    component shrinks by 1 / (1 + mu s_j); mu by Newton's method on 1 / norm, which is nearly linear in mu.
+    The nearest X in that metric is (I + mu S)^-1 X with the mu >= 0 that makes its norm the radius. In the axes of S
+    each component shrinks by 1 / (1 + mu s_j); mu by Newton's method on 1 / norm, which is nearly linear in mu.
     """
     if not float(np.vdot(X_rows, X_rows)) > radius * radius:
         return X_rows

@@ -1,14 +1,14 @@
 """Mean X and covariance S of a Kalman filter whose states revert to their prior, each at a rate of its own.
 
-    predict:  X <- D X,                          S <- D S D + (I - D^2) S0,    D = diag(exp(-s_i dt)), S0 = diag(variances)
-    correct:  X <- X + g (y - X'phi)' / v,       S <- S - g g' / v,            g = S phi,  v = R + phi'S phi
+    predict:  X <- D X,                       S <- D S D + (I - D^2) S0,    D = diag(exp(-s_i dt)), S0 diagonal
+    correct:  X <- X + g (y - X'phi)' / v,    S <- S - g g' / v,            g = S phi,  v = R + phi'S phi
 
 S stays symmetric and positive definite in any precision, for any number of steps:
 - Symmetric to the bit: D S D is an elementwise product with a symmetric matrix, and u u', u = g / sqrt(v), has equal
   numbers on both sides of its diagonal, because a product of two floating-point numbers commutes.
-- Positive definite: after a prediction the smallest eigenvalue of S is at least f = min_i (1 - d_i^2) S0_i, and after the
-  correction that follows at least f / (1 + f norm(phi)^2 / R). Rounding of a step changes S by less than that as long as
-  `rounding_share` is below 1 (docs/theory.md). Nothing accumulates: each prediction restores f.
+- Positive definite: after a prediction the smallest eigenvalue of S is at least f = min_i (1 - d_i^2) S0_i, and after
+  the correction that follows at least f / (1 + f norm(phi)^2 / R). Rounding of a step changes S by less than that as
+  long as `rounding_share` is below 1 (docs/theory_covariance.md). Nothing accumulates: each prediction restores f.
 - S <= S0 always, so it does not wind up while nothing is excited.
 
 theta', X' and S are the rows of one array, so that one product evaluates them along phi, and one rank-one update with
@@ -87,7 +87,7 @@ def rounding_share(
 ) -> float:
     """How much of the smallest eigenvalue of S the rounding of one step may take: below 1, S stays positive definite.
 
-    For features of at most 1 in magnitude; a bound on the worst case (docs/theory.md), not an estimate.
+    For features of at most 1 in magnitude; a bound on the worst case (docs/theory_covariance.md), not an estimate.
     """
     n, largest = prior_variance.size, float(prior_variance.max())
     unit = float(np.finfo(dtype).eps) / 2.0

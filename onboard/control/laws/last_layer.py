@@ -174,7 +174,7 @@ class LastLayer:
         self._keep_in_ball()
 
     def learn(self, Phi: Array, channel: ChannelState, Delta_hat: Vector3) -> Array:
-        """One tick of the law; returns nu [3, 2] at the two columns of Phi [k, 2], the present state and the one ahead."""
+        """One tick of the law; returns nu [3, 2] at the columns of Phi [k, 2], the present state and the one ahead."""
         self.step(Phi[:, 0], channel.model_error, Delta_hat, channel.dt)
         return self.estimate(Phi)
 

@@ -1,4 +1,4 @@
-"""The swap of the law with a covariance: the posterior on the recent states, no jump here, refusal before anything changes."""
+"""The swap of the law with a covariance: the posterior on the recent states, no jump here, what is refused."""
 
 import dataclasses
 
@@ -108,7 +108,7 @@ def test_a_naive_swap_jumps_where_the_vehicle_is():
 
 
 def test_a_map_that_was_right_is_kept_and_a_wrong_one_is_corrected_at_once():
-    """theta that explains the recent residuals stays; one that does not is moved there by the posterior, before it flies."""
+    """theta that explains the recent residuals stays; one that does not is moved there before it flies."""
     augmentation, _, _ = flying(SwapConfig(jump_max=1e9))
     source = channel(5)
     new = NetworkFeatures(source)
@@ -120,6 +120,15 @@ def test_a_map_that_was_right_is_kept_and_a_wrong_one_is_corrected_at_once():
     assert np.abs(of_right.W - right).max() < 0.2
     misfit = np.abs((of_wrong.W - right).T @ Phi + of_wrong.X[-1][:, None])
     assert np.median(misfit[:, -20:]) < 0.35 * np.median(np.abs(np.ones((3, 10)) @ Phi))
+
+
+def test_a_law_that_is_off_flies_the_trained_map():
+    augmentation, state, _ = flying(SwapConfig(jump_max=1e9), composite_gain=0.0, tracking_gain=0.0)
+    source = channel(9)
+    augmentation.commit(*augmentation.plan(source))
+    Phi = augmentation.features.evaluate(augmentation.features.select(state.signals))
+    nu = augmentation.step(state, ChannelTelemetry())
+    np.testing.assert_allclose(nu, source.last_layer.T @ Phi[:, 1], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +149,7 @@ def test_refusals_before_anything_changes(source, swap_config, reason):
 
 
 def test_numbers_that_are_not_finite_are_refused():
-    augmentation, state, _ = flying(SwapConfig(jump_max=1e9))
+    augmentation, _, _ = flying(SwapConfig(jump_max=1e9))
     augmentation._recent.push(np.full(SIGNAL_COUNT, np.nan))
     assert augmentation.plan(channel(3))[1].refusal == "not_finite"
 

@@ -158,7 +158,7 @@ def test_without_the_projection_the_state_leaves_its_ball():
 @settings(max_examples=100, **SETTINGS)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0))
 def test_projection_never_adds_to_v(seed, spread):
-    """tr(X~'S^-1 X~) does not grow for any X* in the ball: what the stability proof needs. A plain scaling would add."""
+    """tr(X~'S^-1 X~) does not grow for any X* in the ball: what the stability proof needs."""
     rng = np.random.default_rng(seed)
     n, radius = 5, 2.0
     axes = np.linalg.qr(rng.normal(size=(n, n)))[0]
