@@ -15,6 +15,6 @@ class MemoryConfig(ConfigRecord):
     learning_rate: float = Field(default=0.003, gt=0.0, description="of Adam; falls to a twentieth at the end")
     weight_decay: float = Field(default=1e-5, ge=0.0, description="l2 on the inner layers' weights")
     position_spread_m_s2: float = Field(
-        default=0.4, gt=0.0, description="m/s^2, root of S0: of a condition's weights, as the law's own prior"
+        default=0.6, gt=0.0, description="m/s^2, root of S0: of a condition's weights, as the law's own prior"
     )
-    attitude_spread_rad_s2: float = Field(default=2.4, gt=0.0, description="rad/s^2, the same of the attitude channel")
+    attitude_spread_rad_s2: float = Field(default=3.0, gt=0.0, description="rad/s^2, the same of the attitude channel")
