@@ -48,7 +48,7 @@ def test_signals_are_those_of_the_ticks(flight: tuple[FlightConfig, LockstepOutc
 
 def test_nothing_is_sampled_where_nothing_could_adapt(flight: tuple[FlightConfig, LockstepOutcome]) -> None:
     outcome = flight[1]
-    rows = outcome.trace.tick.rows[: 200]
-    time_ns = (outcome.trace.time_s[: 200] * 1e9).round().astype(np.int64)
+    rows = outcome.trace.tick.rows[:200]
+    time_ns = (outcome.trace.time_s[:200] * 1e9).round().astype(np.int64)
     assert labelled_samples(time_ns, rows, LabelConfig()).rows == 0
     assert labelled_samples(time_ns[:0], rows[:0], LabelConfig()).rows == 0
