@@ -165,9 +165,9 @@ def test_a_shipped_campaign_draws_held_out_vehicles_and_another_place_of_the_jet
 
 
 WEAK = """
-description: A vehicle too weak for a controller that neither learns nor estimates its thrust.
+description: A vehicle that cannot lift its weight.
 controllers: [none]
-cases: [{name: weak, scenario: hover, duration_s: 6, set: {vehicle.motors.gain: [0.65, 0.65, 0.65, 0.65], onboard.thrust_scale.enabled: false}}]
+cases: [{name: weak, scenario: hover, duration_s: 6, set: {vehicle.motors.gain: [0.4, 0.4, 0.4, 0.4]}}]
 seeds: {count: 1}
 """
 
