@@ -102,4 +102,4 @@ class ThrustScale:
         rate = self._rate + dt * (config.time_constant_s**-2 - (self._rate * load) ** 2)
         self._rate = min(
             max(rate, 0.0), self._fastest
-        )  # a step of the Riccati equation is stable for sensible loads only
+        )  # whatever the load: an Euler step is stable for small ones only
