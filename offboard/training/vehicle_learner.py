@@ -149,6 +149,7 @@ class VehicleLearner:
             wire_dtype=self._config.transfer.dtype,
             prior=None if self._memory is None else self._memory.prior,
             contest=self._contest,
+            vehicle=self._config.vehicle_id,
         )
 
     def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:
