@@ -7,10 +7,11 @@ Backward:    delta_y = dL/dy_hat = 2 (y_hat - y) / (3 C M)
 Gradient:    dL/dW_l' = h_(l-1) delta_l',  dL/db_l = sum of delta_l over the samples; the same for theta and theta_0
 
 C channels are trained at once, on mini-batches of M samples. V vehicles may share the inner layers, each with a last
-layer of its own: a mini-batch then has M / V samples of each, one vehicle after the other. The gradient is written out, into views of one flat
-vector, because torch's autograd and optimisers take most of the time of a mini-batch with networks this small; a test
-compares it with autograd. Samples are along the last axis of inputs, outputs and errors: products of such narrow
-matrices then take half the time.
+layer of its own: a mini-batch then has M / V samples of each, one vehicle after the other.
+
+The gradient is written out, into views of one flat vector, because torch's autograd and optimisers take most of the
+time of a mini-batch with networks this small; a test compares it with autograd. Samples are along the last axis of
+inputs, outputs and errors: products of such narrow matrices then take half the time.
 """
 
 from dataclasses import dataclass

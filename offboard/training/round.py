@@ -143,8 +143,8 @@ class _Round:
     def _refit(self) -> None:
         """Ridge regression of each vehicle's last layer, towards zero or towards the mean of the other vehicles.
 
-        That mean is of the regressions towards zero, in the units of u. Which of the two a channel takes is decided by the
-        vehicle's own held-out samples, as its ridge is: another vehicle's jet is taken where it is found here as well.
+        That mean is of the regressions towards zero, in the units of u. Which of the two a channel takes is decided by
+        the vehicle's own held-out samples, as its ridge is: a jet of the others is taken where it is found here too.
         """
         slope, parts = self._slope(), self._parts
         regressions = [part.regression() for part in parts]
