@@ -1,6 +1,7 @@
 """What is learnt about one vehicle: its samples, labels, buffer, networks and feature versions.
 
-A process that trains for several vehicles has one VehicleLearner for each. No bytes, clock or link in this file.
+A process that trains for several vehicles has one VehicleLearner for each; they may share the networks' inner layers
+(offboard.training.fleet). No bytes, clock or link in this file.
 """
 
 from collections import Counter
