@@ -63,9 +63,11 @@ NAMED_SHELLS = {
     "sim_vehicle.physics.compiled",
     "offboard.links.vehicle_service",
     "offboard.background",
+    "onboard.c.declarations",
+    "onboard.c.library",
 }
 """Modules outside the shells' names that are shells, and why: key files; the compiler's cache; the offboard process's
-part for each vehicle, and its thread."""
+part for each vehicle, and its thread; building and loading the C core."""
 FOR_SHELLS = ("runtime.", "flight_log.writer")
 WITH_CORES = ("protocol", "onboard", "offboard", "sim_vehicle")
 NOT_IN_A_CORE = {

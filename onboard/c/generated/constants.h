@@ -1,0 +1,37 @@
+/* Written by python -m onboard.c.generate. Do not edit. */
+#ifndef DMRAC_CONSTANTS_H
+#define DMRAC_CONSTANTS_H
+
+#include <stdint.h>
+
+#include "numerics/real.h"
+
+#define GRAVITY REAL(9.80665) /* protocol.conventions */
+#define NEVER_NS INT64_C(-1000000000000000000) /* protocol.conventions */
+#define SIGNAL_COUNT 21 /* protocol.signals */
+
+typedef enum {
+    SIGNAL_POSITION_N = 0,
+    SIGNAL_POSITION_E = 1,
+    SIGNAL_POSITION_D = 2,
+    SIGNAL_VELOCITY_N = 3,
+    SIGNAL_VELOCITY_E = 4,
+    SIGNAL_VELOCITY_D = 5,
+    SIGNAL_ROLL = 6,
+    SIGNAL_PITCH = 7,
+    SIGNAL_YAW = 8,
+    SIGNAL_RATE_P = 9,
+    SIGNAL_RATE_Q = 10,
+    SIGNAL_RATE_R = 11,
+    SIGNAL_BODY_VELOCITY_X = 12,
+    SIGNAL_BODY_VELOCITY_Y = 13,
+    SIGNAL_BODY_VELOCITY_Z = 14,
+    SIGNAL_MOTOR_THRUST_1 = 15,
+    SIGNAL_MOTOR_THRUST_2 = 16,
+    SIGNAL_MOTOR_THRUST_3 = 17,
+    SIGNAL_MOTOR_THRUST_4 = 18,
+    SIGNAL_BATTERY_VOLTAGE = 19,
+    SIGNAL_VIBRATION = 20
+} Signal;
+
+#endif
