@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from onboard.config import OnboardConfig
+from onboard.control.cascade import CascadedController, CascadeSettings
 
 OUTSIDE: Final[dict[str, str]] = {
     "OnboardConfig.realtime": "of the process around the core",
@@ -28,21 +29,30 @@ OUTSIDE: Final[dict[str, str]] = {
     "OnboardConfig.pose_wait_s": "the same",
     "OnboardConfig.seed": "what is drawn by it is in the image",
     "Lissajous.seed": "what is drawn by it is in the image",
+    "CascadeSettings.features": "the same as OnboardConfig.features",
 }
 """Fields that the C core does not need, by record and name, and why."""
 NOT_YET: Final = (
     "OnboardConfig.vehicle_id",
-    "OnboardConfig.period_ns",
     "OnboardConfig.status_period_s",
     "OnboardConfig.time_sync_period_s",
-    "OnboardConfig.estimator",
-    "OnboardConfig.supervisor",
-    "OnboardConfig.guidance",
-    "OnboardConfig.controller",
     "OnboardConfig.features",
-    "OnboardConfig.samples",
 )
 """Fields of rooms that are not written in C yet (README.md)."""
+UNREAD_YET: Final = frozenset(
+    {
+        *(
+            f"CoreConfig.{name}"
+            for name in ("period_ns", "controller", "guidance", "supervisor", "samples", "estimator")
+        ),
+        *("CascadeSettings", "ChannelSettings", "DemandLimitsConfig", "RepetitiveConfig", "IterativeLearningConfig"),
+        *("GuidanceConfig", "TrajectoryConfig", "Figure8", "Lissajous", "Circle", "Waypoints"),
+        "AdaptiveConfig.rbf_width",
+        *("SupervisorConfig", "SamplerConfig", "EstimatorConfig"),
+    }
+)
+"""Fields, or whole records, that are in the table although no C file reads them yet."""
+CASCADE: Final = f"{CascadedController.__module__}:{CascadedController.__name__}"
 LEAF_BYTES: Final = 8
 MAGIC: Final = b"DMRC"
 HEADER_BYTES: Final = 12
@@ -117,18 +127,18 @@ class OneOf:
     name: str
     prefix: str
     """Of the names of the kinds in C."""
-    members: tuple[tuple[str, type[BaseModel], Record], ...]
-    """Kind, type and structure."""
+    members: tuple[tuple[str, Record], ...]
+    """Kind and structure. One without fields has no member in C, as C99 has no empty structure."""
 
     @property
     def kind(self) -> Leaf:
         """The number that tells which."""
-        return Leaf(f"{self.name}Kind", tuple(kind for kind, _, _ in self.members))
+        return Leaf(f"{self.name}Kind", tuple(kind for kind, _ in self.members))
 
     def pack(self, value: Any) -> bytes:
         """The kind and all members."""
         packed = self.kind.pack(value.kind)
-        for kind, _, record in self.members:
+        for kind, record in self.members:
             packed += record.pack(value) if kind == value.kind else bytes(size_of(record))
         return packed
 
@@ -146,15 +156,26 @@ def size_of(node: Node) -> int:
         case Record():
             return sum(size_of(field.node) for field in node.fields)
         case OneOf():
-            return LEAF_BYTES + sum(size_of(record) for _, _, record in node.members)
+            return LEAF_BYTES + sum(size_of(record) for _, record in node.members)
+
+
+def _controller_settings(config: OnboardConfig) -> BaseModel:
+    """The settings of the cascade. Raises TableError for another class of controller."""
+    path = config.controller.class_path
+    if path != CASCADE:
+        raise TableError(f"controller.class: {path!r} is not in the C core, allowed is {CASCADE!r}")
+    return config.controller.filled_settings(config.features)
 
 
 def record_of(model: type[BaseModel]) -> Record:
     """The structure of a configuration record. Raises TableError for a field that C cannot have."""
-    fields = []
+    fields: list[Field] = []
     for name, info in model.model_fields.items():
         place = f"{model.__name__}.{name}"
         if place in OUTSIDE or place in NOT_YET or (name == "kind" and get_origin(info.annotation) is Literal):
+            continue
+        if place == "OnboardConfig.controller":
+            fields.append(Field(name, record_of(CascadeSettings), "of the cascade", _controller_settings))
             continue
         node = _node(info.annotation, info, model, name)
         fields.append(Field(name, node, " ".join((info.description or "").split()), attrgetter(name)))
@@ -201,7 +222,7 @@ def _one_of(models: tuple[Any, ...], model: type[BaseModel], name: str) -> OneOf
         if not (isinstance(one, type) and issubclass(one, BaseModel) and "kind" in one.model_fields):
             raise TableError(f"{model.__name__}.{name}: a choice of {one}, allowed are records with a kind")
         (kind,) = get_args(one.model_fields["kind"].annotation)
-        members.append((kind, one, record_of(one)))
+        members.append((kind, record_of(one)))
     return OneOf(model.__name__.removesuffix("Config") + camel(name), name.upper(), tuple(members))
 
 
@@ -225,7 +246,7 @@ def walk(node: Node) -> Iterator[Node]:
             for field in node.fields:
                 yield from walk(field.node)
         case OneOf():
-            for _, _, record in node.members:
+            for _, record in node.members:
                 yield from walk(record)
     yield node
 

@@ -5,15 +5,33 @@ from enum import Enum
 from importlib import import_module
 from typing import Any, Final
 
+from pydantic import BaseModel
+
+from onboard.control.feature_swap import SwapConfig
+from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_NAMES
 
 CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.conventions": ("GRAVITY", "NEVER_NS"),
     "protocol.signals": ("SIGNAL_COUNT",),
+    "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
+    "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
+    "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
+    "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
 }
 """Module, and names there; `OLD=NEW` gives it another name in C."""
 ENUMERATIONS: Final[dict[str, type[Enum]]] = {}
 """Prefix of the members in C, and the enumeration."""
+
+
+LIMITS: Final[dict[str, tuple[type[BaseModel], str]]] = {"RING_MAX": (SwapConfig, "ring_size")}
+"""Sizes of arrays: the largest value that a field of a record may have."""
+
+
+def _most(model: type[BaseModel], name: str) -> int:
+    """The largest value that a field allows."""
+    (most,) = (one.le for one in model.model_fields[name].metadata if hasattr(one, "le"))
+    return int(most)
 
 
 def constants() -> Iterator[tuple[str, Any, str]]:
@@ -22,6 +40,8 @@ def constants() -> Iterator[tuple[str, Any, str]]:
         for name in names:
             old, _, new = name.partition("=")
             yield (new or old).lstrip("_"), getattr(import_module(module), old), module
+    for name, (model, field) in LIMITS.items():
+        yield name, _most(model, field), f"{model.__name__}.{field}"
 
 
 def literal(value: Any) -> str:
@@ -33,6 +53,7 @@ def literal(value: Any) -> str:
 
 def enumerations() -> Iterator[tuple[str, list[str]]]:
     """Name in C and members, in the order of their numbers, from 0."""
+    yield "Refusal", [f"REFUSAL_{name.upper() or 'NONE'}" for name in REFUSALS]
     yield "Signal", [f"SIGNAL_{name.upper()}" for name in SIGNAL_NAMES]
     for prefix, one in ENUMERATIONS.items():
         yield one.__name__, [f"{prefix}_{member.name}" for member in one]

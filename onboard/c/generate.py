@@ -15,6 +15,7 @@ from onboard.c.config_table import (
     HEADER_BYTES,
     LEAF_BYTES,
     MAGIC,
+    UNREAD_YET,
     Leaf,
     Node,
     OneOf,
@@ -72,7 +73,12 @@ def unread_fields(source: str) -> list[str]:
     """Fields of the table, as Record.field, that do not occur in the C sources as `.name` or `->name`."""
     read = set(re.findall(r"(?:\.|->)(\w+)", source))
     records = {node.name: node for node in walk(table()) if isinstance(node, Record)}
-    return [f"{name}.{field.name}" for name, one in records.items() for field in one.fields if field.name not in read]
+    return [
+        f"{name}.{field.name}"
+        for name, one in records.items()
+        for field in one.fields
+        if field.name not in read and not UNREAD_YET & {name, f"{name}.{field.name}"}
+    ]
 
 
 def _written_by_hand() -> str:
@@ -126,9 +132,9 @@ def _declaration(node: Node, declared: set[str]) -> Iterator[str]:
     if isinstance(node, Leaf) and node.choices:
         yield _enumeration(name, [f"{_upper(name)}_{choice.upper()}" for choice in node.choices])
     elif isinstance(node, OneOf):
-        yield _enumeration(node.kind.c_type, [f"{node.prefix}_{kind.upper()}" for kind, _, _ in node.members])
-        yield _structure(name, [(kind, record, "") for kind, _, record in node.members], node.kind.c_type)
-    elif isinstance(node, Record):
+        yield _enumeration(node.kind.c_type, [f"{node.prefix}_{kind.upper()}" for kind, _ in node.members])
+        yield _structure(name, [(kind, record, "") for kind, record in node.members if record.fields], node.kind.c_type)
+    elif isinstance(node, Record) and node.fields:
         yield _structure(name, [(field.name, field.node, field.unit) for field in node.fields])
 
 
@@ -221,7 +227,11 @@ static int32_t read_choice(Cursor *from, int32_t most) {
 
 
 def _config_source() -> str:
-    records = {_type_of(node): node for node in walk(table()) if isinstance(node, Record | OneOf)}
+    records = {
+        _type_of(node): node
+        for node in walk(table())
+        if isinstance(node, OneOf) or (isinstance(node, Record) and node.fields)
+    }
     bodies = "".join(f"\n{_reader(name, node)}" for name, node in records.items())
     chooses = "read_choice" in bodies
     word = ", ".join(f"0x{byte:02x}" for byte in MAGIC + layout())
@@ -243,13 +253,12 @@ def _reader(name: str, node: Record | OneOf) -> str:
     lines: list[str] = []
     if isinstance(node, OneOf):
         lines += _reading(node.kind, "out->kind", 1)
-        members: list[tuple[str, Node]] = [(kind, record) for kind, _, record in node.members]
+        members: list[tuple[str, Node]] = [(kind, record) for kind, record in node.members if record.fields]
     else:
         members = [(field.name, field.node) for field in node.fields]
     for member, inner in members:
         lines += _reading(inner, f"out->{member}", 1)
-    unused = [] if lines else ["    (void)from;", "    (void)out;"]
-    return f"static void read_{name}(Cursor *from, {name} *out) {{\n{chr(10).join(lines or unused)}\n}}\n"
+    return f"static void read_{name}(Cursor *from, {name} *out) {{\n{chr(10).join(lines)}\n}}\n"
 
 
 def _reading(node: Node, target: str, depth: int) -> Iterator[str]:

@@ -9,6 +9,27 @@
 #define GRAVITY REAL(9.80665) /* protocol.conventions */
 #define NEVER_NS INT64_C(-1000000000000000000) /* protocol.conventions */
 #define SIGNAL_COUNT 21 /* protocol.signals */
+#define LAYERS_MAX 4 /* protocol.feature_set */
+#define WIDTH_MAX 128 /* protocol.feature_set */
+#define RBF_COUNT 20 /* onboard.control.features */
+#define INPUT_LIMIT REAL(3.0) /* onboard.control.features */
+#define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
+#define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
+#define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define RING_MAX 200 /* SwapConfig.ring_size */
+
+typedef enum {
+    REFUSAL_NONE = 0,
+    REFUSAL_UNDECODABLE = 1,
+    REFUSAL_DIGEST = 2,
+    REFUSAL_INPUTS = 3,
+    REFUSAL_NOT_FINITE = 4,
+    REFUSAL_LIPSCHITZ = 5,
+    REFUSAL_WEIGHT_NORM = 6,
+    REFUSAL_SWAP_JUMP = 7,
+    REFUSAL_STALE = 8,
+    REFUSAL_NOT_ACCEPTING = 9
+} Refusal;
 
 typedef enum {
     SIGNAL_POSITION_N = 0,

@@ -119,11 +119,6 @@ static int nearest(real x) {
     return (int)(x + (x < REAL(0.0) ? REAL(-0.5) : REAL(0.5)));
 }
 
-static real not_a_number(void) {
-    real zero = REAL(0.0);
-    return zero / zero;
-}
-
 real real_abs(real x) {
 #ifdef DMRAC_FLOAT
     return fabsf(x);
@@ -273,7 +268,7 @@ static real cosine_kernel(real x, real rest) {
 /* sin(x + quarters pi / 2). */
 static real sine_after(real x, int quarters) {
     if (!(real_abs(x) <= ANGLE_MAX)) {
-        return not_a_number();
+        return REAL(NAN);
     }
     real y, rest;
     int n = (reduce(x, &y, &rest) + quarters) & 3;

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
+from pydantic import BaseModel
+
+from onboard.c.config_table import Leaf, OneOf, Record, Several, record_of
 
 SANITIZED = os.environ.get("DMRAC_TEST_SANITIZED") == "1"
 """Set by test_sanitizers.py, which runs these tests again in a process that the sanitizers watch."""
@@ -76,3 +79,30 @@ def same(ours: Any, theirs: Any, rtol: float = RTOL, scale: float = 0.0) -> None
     theirs = np.asarray(theirs, dtype=float).reshape(-1)
     largest = max(scale, float(np.abs(theirs).max(initial=0.0)))
     np.testing.assert_allclose(np.asarray(ours, dtype=float).reshape(-1), theirs, rtol=0.0, atol=rtol * largest)
+
+
+def configured(core: Any, record: BaseModel) -> Any:
+    """A configuration record as the structure of the same name."""
+    node = record_of(type(record))
+    target = getattr(core, node.name)()
+    _configure(node, target, record)
+    return target
+
+
+def _configure(node: Record, target: Any, record: Any) -> None:
+    for field in node.fields:
+        value, inner = field.get(record), field.node
+        match inner:
+            case Leaf():
+                setattr(target, field.name, inner.choices.index(value) if inner.choices else value)
+            case Record():
+                _configure(inner, getattr(target, field.name), value)
+            case Several():
+                if inner.counted:
+                    setattr(target, f"{field.name}_count", len(value))
+                view(getattr(target, field.name))[: len(value)] = value
+            case OneOf():
+                union = getattr(target, field.name)
+                union.kind = inner.kind.choices.index(value.kind)
+                if (chosen := dict(inner.members)[value.kind]).fields:
+                    _configure(chosen, getattr(union, value.kind), value)

@@ -169,8 +169,10 @@ def _compare(node: Any, ours: Any, theirs: Any, rounded: Any) -> None:
                 else:
                     _compare(field.node, member, value, rounded)
         case OneOf():
-            assert node.members[ours.kind][0] == theirs.kind
-            _compare(node.members[ours.kind][2], getattr(ours, theirs.kind), theirs, rounded)
+            kind, record = node.members[ours.kind]
+            assert kind == theirs.kind
+            if record.fields:
+                _compare(record, getattr(ours, kind), theirs, rounded)
         case Several():
             for index, one in enumerate(theirs):
                 _compare(node.of, ours[index], one, rounded)
