@@ -20,6 +20,7 @@ from pydantic.fields import FieldInfo
 
 from onboard.config import OnboardConfig
 from onboard.control.cascade import CascadedController, CascadeSettings
+from onboard.flight.trajectory import Lissajous, Swing, swings
 
 OUTSIDE: Final[dict[str, str]] = {
     "OnboardConfig.realtime": "of the process around the core",
@@ -43,10 +44,10 @@ UNREAD_YET: Final = frozenset(
     {
         *(
             f"CoreConfig.{name}"
-            for name in ("period_ns", "controller", "guidance", "supervisor", "samples", "estimator")
+            for name in ("period_ns", "controller", "guidance", "supervisor", "samples", "estimator", "lissajous")
         ),
         *("CascadeSettings", "ChannelSettings", "DemandLimitsConfig", "RepetitiveConfig", "IterativeLearningConfig"),
-        *("GuidanceConfig", "TrajectoryConfig", "Figure8", "Lissajous", "Circle", "Waypoints"),
+        *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),
         "AdaptiveConfig.rbf_width",
         *("SupervisorConfig", "SamplerConfig", "EstimatorConfig"),
     }
@@ -167,6 +168,12 @@ def _controller_settings(config: OnboardConfig) -> BaseModel:
     return config.controller.filled_settings(config.features)
 
 
+def _swings(config: OnboardConfig) -> tuple[Swing, Swing]:
+    """The motions of a Lissajous path, drawn by its seed."""
+    path, still = config.guidance.trajectory.path, Swing(0.0, 0.0, 0.0)
+    return swings(path) if isinstance(path, Lissajous) else (still, still)
+
+
 def record_of(model: type[BaseModel]) -> Record:
     """The structure of a configuration record. Raises TableError for a field that C cannot have."""
     fields: list[Field] = []
@@ -233,8 +240,10 @@ def camel(name: str) -> str:
 
 @lru_cache(maxsize=1)
 def table() -> Record:
-    """The whole configuration of the core."""
-    return Record("CoreConfig", record_of(OnboardConfig).fields)
+    """The whole configuration of the core, and what is drawn at random of it."""
+    swing = Record("Swing", tuple(Field(name, Leaf("real"), "", attrgetter(name)) for name in Swing._fields))
+    drawn = Field("lissajous", Several(swing, 2, counted=False), "north and east; zero on another path", _swings)
+    return Record("CoreConfig", (*record_of(OnboardConfig).fields, drawn))
 
 
 def walk(node: Node) -> Iterator[Node]:

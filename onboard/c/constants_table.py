@@ -18,6 +18,11 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
     "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
+    "onboard.control.tracking_bound": (
+        "RESIDUAL_FILTER_S=BOUND_RESIDUAL_FILTER_S",
+        *("ESTIMATE_SIGMAS", "SPREAD", "OVERSHOOT"),
+    ),
+    "onboard.flight.guidance": ("RETURN_M_S2",),
 }
 """Module, and names there; `OLD=NEW` gives it another name in C."""
 ENUMERATIONS: Final[dict[str, type[Enum]]] = {}

@@ -30,7 +30,7 @@ _STATEMENT: Final = re.compile(
     r"|typedef\s+(?P<old>\w+)\s+(?P<new>\w+)"
     r"|(?P<result>[\w\s]+?[\s*]+)(?P<function>\w+)\s*\((?P<parameters>[^()]*)\))\s*;"
 )
-_FIELD: Final = re.compile(r"\s*(?P<type>\w+)\s+(?P<name>\w+)(?P<array>(?:\[[^\]]+\])*)\s*$")
+_FIELD: Final = re.compile(r"\s*(?:const\s+)?(?P<type>\w+)\s+(?P<star>\*?)(?P<name>\w+)(?P<array>(?:\[[^\]]+\])*)\s*$")
 _PARAMETER: Final = re.compile(
     r"\s*(?P<const>const\s+)?(?P<type>\w+)\s*(?P<star>\*?)\s*(?P<name>\w+)(?P<array>\[\w*\])?\s*$"
 )
@@ -94,6 +94,8 @@ class Declarations:
             if field is None:
                 raise DeclarationError(f"{name}: field {line.strip()!r} not understood")
             kind = self._type(field["type"])
+            if field["star"]:
+                kind = ctypes.POINTER(kind)
             for length in reversed(re.findall(r"\[([^\]]+)\]", field["array"])):
                 kind = kind * _number(length)
             fields.append((field["name"], kind))

@@ -326,6 +326,12 @@ static void read_SamplerConfig(Cursor *from, SamplerConfig *out) {
     out->repeat_after_s = read_real(from);
 }
 
+static void read_Swing(Cursor *from, Swing *out) {
+    out->amplitude_m = read_real(from);
+    out->omega_rad_s = read_real(from);
+    out->phase_rad = read_real(from);
+}
+
 static void read_CoreConfig(Cursor *from, CoreConfig *out) {
     out->period_ns = read_int(from);
     read_AirframeConfig(from, &out->airframe);
@@ -334,10 +340,13 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
     read_GuidanceConfig(from, &out->guidance);
     read_CascadeSettings(from, &out->controller);
     read_SamplerConfig(from, &out->samples);
+    for (int i = 0; i < 2; i++) {
+        read_Swing(from, &out->lissajous[i]);
+    }
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x04, 0x2b, 0x64, 0x2f, 0x19, 0xeb, 0xbd, 0x9a};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x24, 0xa4, 0xde, 0xce, 0xb2, 0x31, 0xe9, 0x68};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 3404
+#define CONFIG_IMAGE_BYTES 3452
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -295,6 +295,12 @@ typedef struct {
 } SamplerConfig;
 
 typedef struct {
+    real amplitude_m; /* 0 */
+    real omega_rad_s; /* 8 */
+    real phase_rad; /* 16 */
+} Swing;
+
+typedef struct {
     int64_t period_ns; /* 0: ns, one tick */
     AirframeConfig airframe; /* 8 */
     EstimatorConfig estimator; /* 104 */
@@ -302,6 +308,7 @@ typedef struct {
     GuidanceConfig guidance; /* 808 */
     CascadeSettings controller; /* 2544: of the cascade */
     SamplerConfig samples; /* 3344 */
+    Swing lissajous[2]; /* 3392: north and east; zero on another path */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -16,6 +16,11 @@
 #define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
 #define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
 #define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define BOUND_RESIDUAL_FILTER_S REAL(0.02) /* onboard.control.tracking_bound */
+#define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
+#define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
+#define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
+#define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
 #define RING_MAX 200 /* SwapConfig.ring_size */
 
 typedef enum {
