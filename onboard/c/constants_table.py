@@ -8,6 +8,8 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from onboard.control.feature_swap import SwapConfig
+from onboard.flight.modes import TRANSITIONS, Command, Event, FlightMode
+from onboard.sampling.sampler import SamplerConfig
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_NAMES
 
@@ -23,13 +25,20 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
         *("ESTIMATE_SIGMAS", "SPREAD", "OVERSHOOT"),
     ),
     "onboard.flight.guidance": ("RETURN_M_S2",),
+    "onboard.flight.supervisor": ("LEVEL_MAX_RAD", "_QUEUE_MAX=COMMAND_QUEUE_MAX", "_PROGRESS_M", "_NOT_READY_NS"),
+    "onboard.sampling.signal_vector": ("THRUST_FILTER_S",),
+    "protocol.messages": ("SAMPLES_PER_BATCH_MAX",),
+    "onboard.sampling.sampler": ("SAMPLE_BYTES", "NETWORK_BYTES", "BATCH_OVERHEAD_BYTES", "_BURST_BYTES"),
 }
 """Module, and names there; `OLD=NEW` gives it another name in C."""
-ENUMERATIONS: Final[dict[str, type[Enum]]] = {}
+ENUMERATIONS: Final[dict[str, type[Enum]]] = {"MODE": FlightMode, "EVENT": Event, "COMMAND": Command}
 """Prefix of the members in C, and the enumeration."""
 
 
-LIMITS: Final[dict[str, tuple[type[BaseModel], str]]] = {"RING_MAX": (SwapConfig, "ring_size")}
+LIMITS: Final[dict[str, tuple[type[BaseModel], str]]] = {
+    "RING_MAX": (SwapConfig, "ring_size"),
+    "KEPT_SAMPLES_MAX": (SamplerConfig, "kept_samples"),
+}
 """Sizes of arrays: the largest value that a field of a record may have."""
 
 
@@ -60,5 +69,15 @@ def enumerations() -> Iterator[tuple[str, list[str]]]:
     """Name in C and members, in the order of their numbers, from 0."""
     yield "Refusal", [f"REFUSAL_{name.upper() or 'NONE'}" for name in REFUSALS]
     yield "Signal", [f"SIGNAL_{name.upper()}" for name in SIGNAL_NAMES]
+
+
+def mode_enumerations() -> Iterator[tuple[str, list[str]]]:
+    """The same for modes, events and commands."""
     for prefix, one in ENUMERATIONS.items():
         yield one.__name__, [f"{prefix}_{member.name}" for member in one]
+
+
+def transitions() -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """Each flight mode with its row of the table: events and the modes that follow."""
+    for mode in FlightMode:
+        yield f"MODE_{mode.name}", [(f"EVENT_{event.name}", f"MODE_{to.name}") for event, to in TRANSITIONS[mode]]

@@ -27,7 +27,7 @@ from onboard.c.config_table import (
     table,
     walk,
 )
-from onboard.c.constants_table import constants, enumerations, literal
+from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, transitions
 
 FOLDER: Final = Path(__file__).resolve().parent
 """The root of the C sources."""
@@ -38,7 +38,13 @@ _NOTE: Final = f"Written by {COMMAND}. Do not edit."
 
 def files() -> dict[str, str]:
     """Text of each generated file."""
-    return {"constants.h": _constants(), "config.h": _config_header(), "config.c": _config_source()}
+    return {
+        "constants.h": _constants(),
+        "config.h": _config_header(),
+        "config.c": _config_source(),
+        "modes.h": _modes_header(),
+        "modes.c": _modes_source(),
+    }
 
 
 def write() -> None:
@@ -97,10 +103,58 @@ def _guarded(name: str, body: str) -> str:
 def _constants() -> str:
     lines = ["#include <stdint.h>\n", '#include "numerics/real.h"\n']
     lines += [f"#define {name} {literal(value)} /* {module} */" for name, value, module in constants()]
-    for name, members in enumerations():
-        listed = ",\n".join(f"    {member} = {index}" for index, member in enumerate(members))
-        lines.append(f"\ntypedef enum {{\n{listed}\n}} {name};")
+    lines += [_numbered(name, members) for name, members in enumerations()]
     return _guarded("constants", "\n".join(lines) + "\n")
+
+
+def _numbered(name: str, members: list[str]) -> str:
+    listed = ",\n".join(f"    {member} = {index}" for index, member in enumerate(members))
+    return f"\ntypedef enum {{\n{listed}\n}} {name};"
+
+
+# --- modes.h and modes.c ---
+
+_TRANSITION: Final = """
+/* An event that ends a mode, and the next mode. */
+typedef struct {
+    Event event;
+    FlightMode target;
+} Transition;
+
+/* Entry `index` of the row of a mode, the most urgent first; false behind the last one. */
+bool transition(FlightMode mode, int32_t index, Transition *out);
+"""
+
+
+def _modes_header() -> str:
+    kinds = list(mode_enumerations())
+    lines = ["#include <stdbool.h>\n#include <stdint.h>\n"]
+    lines += [f"#define {members[0].split('_')[0]}_COUNT {len(members)}" for name, members in kinds if name == "Event"]
+    lines += [_numbered(name, members) for name, members in kinds]
+    return _guarded("modes", "\n".join([*lines, _TRANSITION]))
+
+
+def _modes_source() -> str:
+    rows = dict(transitions())
+    most = max(map(len, rows.values()))
+    table = ",\n".join(
+        f"        {{{', '.join(f'{{{event}, {to}}}' for event, to in row) or '{0, 0}'}}}" for row in rows.values()
+    )
+    counts = ", ".join(str(len(row)) for row in rows.values())
+    return f"""/* {_NOTE} */
+#include "generated/modes.h"
+
+bool transition(FlightMode mode, int32_t index, Transition *out) {{
+    static const int32_t counts[{len(rows)}] = {{{counts}}};
+    static const Transition table[{len(rows)}][{most}] = {{
+{table}}};
+    if (index >= counts[mode]) {{
+        return false;
+    }}
+    *out = table[mode][index];
+    return true;
+}}
+"""
 
 
 # --- config.h ---

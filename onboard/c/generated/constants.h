@@ -21,7 +21,18 @@
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
+#define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
+#define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */
+#define PROGRESS_M REAL(0.05) /* onboard.flight.supervisor */
+#define NOT_READY_NS 2000000000 /* onboard.flight.supervisor */
+#define THRUST_FILTER_S REAL(0.15) /* onboard.sampling.signal_vector */
+#define SAMPLES_PER_BATCH_MAX 8 /* protocol.messages */
+#define SAMPLE_BYTES 132 /* onboard.sampling.sampler */
+#define NETWORK_BYTES 28 /* onboard.sampling.sampler */
+#define BATCH_OVERHEAD_BYTES 116 /* onboard.sampling.sampler */
+#define BURST_BYTES REAL(2344.0) /* onboard.sampling.sampler */
 #define RING_MAX 200 /* SwapConfig.ring_size */
+#define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
 
 typedef enum {
     REFUSAL_NONE = 0,
