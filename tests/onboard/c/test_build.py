@@ -61,7 +61,7 @@ def test_every_header_stands_alone_and_every_source_is_c99() -> None:
 
 def test_nothing_in_the_core_touches_the_world_or_the_heap() -> None:
     """No global variable, no heap, no file, clock or input and output: what the object files need and define."""
-    allowed = {"sqrt", "sqrtf", "memcpy", "memcmp", "memset"}
+    allowed = {"sqrt", "sqrtf", "memcpy", "memcmp", "memmove", "memset"}
     ours = {name for path in headers() for name in re.findall(r"(\w+)\(", path.read_text(encoding="utf-8"))}
     for path in sources():
         text = path.read_text(encoding="utf-8")
@@ -194,7 +194,7 @@ def test_an_image_of_another_layout_or_size_is_refused(core: Core) -> None:
 def test_what_a_header_may_not_say_is_an_error() -> None:
     for text in (
         "int x;",
-        "typedef struct { int *a; } B;",
+        "typedef struct { int a, b; } B;",
         "typedef struct { unknown a; } B;",
         "void f(int (*g)(int));",
     ):
