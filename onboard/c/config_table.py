@@ -49,7 +49,6 @@ UNREAD_YET: Final = frozenset(
         *("CascadeSettings", "ChannelSettings", "DemandLimitsConfig", "RepetitiveConfig", "IterativeLearningConfig"),
         *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),
         "AdaptiveConfig.rbf_width",
-        "EstimatorConfig",
     }
 )
 """Fields, or whole records, that are in the table although no C file reads them yet."""

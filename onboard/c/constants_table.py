@@ -26,6 +26,20 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "onboard.flight.guidance": ("RETURN_M_S2",),
     "onboard.flight.supervisor": ("LEVEL_MAX_RAD", "_QUEUE_MAX=COMMAND_QUEUE_MAX", "_PROGRESS_M", "_NOT_READY_NS"),
+    "onboard.estimation.state_history": ("LENGTH=HISTORY_LENGTH",),
+    "onboard.estimation.error_state_filter": (
+        *("POSITION", "VELOCITY", "ATTITUDE", "GYRO_BIAS", "ACCELEROMETER_BIAS", "ERROR_SIZE"),
+    ),
+    "onboard.estimation.imu_conditioning": (
+        *("_CORNER=VIBRATION_CORNER", "_SMOOTHING_S=VIBRATION_SMOOTHING_S", "_FORCE_ERROR_MAX"),
+    ),
+    "onboard.estimation.stuck_gyro": ("KEPT=GYRO_KEPT", "PER_REPEAT", "REPEATS_MAX=REPEATS_ALLOWED"),
+    "onboard.estimation.calibration": ("BLOCK_S=CALIBRATION_BLOCK_S", "LEAST_SAMPLES=CALIBRATION_LEAST_SAMPLES"),
+    "onboard.estimation.corrections": ("REFUSED_MIN", "EVENTS_MAX=ESTIMATOR_EVENTS_MAX"),
+    "onboard.estimation.pose_fusion": ("FUTURE_NS", "WRONG_FOR_S", "LARGE_TURN_RAD"),
+    "onboard.estimation.estimator": (
+        *("AIR_PA_PER_M", "SLOW_AIDS", "PRESSURE_TURN", "COS_TILT_MIN", "RATE_SIGMA", "TURN_SIGMA", "GAP_MAX_S"),
+    ),
     "onboard.sampling.signal_vector": ("THRUST_FILTER_S",),
     "protocol.messages": ("SAMPLES_PER_BATCH_MAX",),
     "onboard.sampling.sampler": ("SAMPLE_BYTES", "NETWORK_BYTES", "BATCH_OVERHEAD_BYTES", "_BURST_BYTES"),

@@ -111,8 +111,12 @@ class Declarations:
 
     def _function(self, name: str, result: str, parameters: str) -> None:
         given = [] if parameters.strip() == "void" else parameters.split(",")
-        words = result.split()
-        returned = None if words == ["void"] else self._type(words[-1])
+        words = [word for word in result.replace("*", " * ").split() if word != "const"]
+        returned = None if words == ["void"] else self._type(words[0])
+        if words[1:] == ["*"]:
+            returned = ctypes.POINTER(returned)
+        elif words[1:]:
+            raise DeclarationError(f"{name}: result {result.strip()!r} not understood")
         self.functions[name] = returned, [self._argument(name, parameter) for parameter in given]
 
     def _argument(self, function: str, text: str) -> Any:

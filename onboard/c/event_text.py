@@ -1,8 +1,11 @@
 """Makes the texts of the C core's events, which carry numbers only: the same texts as the numpy core's."""
 
+from math import degrees
 from typing import Any, Final
 
 from onboard.c.constants_table import ENUMERATIONS
+from onboard.estimation.calibration import CALIBRATING, MOVED
+from onboard.estimation.imu_conditioning import AXES
 
 _MODES, _EVENTS, _COMMANDS = (list(ENUMERATIONS[prefix]) for prefix in ("MODE", "EVENT", "COMMAND"))
 _REFUSALS: Final = (
@@ -56,3 +59,44 @@ def supervisor_text(event: Any, preflight: dict[int, str], calibration: dict[int
             return "offboard connected"
         case _:
             return f"not ready to arm: {refusal}"
+
+
+_AIDS: Final = ("flow", "range", "pressure", "pose", "pose")
+"""Of each Aid of estimation/events.h."""
+
+
+def calibration_text(calibration: Any) -> str:
+    """Why a BenchCalibration forbids arming; "" if it does not."""
+    if calibration.refusal == 3:
+        return _bias_text(calibration.biased_axis, calibration.bias, calibration.bias_max)
+    return ("", CALIBRATING, MOVED)[calibration.refusal]
+
+
+def _bias_text(axis: int, bias: float, limit: float) -> str:
+    return f"gyroscope {AXES[axis]} has a bias of {bias:+.2f} rad/s, the limit is {limit:g}"
+
+
+def estimator_text(event: Any) -> str:
+    """The text of an EstimatorEvent."""
+    number, values = event.number, list(event.values)
+    match event.kind:
+        case 0:
+            return f"position estimate jumped {values[0]:.2f} m ({_AIDS[number]})"
+        case 1:
+            return f"{_AIDS[number]} refused for long: uncertainty increased, it will be accepted"
+        case 2:
+            return f"IMU gap of {values[0] * 1e3:.0f} ms"
+        case 3:
+            return f"attitude found: roll {degrees(values[0]):.1f}, pitch {degrees(values[1]):.1f} deg"
+        case 4:
+            return f"gyroscope {AXES[number]} stuck: its rate comes from the motors from now on"
+        case 5:
+            x, y, z, along_gravity, seconds = values
+            bias = f"gyroscope bias ({x:+.4f}, {y:+.4f}, {z:+.4f}) rad/s"
+            along = f"accelerometer {along_gravity:+.3f} m/s^2 along gravity"
+            return f"IMU calibrated: {bias}, {along}, {seconds:.1f} s at rest"
+        case 6:
+            sensor, unit = ("accelerometer", "m/s^2") if number < 3 else ("gyroscope", "rad/s")
+            return f"{MOVED}: {sensor} {AXES[number % 3]} off by {values[0]:+.2g} {unit}"
+        case _:
+            return _bias_text(number, values[0], values[1])

@@ -5,6 +5,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "estimation/error_state_filter.h"
+#include "estimation/readings.h"
 #include "numerics/real.h"
 
 /* The vehicle's state now. World is NED, body is FRD. */
@@ -33,5 +35,16 @@ typedef struct {
     int64_t last_velocity_aid_ns; /* newest accepted pose or flow, onboard clock */
     int64_t last_height_ns;       /* newest accepted pose or range, onboard clock */
 } VehicleState;
+
+void state_init(VehicleState *self);
+
+/* Copy everything that changes with an IMU sample. */
+void state_publish(VehicleState *self, const ErrorStateFilter *source, const ImuReading *reading);
+
+/* Copy quaternion, rotation matrix, Euler angles and tilt. */
+void state_publish_attitude(VehicleState *self, const ErrorStateFilter *source);
+
+/* Copy the standard deviations of position and velocity. */
+void state_publish_sigmas(VehicleState *self, const ErrorStateFilter *source);
 
 #endif
