@@ -46,7 +46,7 @@ UNREAD_YET: Final = frozenset(
             f"CoreConfig.{name}"
             for name in ("period_ns", "controller", "guidance", "supervisor", "samples", "estimator", "lissajous")
         ),
-        *("CascadeSettings", "ChannelSettings", "DemandLimitsConfig", "RepetitiveConfig", "IterativeLearningConfig"),
+        *("CascadeSettings", "ChannelSettings", "DemandLimitsConfig"),
         *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),
         "AdaptiveConfig.rbf_width",
     }

@@ -8,6 +8,7 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from onboard.control.feature_swap import SwapConfig
+from onboard.control.laws.lap_table import LapConfig
 from onboard.flight.modes import TRANSITIONS, Command, Event, FlightMode
 from onboard.sampling.sampler import SamplerConfig
 from protocol.messages import REFUSALS
@@ -52,6 +53,7 @@ ENUMERATIONS: Final[dict[str, type[Enum]]] = {"MODE": FlightMode, "EVENT": Event
 LIMITS: Final[dict[str, tuple[type[BaseModel], str]]] = {
     "RING_MAX": (SwapConfig, "ring_size"),
     "KEPT_SAMPLES_MAX": (SamplerConfig, "kept_samples"),
+    "BINS_MAX": (LapConfig, "bins"),
 }
 """Sizes of arrays: the largest value that a field of a record may have."""
 

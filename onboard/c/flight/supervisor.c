@@ -49,6 +49,10 @@ static ArmingRefusal refused(ArmingReason reason, int32_t number, real value, re
     return (ArmingRefusal){reason, number, value, limit};
 }
 
+static ArmingRefusal refused_for(ArmingReason reason) {
+    return refused(reason, 0, REAL(0.0), REAL(0.0));
+}
+
 /* Supervisor._sensor_refusal: the first reason but the calibration */
 static ArmingRefusal sensor_refusal(const Supervisor *self, const SupervisorInputs *i) {
     const SupervisorConfig *config = &self->config;
@@ -57,13 +61,13 @@ static ArmingRefusal sensor_refusal(const Supervisor *self, const SupervisorInpu
         return refused(ARMING_PREFLIGHT, i->preflight, REAL(0.0), REAL(0.0));
     }
     if (!i->initialised || i->imu_age_s > config->imu_silent_s) {
-        return refused(ARMING_NO_ATTITUDE, 0, REAL(0.0), REAL(0.0));
+        return refused_for(ARMING_NO_ATTITUDE);
     }
     if (config->arm_needs_pose && i->pose_age_s > config->pose_stale_s) {
-        return refused(ARMING_NO_POSE, 0, REAL(0.0), REAL(0.0));
+        return refused_for(ARMING_NO_POSE);
     }
     if (i->tilt_rad > LEVEL_MAX_RAD) {
-        return refused(ARMING_NOT_LEVEL, 0, REAL(0.0), REAL(0.0));
+        return refused_for(ARMING_NOT_LEVEL);
     }
     if (v > REAL(0.0) && v < config->battery_arm_v) {
         return refused(ARMING_BATTERY_LOW, 0, v, config->battery_arm_v);
@@ -75,18 +79,18 @@ static ArmingRefusal sensor_refusal(const Supervisor *self, const SupervisorInpu
         return refused(ARMING_BATTERY_EMPTY, 0, i->battery_remaining, config->battery_low_remaining);
     }
     if (config->battery_silent_s > REAL(0.0) && v <= REAL(0.0)) {
-        return refused(ARMING_NO_BATTERY, 0, REAL(0.0), REAL(0.0));
+        return refused_for(ARMING_NO_BATTERY);
     }
     if (REAL(0.0) < config->battery_silent_s && config->battery_silent_s < i->battery_age_s) {
-        return refused(ARMING_BATTERY_OLD, 0, REAL(0.0), REAL(0.0));
+        return refused_for(ARMING_BATTERY_OLD);
     }
     if (REAL(0.0) < config->ground_silent_s && config->ground_silent_s < i->ground_age_s) {
-        return refused(ARMING_NO_GROUND, 0, REAL(0.0), REAL(0.0));
+        return refused_for(ARMING_NO_GROUND);
     }
     if (i->distance_m > config->fence_m) {
         return refused(ARMING_FENCE, 0, i->distance_m, config->fence_m);
     }
-    return refused(ARMING_ALLOWED, 0, REAL(0.0), REAL(0.0));
+    return refused_for(ARMING_ALLOWED);
 }
 
 /* Supervisor.arming_refusal */
@@ -105,18 +109,12 @@ static bool may_arm(const Supervisor *self, const SupervisorInputs *inputs) {
 
 /* COMMAND_EVENTS */
 static Event event_of(Command command) {
-    switch (command) {
-        case COMMAND_ARM:
-            return EVENT_ARM;
-        case COMMAND_DISARM:
-            return EVENT_DISARM;
-        case COMMAND_TAKE_OFF:
-            return EVENT_TAKE_OFF;
-        case COMMAND_LAND:
-            return EVENT_LAND;
-        default:
-            return EVENT_TERMINATE;
-    }
+    static const Event events[] = {[COMMAND_ARM] = EVENT_ARM,
+                                   [COMMAND_DISARM] = EVENT_DISARM,
+                                   [COMMAND_TAKE_OFF] = EVENT_TAKE_OFF,
+                                   [COMMAND_LAND] = EVENT_LAND,
+                                   [COMMAND_TERMINATE] = EVENT_TERMINATE};
+    return events[command];
 }
 
 static bool has_event(FlightMode mode, Event event) {
@@ -131,7 +129,7 @@ static bool has_event(FlightMode mode, Event event) {
 
 /* Supervisor._refusal */
 static ArmingRefusal command_refusal(const Supervisor *self, Command command) {
-    ArmingRefusal arming = refused(ARMING_ALLOWED, 0, REAL(0.0), REAL(0.0));
+    ArmingRefusal arming = refused_for(ARMING_ALLOWED);
     if (command == COMMAND_ARM) {
         arming.reason = ARMING_NOT_RUNNING;
         if (self->has_inputs) {

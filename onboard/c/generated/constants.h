@@ -60,6 +60,7 @@
 #define BURST_BYTES REAL(2344.0) /* onboard.sampling.sampler */
 #define RING_MAX 200 /* SwapConfig.ring_size */
 #define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
+#define BINS_MAX 2000 /* LapConfig.bins */
 
 typedef enum {
     REFUSAL_NONE = 0,
