@@ -32,6 +32,8 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
         "async_dmrac.commands.replay", "re-fly a recorded flight with exactly the deliveries its link had"
     ),
     "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
+    "learn": Subcommand("async_dmrac.commands.learn", "learn a memory from logged flights and from other memories"),
+    "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds"),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),
     "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep"),
     "margins": Subcommand("async_dmrac.commands.margins", "measure the stability margins of a controller's loops"),

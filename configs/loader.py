@@ -161,6 +161,8 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
     """`tree` with one `path.to.key=value` assignment (the value is YAML) laid over it.
 
+    A mapping of another `kind` than the one at this path replaces it.
+
     Raises
     ------
     ConfigError
@@ -177,7 +179,10 @@ def set_path(tree: Mapping[str, Any], assignment: str) -> dict[str, Any]:
 def _with_value(node: Any, keys: list[str], depth: int, value: Any, assignment: str) -> Any:
     """`node` with `value` at keys[depth:]; a number in the path counts the items of a list from 0."""
     if depth == len(keys):
-        return merge(node, value) if isinstance(value, Mapping) and isinstance(node, Mapping) else value
+        merges = (
+            isinstance(value, Mapping) and isinstance(node, Mapping) and value.get("kind") in (None, node.get("kind"))
+        )
+        return merge(node, value) if merges else value
     key = keys[depth]
     if isinstance(node, list | tuple):
         if not key.isdigit() or int(key) >= len(node):

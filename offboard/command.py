@@ -18,6 +18,8 @@ from offboard.config import OffboardConfig
 from offboard.core import OffboardCore
 from offboard.data.experience import ExperienceError
 from offboard.links.vehicle_service import VehicleService
+from offboard.memory.folder import memory_file, read_memory, remember
+from offboard.memory.memory import UnusableMemoryError
 from offboard.process import serve
 from protocol.feature_config import fill_process
 from protocol.keys import load_key
@@ -37,6 +39,7 @@ EXAMPLES: Final = """examples:
   dmrac offboard --config flight.yaml --onboard 10.0.0.2:14571 --bind-link 10.0.0.7:14573 \\
       --bind-motion-capture 10.0.0.7:14574 --key-file flight.key
   dmrac offboard --config first.yaml --also second.yaml --out flights      two vehicles, one trainer
+  dmrac offboard --config flight.yaml --out flight --memory memory --remember
 """
 OPTIONS: Final = {
     "radio_offboard": "--onboard",
@@ -81,6 +84,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="continue from a checkpoint, as after a restart; with --also: the --out folder of the earlier run",
     )
     parser.add_argument("--warm-start", type=Path, metavar="FILE", help="start from the features of a version file")
+    parser.add_argument(
+        "--memory", type=Path, metavar="FOLDER", help="start all vehicles from a memory, made by dmrac learn"
+    )
+    parser.add_argument(
+        "--remember", action="store_true", help="add each vehicle's flight to the memory when the process ends"
+    )
     parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
 
 
@@ -103,6 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
             vehicle.status.report("ready")
         result = serve(services, stop)
     written = [_write_summary(vehicle, service) for vehicle, service in zip(vehicles, services, strict=True)]
+    written += [_remember(vehicle) for vehicle in vehicles if vehicle.config.experience.remember]
     sys.stdout.flush()
     sys.stderr.flush()
     # does not wait for a round of training: torch must not be torn down under it
@@ -110,9 +120,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _load_torch(vehicles: Sequence[Vehicle]) -> None:
-    """Load torch, which takes seconds, before the first pose waits for its relay."""
+    """Load torch, which takes seconds, before the first pose waits for its relay; one thread, for this process.
+
+    More threads make products this small slower, and one thread sums in a fixed order.
+    """
     if any(vehicle.config.experience.mode == "learn" for vehicle in vehicles):
+        import torch
+
         import offboard.training.round  # noqa: F401
+
+        torch.set_num_threads(1)
 
 
 def _open_services(vehicles: Sequence[Vehicle], logs: ExitStack, several: bool) -> list[VehicleService]:
@@ -152,6 +169,20 @@ def _write_summary(vehicle: Vehicle, service: VehicleService) -> bool:
     return True
 
 
+def _remember(vehicle: Vehicle) -> bool:
+    """Add the flight of one vehicle to its memory; False if that failed."""
+    experience, flight = vehicle.config.experience, vehicle.flight.tree.get("scenario", "flight")
+    name = f"{flight}, {time.strftime('%Y-%m-%d %H:%M:%S')}"
+    condition = vehicle.core.learner.condition(name)
+    try:
+        memory = remember(Path(experience.memory), condition, vehicle.config.features.trained)
+    except Exception as error:  # of any kind: the flights of the other vehicles must still be added
+        print(f"{experience.memory}: the flight cannot be added: {error}", file=sys.stderr)
+        return False
+    vehicle.status.report(f"{experience.memory}: {len(memory.conditions)} conditions")
+    return True
+
+
 def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
     """The vehicles that the command line names, with what they learnt before. Raises ConfigError."""
     several, resume = bool(arguments.also), arguments.resume
@@ -163,6 +194,7 @@ def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
     if resume is not None and not any(checkpoints):
         raise ConfigError(f"--resume {resume}: holds no vehicle_N/checkpoint.npz of any of these vehicles")
     for vehicle, checkpoint in zip(vehicles, checkpoints, strict=True):
+        _recall(vehicle)
         _load_experience(vehicle.core, checkpoint, arguments.warm_start)
     return vehicles
 
@@ -171,12 +203,36 @@ def _vehicle(arguments: argparse.Namespace, config_path: Path | None, several: b
     """One vehicle, with nothing learnt yet. Raises ConfigError."""
     own = argparse.Namespace(**{**vars(arguments), "config": config_path})
     flight = flight_of(own, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
-    config = fill_process(OffboardConfig, flight.tree, flight.source, "offboard")
+    config = _with_memory(fill_process(OffboardConfig, flight.tree, flight.source, "offboard"), arguments)
     session = session_number(time.time_ns(), secrets.randbits(20))
     core = OffboardCore(config, session, load_key(flight.network.key_file))
     out = arguments.out / f"vehicle_{config.vehicle_id}" if several else arguments.out
     status = StatusLines(f"offboard {config.vehicle_id}" if several else "offboard", arguments.json)
     return Vehicle(flight, config, core, out, status)
+
+
+def _with_memory(config: OffboardConfig, arguments: argparse.Namespace) -> OffboardConfig:
+    """The configuration with the memory of the command line. Raises ConfigError."""
+    memory = config.experience.memory if arguments.memory is None else str(arguments.memory)
+    if arguments.remember and not memory:
+        raise ConfigError("--remember: only with --memory FOLDER")
+    if memory and arguments.warm_start is not None:
+        raise ConfigError(f"--warm-start {arguments.warm_start}: not allowed with the memory {memory}")
+    remembers = arguments.remember or config.experience.remember
+    experience = config.experience.model_copy(update={"memory": memory, "remember": remembers})
+    return config.model_copy(update={"experience": experience})
+
+
+def _recall(vehicle: Vehicle) -> None:
+    """Start from the configured memory, if any; one that is yet to begin is none. Raises ConfigError."""
+    experience = vehicle.config.experience
+    folder = Path(experience.memory)
+    if not experience.memory or (experience.remember and not memory_file(folder).exists()):
+        return
+    try:
+        vehicle.core.recall(read_memory(folder))
+    except UnusableMemoryError as error:
+        raise ConfigError(f"memory {folder}: {error}") from None
 
 
 def _check_options(arguments: argparse.Namespace) -> None:

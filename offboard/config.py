@@ -60,11 +60,11 @@ class TrainerConfig(ConfigRecord):
     """How the networks are trained (docs/learning.md)."""
 
     optimiser: Literal["adam", "sgd"] = "adam"
-    learning_rate: float = Field(default=0.003, gt=0.0)
+    learning_rate: float = Field(default=0.005, gt=0.0)
     momentum: float = Field(default=0.9, ge=0.0, lt=1.0, description="of sgd")
     weight_decay: float = Field(default=3e-4, ge=0.0, description="l2 on all weights")
     batch_size: int = Field(default=128, ge=1, le=4096, description="M, samples per mini-batch")
-    batches: int = Field(default=200, ge=1, le=10000, description="mini-batches per round")
+    batches: int = Field(default=80, ge=1, le=10000, description="mini-batches per round")
     epochs: int = Field(default=4, ge=1, le=100, description="parts of a round; the losses are recorded after each")
     projection_every: int = Field(default=10, ge=1, description="mini-batches between two spectral projections")
     period_s: float = Field(default=0.5, ge=0.0, description="s, least time between starts of rounds")
@@ -76,6 +76,9 @@ class TrainerConfig(ConfigRecord):
         description="of that regression, in standardised labels; each channel takes the one that does best"
         " on held-out samples, the first while there are too few",
     )
+    slope_weight: float = Field(
+        default=0.0, ge=0.0, description="of the mean squared slope over the unit box, in units of the ridge; 0: none"
+    )
     position_label_floor_m_s2: float = Field(default=0.2, gt=0.0, description="m/s^2, least scale of the labels")
     attitude_label_floor_rad_s2: float = Field(default=2.0, gt=0.0, description="rad/s^2, least scale of the labels")
 
@@ -83,12 +86,14 @@ class TrainerConfig(ConfigRecord):
 class GateConfig(ConfigRecord):
     """When a trained version is sent (docs/learning.md)."""
 
-    trigger_unexplained: float = Field(
-        default=0.01, ge=0.0, description="least held-out loss of the flying version, per power of the labels"
+    trigger: float = Field(
+        default=0.2,
+        ge=0.0,
+        description="least gain in held-out loss over the flying version, per held-out loss that training leaves",
     )
-    margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which the new loss must be smaller")
-    significance: float = Field(default=1.0, ge=0.0, description="standard errors by which it must be smaller")
-    minimum_validation: int = Field(default=20, ge=2, description="least held-out samples")
+    significance: float = Field(default=1.0, ge=0.0, description="standard errors by which the loss must be smaller")
+    margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which a channel's loss may rise")
+    minimum_validation: int = Field(default=20, ge=2, description="least held-out labels of each channel")
     interval_s: float = Field(default=1.0, ge=0.0, description="s, least time between two versions")
 
 
@@ -97,6 +102,14 @@ class ExperienceConfig(ConfigRecord):
 
     mode: Literal["learn", "frozen"] = Field(default="learn", description="frozen: fly what was loaded, learn nothing")
     checkpoint_period_s: float = Field(default=5.0, gt=0.0, description="s between checkpoints")
+    memory: str = Field(default="", description="folder of the memory to start from; empty: none (docs/memory.md)")
+    remember: bool = Field(default=False, description="add the flight to that memory when the process ends")
+
+    @model_validator(mode="after")
+    def _memory_to_remember_in(self) -> Self:
+        if self.remember and not self.memory:
+            raise ValueError("remember: true needs memory, the folder of the memory")
+        return self
 
 
 class PoseRelayConfig(ConfigRecord):

@@ -14,6 +14,7 @@ from offboard.config import OffboardConfig
 from offboard.data.experience import dump_version, load_experience, load_version
 from offboard.links.pose_relay import PoseRelay
 from offboard.links.version_sender import VersionSender
+from offboard.memory.memory_file import load_memory
 from offboard.records import Logged, link_record, training_records
 from offboard.training.job import TrainingJob, TrainingResult
 from offboard.training.vehicle_learner import VehicleLearner
@@ -78,6 +79,11 @@ class OffboardCore:
     def warm_start(self, version: bytes) -> None:
         """Start from the bytes of a version or a checkpoint. Raises as `resume` does."""
         self.learner.warm_start(load_version(version))
+        self._versions.require_sending()
+
+    def recall(self, memory: bytes) -> None:
+        """Start from the bytes of a memory. Raises UnusableMemoryError."""
+        self.learner.recall(load_memory(memory))
         self._versions.require_sending()
 
     def receive_onboard(self, datagram: bytes, now_ns: int, age_ns: int = 0) -> None:
@@ -192,7 +198,8 @@ class OffboardCore:
             (self._relay.relayed, self._relay.rejected.total()),
             (self.learner.samples, self.learner.labelled),
         )
-        return [link_record(self.endpoint.statistics, poses, samples, self._versions.flying_version, now_ns)]
+        flying, unused = self._versions.flying_version, self.learner.unused
+        return [link_record(self.endpoint.statistics, poses, samples, flying, unused, now_ns)]
 
     def status(self, now_ns: int) -> dict[str, int | float | None]:
         """The values of a status line."""
@@ -202,6 +209,7 @@ class OffboardCore:
             "flying_version": self._versions.flying_version,
             "sent_version": self.learner.version,
             **self.learner.counts(),
+            "unused": sum(self.learner.unused.values()),
             "poses": self._relay.relayed,
             **self.learner.validation_losses,
         }
@@ -213,6 +221,7 @@ class OffboardCore:
             "version": self.learner.version,
             **self.learner.counts(),
             "verdicts": dict(self.learner.verdicts),
+            "unused": dict(self.learner.unused),
             "received": link.received,
             "lost": link.lost,
             "sent": link.sent,

@@ -1,10 +1,12 @@
 """The records that the offboard side logs: their fields, and the functions that fill them."""
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from flight_log.schema import RecordType
+from offboard.data.labels import UNUSED
 from offboard.training.job import TrainingResult
 from protocol.conventions import Array
 from protocol.statistics import LinkStatistics
@@ -45,9 +47,16 @@ EPOCH: Final = RecordType("offboard/epoch", (("round", ""), ("epoch", ""), *_LOS
 _POSES_AND_SAMPLES: Final = ("poses_relayed", "poses_rejected", "samples", "labels", "flying_version")
 LINK: Final = RecordType(
     "offboard/link",
-    tuple((name, "") for name in ("received", "lost", "duplicate", "rejected", "sent", *_POSES_AND_SAMPLES)),
+    tuple(
+        (name, "")
+        for name in (
+            *("received", "lost", "duplicate", "rejected", "sent"),
+            *_POSES_AND_SAMPLES,
+            *(f"unused_{reason}" for reason in UNUSED),
+        )
+    ),
 )
-"""Once a second: counts of datagrams, poses and samples since start."""
+"""Once a second: counts of datagrams, poses and samples since start; `unused`: see offboard.data.labels.UNUSED."""
 
 RECORDS: Final = (TRAINING, EPOCH, LINK)
 
@@ -70,7 +79,7 @@ def training_records(
             [rounds, sent_version, flying_version, verdict],
             [result.training_samples, held_out, buffered, labelled],
             losses[-1].ravel(),
-            evidence.flying_errors.mean(axis=0) if held_out else np.full(2, np.nan),
+            [_mean_of_known(errors) for errors in evidence.flying_errors.T],
             evidence.label_power,
             [np.nan if channel is None else channel.lipschitz_bound() for channel in channels],
         ]
@@ -79,9 +88,21 @@ def training_records(
     return [(TRAINING, now_ns, training), *epochs]
 
 
+def _mean_of_known(errors: Array) -> float:
+    """Mean of the errors that are not NaN; NaN if there are none."""
+    known = errors[~np.isnan(errors)]
+    return float(known.mean()) if known.size else float("nan")
+
+
 def link_record(
-    link: LinkStatistics, poses: tuple[int, int], samples: tuple[int, int], flying_version: int, now_ns: int
+    link: LinkStatistics,
+    poses: tuple[int, int],
+    samples: tuple[int, int],
+    flying_version: int,
+    unused: Mapping[str, int],
+    now_ns: int,
 ) -> Logged:
     """The LINK record. `poses`: relayed and rejected; `samples`: received and labelled."""
     counts = (link.received, link.lost, link.duplicate, link.rejected.total(), link.sent)
-    return LINK, now_ns, np.array([*counts, *poses, *samples, flying_version], dtype=np.float64)
+    reasons = (unused[reason] for reason in UNUSED)
+    return LINK, now_ns, np.array([*counts, *poses, *samples, flying_version, *reasons], dtype=np.float64)

@@ -8,6 +8,7 @@ from configs.loader import ConfigRecord
 from configs.realtime import RealtimeConfig
 from onboard.control.airframe import AirframeConfig
 from onboard.control.interface import ControllerConfig
+from onboard.control.thrust_scale import ThrustScaleConfig
 from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.pose_health import PoseHealthConfig
 from onboard.flight.guidance import GuidanceConfig
@@ -35,6 +36,7 @@ class OnboardConfig(ConfigRecord):
     pose_wait_s: Annotated[float, Field(ge=0, le=600, description="s")] | None = None
     """Arming waits no longer for a first pose; null: until it comes. For flights without motion capture."""
     airframe: AirframeConfig
+    thrust_scale: ThrustScaleConfig = ThrustScaleConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     vehicle_link: VehicleLinkConfig = VehicleLinkConfig()

@@ -15,11 +15,12 @@ from typing import Any, Final, Self
 import numpy as np
 
 from onboard.config import OnboardConfig
-from onboard.control.actuators import ActuatorModel
+from onboard.control.actuators import CATCH_UP_MAX, ActuatorModel, Shares
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.interface import LearningController
-from onboard.control.mixer import Mixer, Thrusts
+from onboard.control.mixer import Mixer
 from onboard.control.records import ControlInputs, ControlOutput, Target
+from onboard.control.thrust_scale import ThrustScale
 from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.estimator import Estimator
 from onboard.estimation.state import VehicleState
@@ -43,7 +44,7 @@ from protocol.mavlink.vehicle import BatteryReading
 from protocol.messages import FeatureChunk
 from protocol.session import session_start_ns
 
-ZERO: Final[Thrusts] = (0.0, 0.0, 0.0, 0.0)
+ZERO: Final[Shares] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
 """No adaptation below this height: ground effect and contact are not disturbances to learn."""
 VELOCITY_AID_MAX_S: Final = 0.3
@@ -95,7 +96,7 @@ class OnboardCore:
         clearance: Clearance = CLEAR,
     ) -> None:
         self._airframe = config.airframe
-        self._dt = config.period_ns * 1e-9
+        self._dt = self._period_s = config.period_ns * 1e-9
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
@@ -106,6 +107,7 @@ class OnboardCore:
         self._arming = ArmingChecks(config, clearance)
         self._guidance = Guidance(config.guidance)
         self._actuators = ActuatorModel(config.airframe, self._dt)
+        self._thrust_scale = ThrustScale(config.thrust_scale, config.airframe, self._dt)
         self._uncertainty = UncertaintyMeasurement(config.airframe, self._dt)
         self._signals = SignalVector(self._dt)
         self._reception = FeatureReception()
@@ -113,16 +115,11 @@ class OnboardCore:
         self._mixer = Mixer(config.airframe)
         self._samples = SampleQueue(config.samples)
         self._output = OnboardOutput()
-        self._notice = clearance.notice
-        self._mode = FlightMode.BOOT
+        self._notice, self._mode = clearance.notice, FlightMode.BOOT
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
-        self._command: Thrusts = ZERO
-        self._command_before: Thrusts = ZERO
-        self._saturated = False
-        self._land_requested = False
-        self._ticks = self._missed_ticks = 0
-        self._posed = False
-        self._tracking_error_m = 0.0
+        self._command: Shares = ZERO
+        self._saturated = self._land_requested = self._posed = False
+        self._ticks, self._missed_ticks, self._tracking_error_m = 0, 0, 0.0
 
     def tick(
         self,
@@ -141,10 +138,11 @@ class OnboardCore:
         from_vehicle, from_offboard, from_ground: datagrams received since the last tick, oldest first. They may hold
             any bytes: a bad datagram is counted and dropped. An `Arrival` came `age_ns` before now, plain bytes now.
         land: the process is asked to end; land as soon as possible.
-        missed_ticks: ticks that the loop has skipped since its start, for status and log.
+        missed_ticks: ticks that the loop has skipped since its start. The last command was held meanwhile.
         """
         now_ns = self._clock.at(now_ns)
-        self._missed_ticks, output = missed_ticks, self._output.cleared()
+        missed = min(missed_ticks - self._missed_ticks, CATCH_UP_MAX)
+        self._missed_ticks, self._dt, output = missed_ticks, (1 + missed) * self._period_s, self._output.cleared()
         readings = [one for came in at_times(from_vehicle, now_ns) for one in self._vehicle_link.receive(*came)]
         poses = self._receive_offboard(from_offboard, now_ns)
         self._receive_ground(from_ground, land, now_ns)
@@ -152,15 +150,19 @@ class OnboardCore:
         self._collect_events(output)
         mode = self._supervise(state, now_ns)
         target = self._guide(state, mode)
-        delivered = self._actuators.step(self._command_before)  # a command acts one tick after it was computed
-        measured = self._uncertainty.step(state, delivered)
+        self._actuators.scale = self._mixer.scale = self._thrust_scale.value
+        *_, delivered = passed = self._actuators.catch_up(self._command, missed)
+        measured = self._uncertainty.step(state, passed)
         self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
         adapt = self._may_adapt(state, mode, now_ns)
+        self._thrust_scale.step(float(state.specific_force[2]), delivered.thrust_n, adapt)
         version, feature_age_s = self._swap_features(now_ns)
         control_inputs = ControlInputs(
-            self._dt, state, target, signals, *measured, self._saturated, adapt, coming, level_only=mode is HOLD_LEVEL
+            *(self._dt, state, target, signals, *measured, self._saturated, adapt, coming),
+            level_only=mode is HOLD_LEVEL,
+            missed=missed,
         )
         control = self._control(control_inputs, mode)
         motors = self._mix(control, mode)
@@ -181,6 +183,7 @@ class OnboardCore:
             battery_v=self._battery.voltage_v,
             motors=motors,
             motor_thrusts_n=delivered.thrusts_n,
+            thrust_scale=self._actuators.scale,
         )
         self._tracking_error_m = dist(state.position.tolist(), target.path.position)
         self._ticks += 1
@@ -290,7 +293,7 @@ class OnboardCore:
         self._guidance.follow_jump(state, self._posed)
         if mode is LANDED:
             self._guidance.rest(vector(state.position.tolist()))
-        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt)
+        target = self._guidance.step(mode is TAKE_OFF or mode is FLYING, mode is LANDING, self._dt, mode is TAKE_OFF)
         if mode is HOLD_LEVEL:  # the vehicle drifts: a landing that follows begins where the vehicle is then
             self._guidance.place(vector(state.position.tolist()))
         return target
@@ -310,27 +313,24 @@ class OnboardCore:
         return self._reception.version, self._reception.age_s(now_ns)
 
     def _control(self, inputs: ControlInputs, mode: FlightMode) -> ControlOutput:
-        """Thrust and torque; on the ground the controller is held at its start."""
+        """Thrust and torque; on the ground the controller and the thrust scale are held at their start."""
         if mode not in AIRBORNE:
             self.controller.reset(inputs)
+            self._thrust_scale.reset()
         return self.controller.step(inputs)
 
     def _mix(self, control: ControlOutput, mode: FlightMode) -> list[float]:
         """Motor commands as shares of the maximum thrust, within limits and with motor lag compensated."""
-        self._command_before = self._command
-        thrust_max_n = self._airframe.motor_thrust_max_n
         self._saturated = False
         if mode in AIRBORNE:
             demand = control.thrust_n, control.torque_nm
             wanted = self._mixer.thrusts(*demand)
             self._saturated = self._mixer.falls_short(wanted, *demand)
             self._command = self._actuators.overdriven(wanted)
-        elif mode is ARMED:
-            idle_n = self._airframe.motor_thrust_min_share * thrust_max_n
-            self._command = (idle_n, idle_n, idle_n, idle_n)
         else:
-            self._command = ZERO
-        return [thrust / thrust_max_n for thrust in self._command]
+            idle = self._airframe.motor_thrust_min_share if mode is ARMED else 0.0
+            self._command = (idle, idle, idle, idle)
+        return list(self._command)
 
     def _sample(self, inputs: ControlInputs, control: ControlOutput, version: int, now_ns: int) -> list[bytes]:
         """Samples for the trainer, from flight only, as datagrams when a batch is due."""

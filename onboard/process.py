@@ -19,6 +19,7 @@ from configs.addresses import Addresses, serial_line
 from configs.realtime import RealtimeConfig
 from flight_log.schema import CLOCK_OFFSET, RecordType
 from flight_log.writer import FlightLogWriter
+from onboard.control.actuators import CATCH_UP_MAX
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.links.frame_stream import FrameStream
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
@@ -128,10 +129,13 @@ class OnboardProcess:
         return int(self.escapes >= self._realtime.escapes_max)
 
     def _receive(self) -> tuple[list[Stamped], list[Stamped], list[Stamped]]:
-        """Datagrams of vehicle, offboard and ground station, with their arrival times."""
-        sockets = self._sockets
+        """Datagrams of vehicle, offboard and ground station, with their arrival times.
+
+        After missed ticks more have come from the vehicle: the newest must be among them, or its IMU seems silent.
+        """
+        sockets, periods = self._sockets, min(1 + self._pace.skipped, CATCH_UP_MAX)
         return (
-            sockets.vehicle.receive_stamped(VEHICLE_DATAGRAMS_PER_TICK),
+            sockets.vehicle.receive_stamped(VEHICLE_DATAGRAMS_PER_TICK * periods),
             sockets.offboard.receive_stamped(DATAGRAMS_PER_STEP_MAX),
             sockets.ground.receive_stamped(GROUND_DATAGRAMS_PER_TICK),
         )

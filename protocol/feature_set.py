@@ -65,6 +65,14 @@ class ChannelFeatures:
         """k, the number of features, the constant included."""
         return int(self.last_layer.shape[0])
 
+    def same_as(self, other: "ChannelFeatures") -> bool:
+        """Whether the other features are the same to the bit."""
+        pairs = zip(
+            (self.offset, self.scale, *self.parameters), (other.offset, other.scale, *other.parameters), strict=False
+        )
+        alike = self.inputs == other.inputs and len(self.parameters) == len(other.parameters)
+        return alike and all(np.array_equal(mine, its) for mine, its in pairs)
+
     def lipschitz_bound(self) -> float:
         """Lipschitz constant of Phi in the scaled inputs z: the product of the spectral norms."""
         return float(np.prod([np.linalg.norm(W, 2) for W in self.weights]))

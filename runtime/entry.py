@@ -7,7 +7,8 @@ from importlib import import_module
 
 def main(package: str, description: str) -> int:
     """Parse the command line and run the process of a package; returns its exit status."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # before the import of numpy: its threads cost time here
+    # before the import of numpy and torch: their threads cost time here
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     command = import_module(f"{package}.command")
     parser = argparse.ArgumentParser(prog=f"python -m {package}", description=description)

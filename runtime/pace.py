@@ -2,8 +2,9 @@
 
 Theory of operation. Every deadline is start + k * period on the monotonic clock, so that a late tick does not delay
 the next one (computing the next deadline from the time of waking gives 177 to 182 Hz instead of 200). After a stall
-the deadlines that lie more than one period back are skipped: running those ticks back to back would give the
-controller outdated inputs and wrong time steps. The lateness of the sleep depends on the kernel's settings (timer
+the deadlines that lie more than one period back are skipped, whether the loop was asleep or at work: running those
+ticks back to back would give the controller outdated inputs and wrong time steps. The tick after the stall knows how
+many there were (`skipped`). The lateness of the sleep depends on the kernel's settings (timer
 slack, priority); a short busy wait before the deadline reduces it further.
 """
 
@@ -25,7 +26,10 @@ class PaceKeeper:
     clock, sleep: those of the system, or of a test.
     """
 
-    __slots__ = ("_clock", "_deadline_ns", "_period_ns", "_sleep", "_spin_ns", "lateness_ns", "missed", "ticks")
+    __slots__ = (
+        *("_clock", "_deadline_ns", "_period_ns", "_sleep", "_spin_ns"),
+        *("lateness_ns", "missed", "skipped", "ticks"),
+    )
 
     def __init__(
         self,
@@ -43,17 +47,15 @@ class PaceKeeper:
         self.ticks = 0
         self.missed = 0
         """Deadlines skipped because the next one had passed too."""
+        self.skipped = 0
+        """How many of them right before the latest wake-up."""
         self.lateness_ns = 0
-        """Lateness of the latest wake-up."""
+        """Lateness of the latest wake-up, against the last deadline before it."""
 
     def wait(self) -> int:
         """Wait for the next deadline, skipping missed ones; returns the time of waking, ns."""
         clock = self._clock
         now = clock()
-        skipped = (now - self._deadline_ns) // self._period_ns
-        if skipped > 0:
-            self.missed += skipped
-            self._deadline_ns += skipped * self._period_ns
         deadline = self._deadline_ns
         ahead_ns = deadline - now - self._spin_ns
         if ahead_ns > 0:
@@ -61,6 +63,9 @@ class PaceKeeper:
             now = clock()
         while now < deadline:
             now = clock()
+        self.skipped = (now - deadline) // self._period_ns
+        self.missed += self.skipped
+        deadline += self.skipped * self._period_ns
         self.lateness_ns = now - deadline
         self._deadline_ns = deadline + self._period_ns
         self.ticks += 1

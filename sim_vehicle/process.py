@@ -4,7 +4,7 @@ Theory of operation. Flight time starts with the first motor command (onboard se
 that a slow start of a process does not shift the scenario. The vehicle then steps on an absolute grid, with a fixed
 phase after onboard's ticks. Motor commands act when they arrived, by the kernel's stamp. After a stall, one step
 integrates the vehicle to the present: no physics is lost, only sensor datagrams arrive late. Radio datagrams leave when
-they are due. No real vehicle stalls so: a flight with a long stall, or with a crash soon after a stall, is invalid.
+they are due. No real vehicle stalls so: stalls.py says which flights are invalid.
 """
 
 import select
@@ -64,7 +64,7 @@ class SimProcess:
         self._next_step_ns = 0
         self._loop_record = np.zeros(len(LOOP.fields))
         self._crash_ns = 0
-        self._airborne = False
+        self._airborne = self._flown = self._ever_armed = False
         self._deliveries_logged: dict[Direction, int] = {"up": 0, "down": 0}
         self.steps = 0
         self.stalled_steps = 0
@@ -99,6 +99,8 @@ class SimProcess:
                 self._vehicle.receive(datagram, self._flight_time(arrival_ns))
             if now >= self._next_step_ns:
                 self._step(now)
+        if not self._ever_armed:
+            self.stalls.note_no_flight()
         return 0
 
     def _flight_time(self, arrival_ns: int) -> int:
@@ -154,7 +156,12 @@ class SimProcess:
         self.stalled_steps += stalled
         self.stalls.note(now, late_ns)
         step_ns = self._next_step_ns + stalled * PERIOD_NS
+        armed_before = self._vehicle.armed
         output = self._vehicle.step(step_ns)
+        self._ever_armed |= self._vehicle.armed
+        landed = self._flown and not self._airborne
+        if armed_before and not self._vehicle.armed and not landed:
+            self.stalls.note_stop(now)
         for datagram in output.to_onboard:
             self._motors.send(datagram)
         for datagram in output.to_motion_capture:
@@ -166,6 +173,7 @@ class SimProcess:
     def _record(self, step_ns: int, late_ns: int, truth: Any) -> None:
         at_ns = step_ns + self._start_ns
         self._airborne = bool(truth[_AIRBORNE])
+        self._flown |= self._airborne
         self._log.write(TRUTH, at_ns, truth)
         self._loop_record[0] = late_ns * 1e-3
         self._loop_record[1] = self.stalled_steps

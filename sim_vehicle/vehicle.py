@@ -73,6 +73,11 @@ class SimVehicle:
         """Empty until the vehicle crashes. The motors are off from then on."""
 
     @property
+    def armed(self) -> bool:
+        """Whether the motors may run: as last commanded, false after a silence of the commands."""
+        return self._armed
+
+    @property
     def rejected(self) -> Counter[str]:
         """Motor frames dropped, by reason."""
         return self._codec.rejected

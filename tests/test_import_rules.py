@@ -37,9 +37,10 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
 MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "flights": (),
     "replays": ("flights",),
+    "memory": ("flights", "replays"),
     "timing": ("flights",),
     "margins": ("flights",),
-    "campaigns": ("flights", "margins"),
+    "campaigns": ("flights", "margins", "memory"),
     "results": ("campaigns",),
     "link": ("flights", "replays", "campaigns", "results"),
 }
@@ -63,11 +64,12 @@ NAMED_SHELLS = {
     "sim_vehicle.physics.compiled",
     "offboard.links.vehicle_service",
     "offboard.background",
+    "offboard.memory.folder",
     "onboard.c.declarations",
     "onboard.c.library",
 }
 """Modules outside the shells' names that are shells, and why: key files; the compiler's cache; the offboard process's
-part for each vehicle, and its thread; building and loading the C core."""
+part for each vehicle, its thread, and the folder of a memory; building and loading the C core."""
 FOR_SHELLS = ("runtime.", "flight_log.writer")
 WITH_CORES = ("protocol", "onboard", "offboard", "sim_vehicle")
 NOT_IN_A_CORE = {

@@ -1,6 +1,7 @@
 """`dmrac fly`: one flight in real time over UDP or in lockstep, with its record and summary."""
 
 import argparse
+import json
 import shlex
 from contextlib import nullcontext
 from pathlib import Path
@@ -14,6 +15,8 @@ from experiments.flights.live_view import live_view, require_viewer
 from experiments.flights.logged_flight import fly_logged
 from experiments.flights.realtime_flight import FlightStartError, require_free_ports
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
+from experiments.memory.learning import remember
+from offboard.memory.folder import memory_file
 from protocol.keys import load_keys
 
 EXAMPLES = """examples:
@@ -37,6 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="of the whole flight, s (default: the scenario's)")
     parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
     parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
+    parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
+    parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="change a value by path"
@@ -47,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly; return the exit status of the outcome. Raises ConfigError before anything is started."""
-    choices = Choices(arguments.controller, arguments.seed, arguments.duration, arguments.assignments)
+    memory = _memory_assignments(arguments)
+    choices = Choices(arguments.controller, arguments.seed, arguments.duration, [*arguments.assignments, *memory])
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
@@ -69,6 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
             command = repeat_command(arguments, config)
             summary = fly_logged(config, folder, arguments.lockstep, not arguments.no_offboard, command, console)
             print_summary(summary, folder, console)
+            if arguments.remember:
+                console.print(f"memory          {remember(arguments.memory, folder)}", soft_wrap=True, highlight=False)
             if wait_for_viewer is not None:
                 wait_for_viewer()
     except (FlightStartError, ConfigError) as error:
@@ -76,11 +84,20 @@ def run(arguments: argparse.Namespace) -> int:
     return EXIT_STATUS[summary["outcome"]]
 
 
+def _memory_assignments(arguments: argparse.Namespace) -> list[str]:
+    """The setting that `--memory` stands for; none for a memory that `--remember` will begin. Raises ConfigError."""
+    if arguments.remember and arguments.memory is None:
+        raise ConfigError("--remember: only with --memory FOLDER")
+    if arguments.memory is None or (arguments.remember and not memory_file(arguments.memory).exists()):
+        return []
+    return [f"offboard.experience.memory={json.dumps(str(arguments.memory))}"]
+
+
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     """Return the command that repeats this flight."""
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
     words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]
-    for assignment in arguments.assignments:
+    for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]
     return shlex.join(words)

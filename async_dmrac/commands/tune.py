@@ -38,10 +38,10 @@ def run(arguments: argparse.Namespace) -> int:
     import optuna
 
     from experiments.campaigns.controller_file import write_tuned
+    from experiments.campaigns.search_space import near_an_end
     from experiments.campaigns.tuning import (
         Search,
         load_tuning,
-        near_an_end,
         open_study,
         run_search,
         search_record,

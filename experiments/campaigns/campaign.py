@@ -3,6 +3,7 @@
 A campaign file names scenarios and assigns values to them by path, as `dmrac fly --set` does.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -36,8 +37,10 @@ class Case(ConfigRecord):
     """Empty: those of the campaign."""
     experience: Name | None = None
     """A case that is flown first, with the same controller and seed; this one starts from what it learnt."""
+    memory: tuple[Name, ...] = ()
+    """Cases that are flown first, with the same seed; this one starts from the memory that their flights teach."""
     experience_controller: str | None = None
-    """Controller that flies the other case; None: the same one."""
+    """Controller that flies the other cases; None: the same one."""
     swept: bool = True
     """False: flown once instead of at every point of the sweeps."""
     keep_experience: bool = False
@@ -127,6 +130,8 @@ class CampaignConfig(ConfigRecord):
                 raise ValueError(f"case {case.name}: experience: there is no case {case.experience}")
             if case.experience is not None and self.case(case.experience).experience is not None:
                 raise ValueError(f"case {case.name}: experience: {case.experience} itself starts from another case")
+            for other in case.memory:
+                _check_memory(case, other, names, self)
         together = [name for cases in self.same_conditions for name in cases]
         for name in together:
             if name not in names or together.count(name) > 1:
@@ -137,6 +142,18 @@ class CampaignConfig(ConfigRecord):
     def case(self, name: str) -> Case:
         """Return the case of that name."""
         return next(case for case in self.cases if case.name == name)
+
+
+def _check_memory(case: Case, other: str, names: Sequence[str], campaign: CampaignConfig) -> None:
+    """Raise ValueError if a case cannot start from what the flights of another one teach."""
+    if other not in names:
+        raise ValueError(f"case {case.name}: memory: there is no case {other}")
+    if case.experience is not None:
+        raise ValueError(f"case {case.name}: memory: not allowed with experience")
+    if campaign.case(other).experience is not None or campaign.case(other).memory:
+        raise ValueError(f"case {case.name}: memory: {other} itself starts from another case")
+    if other in {one.experience for one in campaign.cases}:
+        raise ValueError(f"case {case.name}: memory: {other} is the experience of another case")
 
 
 def load_campaign(name: str) -> tuple[CampaignConfig, Path]:

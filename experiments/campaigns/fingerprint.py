@@ -22,7 +22,7 @@ def fingerprint(campaign: CampaignConfig) -> str:
     one_seed = campaign.model_copy(update={"seeds": Seeds(first=SEED, count=1)})
     digest = hashlib.sha256()
     for job in unfold(one_seed, ""):
-        digest.update(json.dumps([job.key, job.source, _settings(job)], sort_keys=True).encode())
+        digest.update(json.dumps([job.key, "".join(job.sources), _settings(job)], sort_keys=True).encode())
     return digest.hexdigest()[:32]
 
 

@@ -32,9 +32,15 @@ class FlightJob:
     assignments: tuple[str, ...]
     keep_trace: bool
     keep_experience: bool
-    source: str = ""
-    """Key of the flight whose experience this one starts from; empty: none."""
+    sources: tuple[str, ...] = ()
+    """Keys of the flights that this one starts from: of the one whose experience it has, or of those of its memory."""
+    memory: str = ""
+    """Name of the memory that the sources teach; empty: there is one source, and its experience is taken as it is."""
+    teaches: bool = False
+    """Whether what is kept of this flight is a condition for a memory instead of an experience."""
     experience: bytes | None = None
+    lessons: tuple[bytes, ...] = ()
+    """What was kept of the sources of the memory."""
 
     @property
     def key(self) -> str:
@@ -54,9 +60,11 @@ class FlightJob:
             words += ["--duration", f"{self.duration_s:g}"]
         for assignment in self.assignments:
             words += ["--set", assignment]
-        if self.source:
-            folder = out if out is not None else Path("OUT")
-            words += ["--set", f"experience={folder / 'experience' / self.source.replace('/', '__')}.npz"]
+        folder = out if out is not None else Path("OUT")
+        if self.memory:
+            words += ["--memory", str(memory_path(folder, self.memory))]
+        elif self.sources:
+            words += ["--set", f"experience={folder / 'experience' / self.sources[0].replace('/', '__')}.npz"]
         return shlex.join(words)
 
     def empty_row(self, out: Path | None = None) -> Row:
@@ -70,6 +78,11 @@ class FlightJob:
         return resolve(self.scenario, Choices(self.controller, self.seed, self.duration_s, self.assignments))
 
 
+def memory_path(folder: Path, name: str) -> Path:
+    """Return the file of a memory that flights of the campaign taught."""
+    return folder / "memories" / f"{name}.npz"
+
+
 def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None) -> Iterator[FlightJob]:
     """Yield every flight: first those whose experience others need; seed by seed, so that any part is balanced.
 
@@ -77,7 +90,7 @@ def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None) -> Ite
     ----------
     seeds: number of seeds; None: the campaign's.
     """
-    needed = {case.experience for case in campaign.cases if case.experience is not None}
+    needed = {other for case in campaign.cases for other in (case.experience, *case.memory) if other is not None}
     for source in (True, False):
         cases = [case for case in campaign.cases if (case.name in needed) is source]
         for number in range(campaign.seeds.count if seeds is None else seeds):
@@ -111,12 +124,15 @@ def flights_of_seed(
                 keep_trace=number < campaign.traces,
                 keep_experience=keep_experience,
             )
-            yield replace(job, source=_source(campaign, case, job)) if case.experience else job
+            others = (case.experience,) if case.experience else case.memory
+            sources = tuple(_source(campaign.case(other), case, job) for other in others)
+            memory = "__".join([*case.memory, str(seed)]) if case.memory else ""
+            teaches = any(case.name in one.memory for one in campaign.cases)
+            yield replace(job, sources=sources, memory=memory, teaches=teaches)
 
 
-def _source(campaign: CampaignConfig, case: Case, job: FlightJob) -> str:
-    assert case.experience is not None
-    other = campaign.case(case.experience)
+def _source(other: Case, case: Case, job: FlightJob) -> str:
+    """The key of the flight of another case that a flight starts from."""
     controller = case.experience_controller or job.controller
     point = job.point if other.swept else ()
     return replace(job, case=other.name, controller=controller, point=point).key

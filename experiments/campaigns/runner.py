@@ -15,7 +15,7 @@ from typing import Any, Final
 from configs.loader import ConfigError
 from experiments.campaigns.campaign import CampaignConfig
 from experiments.campaigns.fingerprint import fingerprint
-from experiments.campaigns.flight_jobs import FlightJob, unfold
+from experiments.campaigns.flight_jobs import FlightJob, memory_path, unfold
 from experiments.campaigns.flown import CAMPAIGN_FILE, About, is_campaign, read_about
 from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore
@@ -62,7 +62,7 @@ class CampaignRun:
         if self.only is None:
             return every
         jobs = list(every)
-        wanted = self.only | {job.source for job in jobs if job.key in self.only}
+        wanted = self.only | {source for job in jobs if job.key in self.only for source in job.sources}
         return (job for job in jobs if job.key in wanted)
 
 
@@ -130,7 +130,7 @@ def _sources_to_refly(folder: Path, jobs: Iterable[FlightJob], done: Set[str]) -
 
     Published rows come without the experience.
     """
-    sources = {job.source for job in jobs if job.source and job.key not in done}
+    sources = {source for job in jobs if job.key not in done for source in job.sources}
     return {key for key in sources & done if not experience_path(folder, key).exists()}
 
 
@@ -158,7 +158,7 @@ class _Loop:
         """Submit jobs and receive results until all are done."""
         limit = self._workers.count * QUEUED_PER_WORKER
         for job in jobs:
-            while len(self._under_way) >= limit or job.source in self._sources_under_way:
+            while len(self._under_way) >= limit or self._sources_under_way.intersection(job.sources):
                 self._receive()
                 self._clear_suspects()
             self._submit(job)
@@ -178,12 +178,15 @@ class _Loop:
             self._land()
 
     def _submit(self, job: FlightJob) -> None:
-        if job.source:
-            path = experience_path(self._run.folder, job.source)
+        paths = [experience_path(self._run.folder, source) for source in job.sources]
+        for source, path in zip(job.sources, paths, strict=True):
             if not path.exists():
-                self._fail(job, f"the flight it starts from left no experience: {job.source}")
+                self._fail(job, f"the flight it starts from left no experience: {source}")
                 return
-            job = replace(job, experience=path.read_bytes())
+        if job.memory:
+            job = replace(job, lessons=tuple(path.read_bytes() for path in paths))
+        elif paths:
+            job = replace(job, experience=paths[0].read_bytes())
         if job.keep_experience:
             self._sources_under_way.add(job.key)
         self._tries[job.key] = self._tries.get(job.key, 0) + 1
@@ -218,6 +221,8 @@ class _Loop:
             _write(folder / "traces" / f"{job.file_stem}.yaml", result.config.encode())
         if result.experience is not None:
             _write(experience_path(folder, job.key), result.experience)
+        if result.memory is not None:
+            _write(memory_path(folder, job.memory), result.memory)
         self._finish(job, result.row | {"command": job.command(folder)})
 
     def _fail(self, job: FlightJob, reason: str) -> None:

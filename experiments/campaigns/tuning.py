@@ -7,14 +7,15 @@ seed: some on the nominal vehicle, some on drawn ones. Its value is the mean cos
     cost = crash_cost (2 - share of the flight flown)    if it crashed,
 
 so a crash always costs more than a large error, and an early crash more than a late one. The case names the window of
-the RMSE. Gains whose predicted loops miss the campaign's margins are not flown: their cost is above that of any flight,
-and grows with what is missing. They are not part of the budget.
+the RMSE. Gains whose predicted loops miss the campaign's margins, on the nominal vehicle or at a corner, are not flown:
+their cost is above that of any flight, and grows with what is missing. They are not part of the budget.
 
-The first trial uses the values of the controller file, the next ones those with the campaign's `starts`. Of the others,
-one in four comes from the estimator, over the whole ranges, and three are steps of random size from the best so far. A
-trial is stopped early if its mean cost is `HOPELESS` times that of the best trial at the same number of seeds (after
-every case was flown once). The search ends after `trials` flown trials if the last third improved the best cost by
-less than `CONVERGED`; otherwise it goes on until that is so, to at most twice the budget.
+The first trial uses the values of the controller file, the next ones those with the campaign's `starts`; each of these
+is moved to the nearest gains that have the margins. Of the others, one in four comes from the estimator, over the whole
+ranges, and three are steps of random size from the best so far, shortened until they have the margins. A trial is
+stopped early if its mean cost is `HOPELESS` times that of the best trial at the same number of seeds (after every case
+was flown once). The search ends after `trials` flown trials if the last third improved the best cost by less than
+`CONVERGED`; otherwise it goes on until that is so, to at most twice the budget.
 
 A search is stored in a journal file and can be continued: trial n uses a generator seeded with (seed, n).
 """
@@ -31,57 +32,27 @@ import numpy as np
 import optuna
 from pydantic import Field, model_validator
 
+from configs.flight_tree import DEFAULT_SCENARIO, read_scenario
 from configs.loader import ConfigError, ConfigRecord, load
 from experiments.campaigns.campaign import CampaignConfig, Case, Seeds, campaign_file
 from experiments.campaigns.flight_jobs import FlightJob, flights_of_seed
+from experiments.campaigns.nearest_gains import nearest, shortened
+from experiments.campaigns.search_space import Parameter, assignments, present_values, shares, step_from, values_at
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.flights.scenario import Choices, resolve
-from experiments.margins.requirement import MarginRequirement
+from experiments.margins.requirement import Corner, MarginRequirement
 
-CONTROLLER_ROOT: Final = "onboard.controller."
-GUIDANCE_ROOT: Final = "onboard.guidance."
 TRAINING_SEEDS: Final = range(1000)
 """Seeds of tuning; the others are for evaluation."""
 CONVERGED: Final = 0.02
 """Share of the best cost by which the last third of a search may improve it, when the search ends."""
-END_SHARE: Final = 0.05
-"""Share of a range, at either end, in which no best value should lie."""
 NOT_FLOWN_MAX: Final = 5000
 """Sets of gains without the margins, after which a search gives up."""
 FLOWN: Final = "flown"
+NOMINAL: Final = "nominal"
 HOPELESS: Final = 1.15
 GLOBAL_EVERY: Final = 4
-STEP_SHARE: Final = (0.02, 0.12)
-"""Least and greatest standard deviation of a step from the best values, as a share of each range."""
 ENDED: Final = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
-
-
-class Parameter(ConfigRecord):
-    """One dimension of the search; `paths` are in the controller file, such as settings.position.gains.damping."""
-
-    name: str
-    paths: tuple[str, ...] = Field(min_length=1)
-    """All of these get the value: settings..., or guidance... for lead times."""
-    low: float
-    high: float
-    log: bool = False
-
-    @model_validator(mode="after")
-    def _range(self) -> Self:
-        if not self.low < self.high or (self.log and self.low <= 0.0):
-            raise ValueError(f"{self.name}: low must be below high, and above 0 where log")
-        return self
-
-    def share(self, value: float) -> float:
-        """Where a value lies in the range: 0 at the low end, 1 at the high end."""
-        low, high, at = (math.log(one) if self.log else one for one in (self.low, self.high, value))
-        return (at - low) / (high - low)
-
-    def value(self, share: float) -> float:
-        """The value at a share of the range, from 0 to 1."""
-        low, high = (math.log(one) if self.log else one for one in (self.low, self.high))
-        at = low + min(max(share, 0.0), 1.0) * (high - low)
-        return min(max(math.exp(at) if self.log else at, self.low), self.high)
 
 
 Window = Literal["settled_rmse_m", "position_rmse_m", "after_onset_rmse_m", "settled_after_onset_rmse_m"]
@@ -104,6 +75,8 @@ class TuneConfig(ConfigRecord):
     crash_cost: Annotated[float, Field(gt=1)]
     margins: MarginRequirement
     """Least predicted margins of every loop, on the nominal vehicle."""
+    corners: tuple[Corner, ...] = ()
+    """Other vehicles, each with its least predicted margins."""
     common: tuple[Parameter, ...]
     """Parameters of every controller, with the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
@@ -115,6 +88,13 @@ class TuneConfig(ConfigRecord):
     def _training_seeds(self) -> Self:
         if self.seeds.first + self.seeds.count - 1 not in TRAINING_SEEDS:
             raise ValueError("seeds: tuning uses seeds below 1000, evaluation those above")
+        return self
+
+    @model_validator(mode="after")
+    def _names_of_corners(self) -> Self:
+        names = [NOMINAL, *(corner.name for corner in self.corners)]
+        if len(set(names)) < len(names):
+            raise ValueError(f"corners: {names[1:]}: expected different names, none of them {NOMINAL}")
         return self
 
     @model_validator(mode="after")
@@ -180,40 +160,18 @@ def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tu
     return jobs
 
 
-def assignments(space: Sequence[Parameter], values: dict[str, float]) -> dict[str, float]:
-    """Return the values by path of the flight's resolved configuration."""
-    return {_flight_path(path): values[one.name] for one in space for path in one.paths if one.name in values}
-
-
-def _flight_path(path: str) -> str:
-    if path.startswith("guidance."):
-        return GUIDANCE_ROOT + path.removeprefix("guidance.")
-    return CONTROLLER_ROOT + path
+def margin_shortfalls(search: Search, values: dict[str, float]) -> dict[str, float]:
+    """The share that these gains miss of the predicted margins: on the nominal vehicle and at each corner, by name."""
+    gains = assignments(search.config.space(search.controller), values)
+    choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
+    flight, vehicle = resolve(choices=choices), read_scenario(DEFAULT_SCENARIO).vehicle
+    corners = {one.name: one.shortfall(flight, vehicle) for one in search.config.corners}
+    return {NOMINAL: search.config.margins.shortfall(flight)} | corners
 
 
 def margin_shortfall(search: Search, values: dict[str, float]) -> float:
-    """The share that these gains miss of the campaign's margins, predicted for the nominal vehicle; 0 for nothing."""
-    gains = assignments(search.config.space(search.controller), values)
-    choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
-    return search.config.margins.shortfall(resolve(choices=choices))
-
-
-def present_values(space: Sequence[Parameter], controller: str) -> dict[str, float]:
-    """Return the values of the controller's file and the defaults, limited to the ranges: the start of a search."""
-    flight = resolve(choices=Choices(controller))
-    settings = flight.onboard.controller.filled_settings(flight.features)
-    tree = {"settings": settings.model_dump(mode="json"), "guidance": flight.onboard.guidance.model_dump(mode="json")}
-    values = {}
-    for parameter in space:
-        node: Any = tree
-        for key in parameter.paths[0].split("."):
-            if isinstance(node, list):
-                node = node[int(key)] if key.isdigit() and int(key) < len(node) else None
-            else:
-                node = node.get(key) if isinstance(node, dict) else None
-        if isinstance(node, int | float) and not isinstance(node, bool):
-            values[parameter.name] = min(max(float(node), parameter.low), parameter.high)
-    return values
+    """The sum of these shares; 0 for gains that miss nothing."""
+    return sum(margin_shortfalls(search, values).values())
 
 
 def fly_trial(
@@ -253,12 +211,12 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
     if not study.trials:
         space = search.config.space(search.controller)
         start = present_values(space, search.controller)
-        study.enqueue_trial(start, user_attrs={"origin": "as it stood"})
-        for one in search.config.starts:
-            study.enqueue_trial(start | one, user_attrs={"origin": "starts"})
-    for left in study.get_trials(
-        deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)
-    ):  # by a search that was killed
+        for number, (values, origin) in enumerate(
+            [(start, "as it stood"), *((start | one, "starts") for one in search.config.starts)]
+        ):
+            rng = np.random.default_rng([search.seed, number])
+            study.enqueue_trial(with_margins(search, values, rng), user_attrs={"origin": origin})
+    for left in study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):  # by a killed search
         study.tell(left.number, state=optuna.trial.TrialState.FAIL)
         study.enqueue_trial(left.params)
     return study
@@ -305,7 +263,9 @@ def run_search(
         )
         waiting = study.get_trials(deepcopy=False, states=(optuna.trial.TrialState.WAITING,))
         if done % GLOBAL_EVERY and not waiting:
-            study.enqueue_trial(step_from(space, study.best_params, np.random.default_rng([search.seed, done])))
+            study.enqueue_trial(
+                step_with_margins(search, study.best_params, np.random.default_rng([search.seed, done]))
+            )
         trial = study.ask()
         values = {one.name: trial.suggest_float(one.name, one.low, one.high, log=one.log) for one in space}
         missing = margin_shortfall(search, values)
@@ -346,22 +306,20 @@ def _fly(
         study.tell(trial, value)
 
 
-def step_from(space: Sequence[Parameter], values: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
-    """Values a random step away from these: about half of them changed, all by the same standard deviation."""
-    low, high = STEP_SHARE
-    sigma = low * (high / low) ** float(rng.uniform())
-    chosen = rng.random(len(space)) < 0.5
-    chosen[int(rng.integers(len(space)))] = True
-    steps = sigma * rng.standard_normal(len(space)) * chosen
-    return {
-        one.name: one.value(one.share(values[one.name]) + step) if step else values[one.name]
-        for one, step in zip(space, steps.tolist(), strict=True)
-    }
+def with_margins(search: Search, values: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """The nearest gains to these that have the campaign's margins, or these if none were found."""
+    space = search.config.space(search.controller)
+    start = shares(space, values)
+    found = nearest(start, lambda point: margin_shortfall(search, values_at(space, point)), rng)
+    return values if found is None or found == start else values_at(space, found)
 
 
-def near_an_end(space: Sequence[Parameter], values: dict[str, float]) -> list[str]:
-    """Names of the parameters whose value lies within END_SHARE of an end of its range."""
-    return [one.name for one in space if not END_SHARE <= one.share(values[one.name]) <= 1.0 - END_SHARE]
+def step_with_margins(search: Search, values: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """A random step from these values, shortened until it has the campaign's margins."""
+    space = search.config.space(search.controller)
+    to = shares(space, step_from(space, values, rng))
+    point = shortened(shares(space, values), to, lambda point: margin_shortfall(search, values_at(space, point)))
+    return values_at(space, point)
 
 
 def search_record(search: Search, study: optuna.Study) -> list[str]:

@@ -17,6 +17,7 @@ from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.flight_row import LinkBytes, Row, flight_row
 from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import FlightConfig
+from experiments.memory.learning import learnt_from_lessons, lesson
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 TRACE_STEP = 4
@@ -46,6 +47,8 @@ class FlightResult:
     trace: bytes | None = None
     """Archive of float32 columns at 50 Hz, and of the training's losses."""
     experience: bytes | None = None
+    memory: bytes | None = None
+    """The memory that the flight started from, if it was learnt for it."""
     config: str = ""
     """Resolved configuration of a flight whose trace is stored."""
 
@@ -60,22 +63,24 @@ def fly_job(job: FlightJob) -> FlightResult:
     """Fly a job and return its row; an error is recorded in the row."""
     row = job.empty_row()
     started, used = time.perf_counter(), time.process_time()
-    trace = experience = None
+    trace = experience = memory = None
     config_text = ""
     try:
         config = job.configuration()
         link = LinkBytes()
-        outcome = fly_lockstep(config, (link,), experience=job.experience)
+        memory = learnt_from_lessons(job.lessons) if job.memory else None
+        outcome = fly_lockstep(config, (link,), experience=memory or job.experience)
         row |= flight_row(config, outcome, link)
         trace = pack_trace(config, outcome) if job.keep_trace else None
         config_text = config.to_yaml() if job.keep_trace else ""
-        experience = outcome.learnt if job.keep_experience else None
+        if job.keep_experience:
+            experience = lesson(config, outcome.trace) if job.teaches else outcome.learnt
     except Exception as error:
         row["error"] = "".join(traceback.format_exception_only(error)).strip() + " at " + _where(error)
     row["wall_s"] = time.perf_counter() - started
     row["cpu_s"] = time.process_time() - used
     row["worker_peak_mib"] = _peak_mib()
-    return FlightResult(job.key, row, trace, experience, config_text)
+    return FlightResult(job.key, row, trace, experience, memory, config_text)
 
 
 def _where(error: BaseException) -> str:

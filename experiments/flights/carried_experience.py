@@ -13,6 +13,10 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError
+from experiments.flights.scenario import FlightConfig
+from offboard.memory.folder import read_memory
+from offboard.memory.memory import UnusableMemoryError
+from offboard.memory.memory_file import is_memory
 from onboard.control.interface import Controller, LearningController
 from onboard.core import OnboardCore
 
@@ -43,8 +47,19 @@ def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
     return out.getvalue()
 
 
-def read_experience(path: str) -> bytes | None:
-    """Return the content of the file; None for an empty name. Raises ConfigError if it cannot be read."""
+def read_experience(config: FlightConfig) -> bytes | None:
+    """Return the experience or memory that a configuration starts from; None for neither.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or both are named.
+    """
+    path, memory = config.experience, config.offboard.experience.memory
+    if path and memory:
+        raise ConfigError(f"experience: {path}: not allowed with offboard.experience.memory, {memory}")
+    if memory:
+        return read_memory(Path(memory))
     if not path:
         return None
     try:
@@ -66,15 +81,19 @@ def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = 
     """
     controller = onboard.controller
     try:
+        if is_memory(data) and not learns(controller):
+            raise ValueError("a memory holds features, and this controller uses none")
         if learns(controller) and offboard is not None:
             from offboard.data.experience import ExperienceError
 
             try:
-                if frozen:
+                if is_memory(data):
+                    offboard.recall(data)
+                elif frozen:
                     offboard.warm_start(data)
                 else:
                     offboard.resume(data)
-            except ExperienceError as error:
+            except (ExperienceError, UnusableMemoryError) as error:
                 raise ValueError(str(error)) from None
         elif hasattr(controller, "start_from"):
             with np.load(io.BytesIO(data), allow_pickle=False) as archive:

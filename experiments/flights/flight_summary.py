@@ -16,6 +16,8 @@ from runtime.files import write_json
 
 _ONBOARD: Final = ("ticks", "missed", "tick_us", "rss_mb", "calibration")
 """What summary.json has of onboard's own summary, as it is."""
+_TRAINING: Final = ("rounds", "samples", "buffered", "verdicts", "unused")
+"""The same of offboard's."""
 
 
 def build_summary(
@@ -58,6 +60,7 @@ def build_summary(
         "first_lap_rmse_m": _number(metrics.first_lap_rmse_m if metrics else math.nan),
         "settled_rmse_m": _number(metrics.settled_rmse_m if metrics else math.nan),
         "features": onboard.get("features", {}),
+        "training": {key: offboard[key] for key in _TRAINING if key in offboard} if offboard else {},
         "link": {**radio, "rejected": dict(rejected)},
         "onboard": {key: onboard[key] for key in _ONBOARD if key in onboard},
     }
@@ -112,6 +115,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         text = f"version {features['version']}, {features['swaps']} swaps, {features['refused']} refused"
         age = features.get("age_s_median")
         rows.append(("features", text if age is None else f"{text}, median age {age:.1f} s"))
+    rows.extend(_training_rows(summary.get("training") or {}))
     rows.extend(_bound_rows(summary.get("live_bound") or {}))
     rows.extend(_link_rows(summary["link"]))
     if "tick_us" in onboard:
@@ -120,6 +124,22 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         text += f"p99 {tick['p99']:.0f} us, max {tick['max']:.0f} us, {onboard['rss_mb']:.0f} MB"
         rows.append(("onboard", text))
     return rows
+
+
+def _training_rows(training: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = []
+    if training.get("rounds"):
+        rows.append(("training", f"{training['rounds']} rounds: {_counts(training.get('verdicts', {}))}"))
+    unused = _counts(training.get("unused", {}))
+    if unused:
+        rows.append(("not learnt from", unused))
+    return rows
+
+
+def _counts(counts: dict[str, int]) -> str:
+    """Return the counts that are not zero, largest first."""
+    found = sorted(((count, name) for name, count in counts.items() if count), reverse=True)
+    return ", ".join(f"{name.replace('_', ' ')} {count}" for count, name in found)
 
 
 def _bound_rows(bounds: dict[str, dict[str, float | None]]) -> list[tuple[str, str]]:

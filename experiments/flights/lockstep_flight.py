@@ -102,7 +102,7 @@ def fly_lockstep(
         If the experience cannot be read, or does not fit this flight.
     """
     lockstep, onboard, offboard, radio = build(config, with_offboard, recorded)
-    experience = read_experience(config.experience) if experience is None else experience
+    experience = read_experience(config) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")
     period_s = config.onboard.period_ns * 1e-9

@@ -37,7 +37,7 @@ class LockstepLog:
         metadata |= {"session": str(ONBOARD_SESSION), "with_offboard": str(with_offboard)}
         metadata |= {"keyed": str(bool({"key_file", "vehicle_key_file", "ground_key_file"} & given))}
         attachments = {"config.yaml": config.to_yaml().encode()}
-        experience = read_experience(config.experience) if experience is None else experience
+        experience = read_experience(config) if experience is None else experience
         if experience is not None:
             attachments[EXPERIENCE] = experience
         self._logs = {

@@ -1,29 +1,134 @@
-"""Linear prediction of the open loops, from gains, law, motor lag and dead time alone.
+"""Linear prediction of the open loops, from gains, law, vehicle and dead time alone.
 
-Broken at the demand u, with A the actuators with all dead time, K the feedback and H the law as a filter from the
-residual to nu_ad:
+The vehicle (`config.vehicle`) may differ from the one that onboard assumes (`config.onboard.airframe`):
 
-    attitude:  L = (K A / s^2 + H A) / (1 - H A)             the law sees the residual x_ddot - A u
-    position:  L = K T / s^2                                 T: from commanded to true attitude
+    G = gain A exp(-d s)        what the vehicle's actuators do with a demand: true gain, lag and dead time
+    A_n exp(-d_n s)             what onboard believes they do: u_hat (experiments/margins/plant.py has both)
+    K = k_1 + k_2 s             the feedback, and H the law as a filter from the residual to nu_ad
+    Q = K A_n (1 - exp(-d_n s)) / s^2    prediction over the dead time that onboard knows; 0 without
 
-With prediction over the dead time d, K A / s^2 = L_0 exp(-d s) becomes L_0 exp(-d s) / (1 + L_0 (1 - exp(-d s))).
+**Attitude.** The law sees r = x_ddot - A_n exp(-d_n s) u, and the feedback the state predicted from u and nu_ad:
+
+    u = -K G / s^2 u' - Q (u + nu_ad) - nu_ad,    nu_ad = H (G u' - A_n exp(-d_n s) u)
+
+Broken between the demand u and the vehicle, u' = -L^-1 u, so the loop has the delay that onboard does not know:
+
+    L = (K G / (1 + Q) / s^2 + H G) / (1 - H A_n exp(-d_n s))
+
+Two things are simplified: the turn over the dead time comes from the model, where onboard takes the measured rate, and
+nu_ad passes through A_n there. From commanded to true attitude, with C the feedback on a command,
+
+    T = C G / s^2 / ((1 + Q) (1 + H (G - A_n exp(-d_n s))) + K G / s^2)
+
+and the law cancels out where G is the nominal plant.
+
+**Position.** With rho the lift by the thrust at a command over the nominal one, the thrust demand settles at g / rho,
+which makes the tilt for a demand rho times as large. u_hat follows from the attitude as measured, so lag and dead time
+are known, rho is not: horizontally r = (rho - 1) T u. Vertically u_hat follows from the motors' model. Broken at the
+demand, with u_hat aware of it,
+
+    horizontal: L = rho K T / s^2 + H (rho - 1) T,    vertical: L = K G / s^2 + H (G - A_n exp(-d_n s)).
+
+**Stability.** Margins mean nothing where the closed loop is unstable. 1 + L over a common denominator, times that of H,
+is the characteristic function. Its zeros in the right half plane are the unstable poles; stability.py counts them.
 """
 
-from typing import Any, Final
+from functools import cached_property
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from experiments.flights.scenario import FlightConfig
+from experiments.margins.kalman import fastest_loop
+from experiments.margins.plant import attitude_plant, lift_gain, lift_plant
 from onboard.control.cascade import CascadeSettings, ChannelSettings
 from onboard.control.laws.adaptive import AdaptiveConfig
 from onboard.control.laws.indi import IncrementalConfig
 from onboard.control.laws.integral import IntegralConfig
+from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.l1 import L1Config
 from protocol.conventions import Array
 
-HOLD_TICKS: Final = 0.5
-COMMAND_TICKS: Final = 1.0
-"""A command acts one tick after it was computed, and is held for a tick."""
+SCALE_RAD_S: Final = 10.0
+"""The characteristic function is scaled by powers of s / (s + this): then it is finite at 0, and 1 at infinity."""
+
+
+class Law(NamedTuple):
+    """H = numerator / denominator, each without poles in the right half plane; the denominator is 1 at infinity."""
+
+    numerator: Any
+    denominator: Any
+
+
+class PredictedLoop(NamedTuple):
+    """One loop, [n] each."""
+
+    L: Any
+    """Open loop, broken at the demand."""
+    characteristic: Any
+    """Its zeros in the right half plane are unstable closed-loop poles; it has no poles there, and is 1 at infinity."""
+
+
+class LinearModel:
+    """All loops of a controller with a vehicle, at the frequencies omega [n], rad/s."""
+
+    def __init__(self, config: FlightConfig, omega: Array) -> None:
+        """Raise ValueError if the controller is not a cascade."""
+        settings = config.onboard.controller.filled_settings(config.onboard.features)
+        if not isinstance(settings, CascadeSettings):
+            raise ValueError(f"{config.controller}: not a cascade, so there is no linear prediction")
+        self._config, self._settings, self._s = config, settings, 1j * omega
+
+    def loop(self, channel: int, axis: int) -> PredictedLoop:
+        """One loop: channel 0 position, 1 attitude."""
+        if channel == 1:
+            return self.attitude[axis].loop
+        return self._vertical() if axis == 2 else self._horizontal(axis)
+
+    @cached_property
+    def attitude(self) -> "tuple[_AttitudeLoop, _AttitudeLoop, _AttitudeLoop]":
+        """Roll, pitch and yaw."""
+        roll, pitch, yaw = (_AttitudeLoop(self._config, self._settings, axis, self._s) for axis in range(3))
+        return roll, pitch, yaw
+
+    def _horizontal(self, axis: int) -> PredictedLoop:
+        s, rho, channel = self._s, lift_gain(self._config), self._settings.position
+        T = self.attitude[1 - axis].closed()  # north is flown by pitch, east by roll
+        K, law = _feedback(channel, axis, s), _law(channel, axis, s)
+        feedback, rest = rho * K * T / s**2, (rho - 1.0) * T
+        L = feedback + law.numerator / law.denominator * rest
+        return PredictedLoop(L, _scaled(law.denominator * (1.0 + feedback) + law.numerator * rest, channel, s))
+
+    def _vertical(self) -> PredictedLoop:
+        s, channel = self._s, self._settings.position
+        plant = lift_plant(self._config, s)
+        K, law = _feedback(channel, 2, s), _law(channel, 2, s)
+        feedback, rest = K * plant.true / s**2, plant.true - plant.nominal
+        L = feedback + law.numerator / law.denominator * rest
+        return PredictedLoop(L, _scaled(law.denominator * (1.0 + feedback) + law.numerator * rest, channel, s))
+
+
+class _AttitudeLoop:
+    """The loop of one axis of the attitude channel; the symbols are those at the head of this file."""
+
+    def __init__(self, config: FlightConfig, settings: CascadeSettings, axis: int, s: Any) -> None:
+        channel, plant = settings.attitude, attitude_plant(config, axis, s)
+        self._settings, self._axis, self._s, self._G = settings, axis, s, plant.true
+        K, law = _feedback(channel, axis, s), _law(channel, axis, s)
+        Q = K * (plant.nominal_prompt - plant.nominal) / s**2 if settings.prediction else 0.0
+        KG = K * plant.true / s**2
+        H = law.numerator / law.denominator
+        self._denominator = (1.0 + Q) * (1.0 + H * (plant.true - plant.nominal)) + KG
+        L = (KG / (1.0 + Q) + H * plant.true) / (1.0 - H * plant.nominal)
+        self.loop = PredictedLoop(L, _scaled(law.denominator * self._denominator, channel, s))
+
+    def closed(self) -> Any:
+        """T, from commanded to true attitude. The rate feedback is not driven by the command, but fed forward."""
+        channel, s, filter_s = self._settings.attitude, self._s, self._settings.command_rate_filter_s
+        k2 = channel.gains.rate_gain()[self._axis]
+        rate = k2 * s
+        C = _feedback(channel, self._axis, s) - rate + (rate / (1.0 + filter_s * s) if filter_s > 0.0 else 0.0)
+        return C * self._G / s**2 / self._denominator
 
 
 def predicted_loop(config: FlightConfig, channel: int, axis: int, omega: Array) -> Any:
@@ -34,50 +139,13 @@ def predicted_loop(config: FlightConfig, channel: int, axis: int, omega: Array) 
     ValueError
         If the controller is not a cascade.
     """
-    settings = config.onboard.controller.filled_settings(config.onboard.features)
-    if not isinstance(settings, CascadeSettings):
-        raise ValueError(f"{config.controller}: not a cascade, so there is no linear prediction")
-    s = 1j * omega
-    if channel == 1:
-        return _attitude(config, settings, axis, s)
-    K = _feedback(settings.position, axis, s)
-    if axis == 2:
-        return K * _actuators(config, s) * np.exp(-_dead_time_s(config, 0.0) * s) / s**2
-    return K * _closed_attitude(config, settings, 1 - axis, s) / s**2  # north is flown by pitch, east by roll
+    return LinearModel(config, omega).loop(channel, axis).L
 
 
-def _closed_attitude(config: FlightConfig, settings: CascadeSettings, axis: int, s: Any) -> Any:
-    """From commanded to true attitude: the law cancels out, and the rate feedback is not driven by the command."""
-    plant = _actuators(config, s) / s**2
-    delay = np.exp(-_dead_time_s(config, config.onboard.estimator.gyro_delay_s) * s)
-    K = _feedback(settings.attitude, axis, s)
-    k1, k2 = settings.attitude.gains.stiffness()[axis], settings.attitude.gains.rate_gain()[axis]
-    filter_s = settings.command_rate_filter_s
-    command = k1 + k2 * s / (1.0 + filter_s * s) if filter_s > 0.0 else k1
-    return command * plant * delay / (1.0 + K * plant * (1.0 if settings.prediction else delay))
-
-
-def _attitude(config: FlightConfig, settings: CascadeSettings, axis: int, s: Any) -> Any:
-    K, H = _feedback(settings.attitude, axis, s), _law(settings.attitude, axis, s)
-    A = _actuators(config, s)
-    delay = np.exp(-_dead_time_s(config, config.onboard.estimator.gyro_delay_s) * s)
-    L_0 = K * A / s**2
-    feedback = L_0 * delay / (1.0 + L_0 * (1.0 - delay)) if settings.prediction else L_0 * delay
-    return (feedback + H * A * delay) / (1.0 - H * A * delay)
-
-
-def _actuators(config: FlightConfig, s: Any) -> Any:
-    """First-order lag of the simulated motors, driven by the compensation that onboard computes for its nominal lag."""
-    motors, airframe = config.vehicle.motors, config.onboard.airframe
-    lag = 0.5 * (motors.lag_up_s + motors.lag_down_s)
-    nominal = 0.5 * (airframe.motor_lag_up_s + airframe.motor_lag_down_s)
-    tau = lag * min(airframe.motor_response_s / nominal, 1.0)
-    return 1.0 / (1.0 + tau * s)
-
-
-def _dead_time_s(config: FlightConfig, sensor_s: float) -> float:
-    period_s = config.onboard.period_ns * 1e-9
-    return sensor_s + (COMMAND_TICKS + HOLD_TICKS) * period_s + config.vehicle.motors.command_delay_s
+def _scaled(characteristic: Any, channel: ChannelSettings, s: Any) -> Any:
+    """Times (s / (s + SCALE))^n, n the number of poles at 0."""
+    poles = 3 if isinstance(channel.augmentation, IntegralConfig) else 2
+    return characteristic * (s / (s + SCALE_RAD_S)) ** poles
 
 
 def _feedback(channel: ChannelSettings, axis: int, s: Any) -> Any:
@@ -87,20 +155,25 @@ def _feedback(channel: ChannelSettings, axis: int, s: Any) -> Any:
     return k1 + k2 * s + integral
 
 
-def _law(channel: ChannelSettings, axis: int, s: Any) -> Any:
+def _law(channel: ChannelSettings, axis: int, s: Any) -> Law:
     """nu_ad / residual."""
     law, gains = channel.augmentation, channel.gains
     match law:
         case L1Config():
-            return law.bandwidth_rad_s / (s + law.bandwidth_rad_s)
+            return Law(law.bandwidth_rad_s / (s + law.bandwidth_rad_s), 1.0)
         case IncrementalConfig():  # a lap's table changes once per lap
-            return 1.0 / (1.0 + law.filter_s * s)
+            return Law(1.0 / (1.0 + law.filter_s * s), 1.0)
+        case AdaptiveConfig(law=KalmanConfig() as covariance):
+            F = fastest_loop(covariance, law.error_weight, gains, axis, s)
+            return Law(F, 1.0 + F)
         case AdaptiveConfig():
             k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
             rate_weight = law.error_weight[1] / law.error_weight[0]
             error = (1.0 + rate_weight * s) / (s**2 + k2 * s + k1)  # e for nu_ad - Delta
             tracking = law.law.tracking_gain * error
-            composite = law.law.composite_gain / (1.0 + law.law.residual_filter_s * s)
-            return (composite + tracking) / (s + law.law.composite_gain + tracking)
+            pole = law.law.composite_gain
+            composite = pole / (1.0 + law.law.residual_filter_s * s)
+            over = s + pole + SCALE_RAD_S
+            return Law((composite + tracking) / over, (s + pole + tracking) / over)
         case _:
-            return np.zeros_like(s)
+            return Law(np.zeros_like(s), 1.0)

@@ -1,4 +1,4 @@
-"""Stability margins from the frequency response L(j omega) of an open loop."""
+"""Stability, and its margins, from frequency responses."""
 
 from typing import NamedTuple
 
@@ -34,9 +34,10 @@ def margins(omega: Array, L: Complex) -> Margins:
     phases = [(w, phase[i] + share * (phase[i + 1] - phase[i])) for w, share, i in crossings]
     above = [(w, np.mod(p + np.pi, 2.0 * np.pi)) for w, p in phases]
     distance = [(w, float(a), float(min(a, 2.0 * np.pi - a))) for w, a in above]
+    lowest, highest = (round(float(-(end + np.pi) / (2.0 * np.pi))) for end in (phase.max(), phase.min()))
     gains = [
         abs(level[i] + share * (level[i + 1] - level[i])) * 20.0 / np.log(10.0)
-        for turn in range(-6, 7)
+        for turn in range(lowest, highest + 1)
         for _, share, i in _zeros(x, phase + np.pi + 2.0 * np.pi * turn)
     ]
     return Margins(
@@ -45,6 +46,17 @@ def margins(omega: Array, L: Complex) -> Margins:
         min((1e3 * a / w for w, a, _ in distance), default=np.inf),
         max((float(w) for w, _, _ in distance), default=0.0),
     )
+
+
+def unstable_poles(characteristic: Complex) -> int:
+    """Zeros in the right half plane of a function that has no poles there and is 1 at infinity.
+
+    By the argument principle: with ascending omega the phase of f(j omega) falls by pi per zero. f is real at 0.
+
+    characteristic: f(j omega) [n], from far below to far above its zeros, less than half a turn between two points.
+    """
+    phase = np.unwrap(np.angle(characteristic))
+    return round(float(phase[0] - phase[-1]) / np.pi)
 
 
 def _zeros(x: Array, y: Array) -> list[tuple[float, float, int]]:

@@ -42,7 +42,7 @@ def _first_job(config: FlightConfig) -> Any:
 
 def admission_ms(samples: int = 100) -> float:
     """Return the time of kernel test, best swap and replacement in a full buffer of 1000: median, ms of a core."""
-    from offboard.data.novelty import KernelNovelty, best_swap
+    from offboard.data.novelty import KernelNovelty, swap_for_largest_sigma_min
 
     rng = np.random.default_rng(3)
     novelty = KernelNovelty(CAPACITY, INPUTS)
@@ -54,7 +54,7 @@ def admission_ms(samples: int = 100) -> float:
     def admit() -> None:
         x = rng.normal(0.0, 2.0, INPUTS)
         novelty.gamma(x)
-        novelty.replace(best_swap(Phi, gram, np.tanh(rng.normal(0.0, 1.0, FEATURES))), x)
+        novelty.replace(swap_for_largest_sigma_min(Phi, gram, np.tanh(rng.normal(0.0, 1.0, FEATURES))), x)
 
     return float(np.median([_timed_ms(admit) for _ in range(samples)]))
 

@@ -4,6 +4,11 @@ The buffer covers the whole flight evenly; the ring follows a change at once. Af
 different labels for the same state. Each mini-batch draws from both, and a sample that is similar to a buffer entry
 older than `refresh_age_s` replaces it, so that outdated labels disappear where the vehicle flies.
 
+Each sample has the number of a condition: the flight that it is from. A sample is new, and replaces a similar one,
+among those of its own condition only, so that a flight in a new wind does not overwrite what was stored at the same
+place in an old one. A round of training uses the samples of the present condition, and those of others where the
+present one has none yet. A full buffer deletes from the condition with the most samples.
+
 Samples are split by time: all samples of a time block go to training, validation or test together, because samples
 that follow each other are nearly equal.
 """
@@ -17,7 +22,7 @@ from numpy.typing import NDArray
 
 from offboard.config import BufferConfig
 from offboard.data.labels import LabelledSample
-from offboard.data.novelty import HistoryNovelty, KernelNovelty, best_swap
+from offboard.data.novelty import HistoryNovelty, KernelNovelty, swap_for_largest_sigma_min
 from protocol.conventions import Array
 from protocol.feature_config import FeatureInputs
 from protocol.signals import CHANNELS, SIGNAL_COUNT, input_indices
@@ -25,8 +30,10 @@ from protocol.signals import CHANNELS, SIGNAL_COUNT, input_indices
 TRAINING: Final = 0
 VALIDATION: Final = 1
 TEST: Final = 2
-COLUMNS: Final = ("time_ns", "signals", "labels", "split")
+COLUMNS: Final = ("time_ns", "signals", "labels", "split", "condition")
 """The fields of SampleTable, in their order."""
+SAME_PLACE: Final = 1.0
+"""Kernel widths between two samples of different conditions below which they are at the same place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +45,11 @@ class SampleTable:
     signals: NDArray[np.float32]
     """[n, SIGNAL_COUNT]"""
     labels: NDArray[np.float32]
-    """[n, 2, 3]: Delta of each channel, m/s^2 and rad/s^2."""
+    """[n, 2, 3]: Delta of each channel, m/s^2 and rad/s^2; NaN where a channel has no label."""
     split: NDArray[np.int8]
     """[n]: TRAINING, VALIDATION or TEST."""
+    condition: NDArray[np.int32]
+    """[n]: number of the condition, from 0."""
 
     @staticmethod
     def empty(rows: int) -> "SampleTable":
@@ -50,6 +59,7 @@ class SampleTable:
             np.zeros((rows, SIGNAL_COUNT), dtype=np.float32),
             np.zeros((rows, len(CHANNELS), 3), dtype=np.float32),
             np.zeros(rows, dtype=np.int8),
+            np.zeros(rows, dtype=np.int32),
         )
 
     @property
@@ -72,6 +82,7 @@ class SampleTable:
         self.signals[row] = sample.signals
         self.labels[row] = sample.labels
         self.split[row] = split
+        self.condition[row] = sample.condition
 
     def put_rows(self, rows: "SampleTable") -> None:
         """Overwrite the first rows with `rows`."""
@@ -130,11 +141,12 @@ class NoveltyBuffer:
                 return False
             self._admit(sample, split)
             return True
-        gamma, nearest = self._kernel.gamma(self._point(sample.signals))
+        gamma, nearest = self._kernel.gamma(self._point(sample.signals), sample.condition)
         if gamma >= self._config.kernel_tolerance:
             self._admit(sample, split)
             return True
-        if sample.time_ns - self.table.time_ns[nearest] < self._config.refresh_age_s * 1e9:
+        young = sample.time_ns - self.table.time_ns[nearest] < self._config.refresh_age_s * 1e9
+        if young or bool((np.isnan(sample.labels) & ~np.isnan(self.table.labels[nearest])).any()):
             return False
         self._replace(nearest, sample, split)
         return True
@@ -142,6 +154,19 @@ class NoveltyBuffer:
     def rows(self) -> SampleTable:
         """A copy of the stored samples."""
         return self.table.take(slice(0, self.count))
+
+    def rows_for(self, condition: int) -> SampleTable:
+        """A copy of the samples of a condition, and of those of the others where it has none similar."""
+        rows = self.rows()
+        own = rows.condition == condition
+        if own.all() or not own.any():
+            return rows
+        points = self._point(rows.signals.astype(np.float64))
+        theirs, ours = points[~own], points[own]
+        squares = (theirs**2).sum(axis=1)[:, None] + (ours**2).sum(axis=1) - 2.0 * theirs @ ours.T
+        used = own.copy()
+        used[~own] = squares.min(axis=1) > SAME_PLACE**2
+        return rows.take(used)
 
     def set_features(self, features: FeatureFunction) -> None:
         """Use other features. Their stack is computed when it is next needed."""
@@ -161,13 +186,14 @@ class NoveltyBuffer:
         self._kernel = KernelNovelty(self._config.capacity, len(self._inputs))
         self.table.put_rows(rows)
         for slot in range(self.count):
-            self._kernel.add(slot, self._point(rows.signals[slot].astype(np.float64)))
+            self._kernel.add(slot, self._point(rows.signals[slot].astype(np.float64)), int(rows.condition[slot]))
         self._entered[: self.count] = order[: self.count]
         self._admitted = int(order.max(initial=-1)) + 1
         self._stack = None
 
     def _point(self, signals: Array) -> Array:
-        point: Array = (signals[self._inputs] - self._offset) / self._width
+        """The inputs of the kernel, [..., inputs], of signals [..., SIGNAL_COUNT]."""
+        point: Array = (signals[..., self._inputs] - self._offset) / self._width
         return point
 
     def _phi(self, sample: LabelledSample) -> Array:
@@ -190,17 +216,29 @@ class NoveltyBuffer:
         if self.count < self._config.capacity:
             self.count += 1
             if self._config.admission == "kernel":
-                self._kernel.add(self.count - 1, self._point(sample.signals))
+                self._kernel.add(self.count - 1, self._point(sample.signals), sample.condition)
             self._fill(self.count - 1, sample, split)
-        elif self._config.deletion == "svd":
-            Phi = self._need_stack()
-            self._replace(best_swap(Phi, self._gram, self._phi(sample)), sample, split)
+            return
+        slots = self._largest_condition(sample.condition)
+        if self._config.deletion == "svd":
+            Phi, gram = self._need_stack(), self._gram
+            if slots.size < self.count:
+                Phi = Phi[slots]
+                gram = Phi.T @ Phi
+            self._replace(int(slots[swap_for_largest_sigma_min(Phi, gram, self._phi(sample))]), sample, split)
         else:
-            self._replace(int(np.argmin(self._entered)), sample, split)
+            self._replace(int(slots[np.argmin(self._entered[slots])]), sample, split)
+
+    def _largest_condition(self, condition: int) -> NDArray[np.intp]:
+        """Slots of the condition with the most samples; of several equal ones `condition`, else the oldest."""
+        stored = self.table.condition[: self.count]
+        conditions, counts = np.unique(stored, return_counts=True)
+        largest = conditions[counts == counts.max()]
+        return np.flatnonzero(stored == (condition if condition in largest else largest[0]))
 
     def _replace(self, slot: int, sample: LabelledSample, split: int) -> None:
         if self._config.admission == "kernel":
-            self._kernel.replace(slot, self._point(sample.signals))
+            self._kernel.replace(slot, self._point(sample.signals), sample.condition)
         if self._stack is not None:
             self._gram -= np.outer(self._stack[slot], self._stack[slot])
         self._fill(slot, sample, split)

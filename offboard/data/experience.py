@@ -19,7 +19,7 @@ from protocol.errors import ProtocolError
 from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import FeatureSet
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 _UNREADABLE: Final = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, ProtocolError)
 
 

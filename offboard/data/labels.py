@@ -13,9 +13,13 @@ it (Savitzky-Golay, with an even window centred on t_i):
     Delta_i = sum_j c_j r_j,  j = i - left + 1 ... i + right
 
 This is not causal: a label is ready once the samples after it have arrived. A window never spans a gap. At the ends of
-a run without gaps it is cut; where the cut makes Delta_i too noisy, the sample gets no label.
+a run without gaps it is cut; where the cut makes Delta_i too noisy, the channel gets no label. Each channel is labelled
+on its own: one that has no label at a sample does not cost the other its label. Every sample and label that is not used
+is counted, with the reason.
 """
 
+from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -41,18 +45,23 @@ VELOCITY: Final = np.array(
 )
 """[channel, axis]: index of v, the signal on whose derivative u and Delta act."""
 _HEIGHT: Final = SIGNAL_INDEX["position_d"]
+UNUSED: Final = ("low", "late", *(f"{reason}_{name}" for reason in ("gap", "over_limit") for name in CHANNELS))
+"""Why data are not used. Samples: low (below the minimum height), late (arrived after labels of much later samples).
+Labels of a channel: gap (too few neighbours without a gap), over_limit (larger than the limit)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledSample:
-    """A sample with its label."""
+    """A sample with its labels."""
 
     index: int
     time_ns: int
     signals: Array
     """[SIGNAL_COUNT]"""
     labels: Array
-    """[2, 3]: Delta of each channel, m/s^2 and rad/s^2."""
+    """[2, 3]: Delta of each channel, m/s^2 and rad/s^2; NaN where the channel has no label."""
+    condition: int = 0
+    """The condition in which it was flown: samples of two conditions may have different labels at the same place."""
 
 
 @lru_cache(maxsize=4096)
@@ -68,11 +77,17 @@ def smoothing_weights(left: int, right: int, order: int) -> tuple[Array, float]:
 
 
 class LabelMaker:
-    """Sorts samples and labels each one as soon as enough samples after it have arrived."""
+    """Sorts samples and labels each one as soon as enough samples after it have arrived.
 
-    def __init__(self, config: LabelConfig) -> None:
+    Parameters
+    ----------
+    channels: names of the channels that are learnt; the others get no labels.
+    """
+
+    def __init__(self, config: LabelConfig, channels: Collection[str] = CHANNELS) -> None:
         self._config = config
-        self._limits = np.array([[config.position_limit_m_s2], [config.attitude_limit_rad_s2]])
+        self._learnt = [at for at, name in enumerate(CHANNELS) if name in channels]
+        self._limits = (config.position_limit_m_s2, config.attitude_limit_rad_s2)
         self._windows_s = (config.position_window_s, config.attitude_window_s)
         self._signals = np.zeros((RING, SIGNAL_COUNT))
         self._delivered = np.zeros((RING, len(CHANNELS), 3))
@@ -83,10 +98,15 @@ class LabelMaker:
         self._residual_of = np.full(RING, -1, dtype=np.int64)
         self.samples = 0
         self.labels = 0
+        """Samples with a label in at least one channel."""
+        self.unused: Final = Counter(dict.fromkeys(UNUSED, 0))
+        """Samples and labels that were not used, by reason (UNUSED)."""
+        self._next = self._newest = -1
         self.restart()
 
     def restart(self) -> None:
         """Discard all samples: a new flight starts, with its own sample indices."""
+        self._count_waiting(self._newest + 1)
         self._index[:] = -1
         self._residual_of[:] = -1
         self._next = -1
@@ -100,22 +120,33 @@ class LabelMaker:
             self._period_ns = batch.period_ns
         first, n = batch.first_index, batch.signals.shape[0]
         if self._newest >= 0 and first + n - 1 <= self._newest - RING // 2:
+            self.unused["late"] += n
             return []
         if self._newest < 0:
             self._next = max(0, first - SAMPLES_PER_BATCH_MAX)  # the batch before this one may arrive later
+        newest = max(self._newest, first + n - 1)
+        self._count_waiting(newest - RING // 2)
         for offset in range(n):
             self._store(batch, offset)
-        self._newest = max(self._newest, first + n - 1)
-        self._next = max(self._next, self._newest - RING // 2)
+        self._newest = newest
+        self._next = max(self._next, newest - RING // 2)
         for index in range(first, first + n + 1):
             self._make_residual(index)
         return self._ready()
 
+    def _count_waiting(self, until: int) -> None:
+        """Count the samples that wait for a label and are below this index: they will not get one."""
+        waiting = (self._index >= max(self._next, 0)) & (self._index < until)
+        for channel in self._learnt:
+            self.unused[f"gap_{CHANNELS[channel]}"] += int(waiting.sum())
+
     def _store(self, batch: SampleBatch, offset: int) -> None:
         index = batch.first_index + offset
         slot = index % RING
-        on_ground = -batch.signals[offset, _HEIGHT] < self._config.minimum_height_m
-        if on_ground or self._index[slot] >= index:
+        if self._index[slot] >= index:
+            return
+        if -batch.signals[offset, _HEIGHT] < self._config.minimum_height_m:
+            self.unused["low"] += 1
             return
         self._index[slot] = index
         self._time_ns[slot] = batch.time_ns + offset * batch.period_ns
@@ -165,23 +196,29 @@ class LabelMaker:
         return reach
 
     def _label(self, index: int, halves: list[int], right: int) -> LabelledSample | None:
+        """The sample with its labels; None if it is not stored, or no channel has a label."""
         slot = index % RING
         if self._index[slot] != index:
             return None
-        if self._config.kind == "mrgen":
-            labels = self._adaptive[slot].copy()
-        else:
-            left = self._run(index, -1, max(halves))
-            rows = [self._smooth(index, channel, half, left, right) for channel, half in enumerate(halves)]
-            if any(row is None for row in rows):
-                return None
-            labels = np.array(rows)
-        if (np.abs(labels) > self._limits).any():
+        labels = np.full((len(CHANNELS), 3), np.nan)
+        left = self._run(index, -1, max(halves)) if self._config.kind == "residual" else 0
+        for channel in self._learnt:
+            if self._config.kind == "mrgen":
+                Delta: Array | None = self._adaptive[slot, channel]
+            else:
+                Delta = self._smooth(index, channel, halves[channel], left, right)
+            if Delta is None:
+                self.unused[f"gap_{CHANNELS[channel]}"] += 1
+            elif (np.abs(Delta) > self._limits[channel]).any():
+                self.unused[f"over_limit_{CHANNELS[channel]}"] += 1
+            else:
+                labels[channel] = Delta
+        if np.isnan(labels).all():
             return None
         return LabelledSample(index, int(self._time_ns[slot]), self._signals[slot].copy(), labels)
 
     def _smooth(self, index: int, channel: int, half: int, left: int, right: int) -> Array | None:
-        """Delta_i of one channel, [3]; None where the window is cut too short."""
+        """Delta_i of one channel, [3]; None where a gap cuts the window too short."""
         left, right = min(left, half), min(right, half)
         if left + right < half:
             return None

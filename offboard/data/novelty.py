@@ -14,6 +14,8 @@ from protocol.conventions import Array
 JITTER: Final = 1e-4
 """Added to the diagonal of the kernel matrix, so that it stays well conditioned."""
 FIRST_ALLOCATION: Final = 128
+EMPTY: Final = -1
+"""The condition of an empty slot."""
 RANK_TOLERANCE: Final = 1e-3
 """Share of a vector's length that must be outside a span for the vector to add a direction to it."""
 NEWTON_STEPS: Final = 50
@@ -23,17 +25,18 @@ class KernelNovelty:
     """gamma = k(x, x) - k_X' K^-1 k_X: the part of a new point that the stored points do not explain (sparse GP).
 
     k is the Gaussian kernel of unit width on inputs that the caller has scaled, k(x, x) = 1, and
-    K = k(X, X) + JITTER I over the stored points X. K^-1 is held in the upper triangle of an array with a row and a
-    column per slot; those of an empty slot are zero, so that adding a point is a symmetric rank-one update in place,
-    and replacing one a rank-two update.
+    K = k(X, X) + JITTER I over the stored points X. Each point has the number of a condition; k is zero between points
+    of two conditions, so that a point is new unless points of its own condition explain it. K^-1 is held in the upper
+    triangle of an array with a row and a column per slot; those of an empty slot are zero, so that adding a point is a
+    symmetric rank-one update in place, and replacing one a rank-two update.
     """
 
     def __init__(self, capacity: int, inputs: int) -> None:
         self._capacity = capacity
         self._X = np.zeros((capacity, inputs))
-        self._used = np.zeros(capacity)
+        self._condition = np.full(capacity, EMPTY)
         self._K_inverse = np.zeros((0, 0), order="F")
-        self._asked: tuple[Array, Array, Array] | None = None
+        self._asked: tuple[Array, int, Array, Array] | None = None
 
     def _allocate(self, slot: int) -> None:
         size = self._K_inverse.shape[0]
@@ -43,39 +46,42 @@ class KernelNovelty:
         self._K_inverse = grown
         self._asked = None
 
-    def _kernel(self, x: Array) -> Array:
-        """k_X = exp(-norm(X - x)^2 / 2), zero at empty slots."""
+    def _kernel(self, x: Array, condition: int) -> Array:
+        """k_X = exp(-norm(X - x)^2 / 2), zero at empty slots and at those of other conditions."""
         size = self._K_inverse.shape[0]
         distance = self._X[:size] - x
         k: Array = np.exp(-0.5 * np.einsum("ij,ij->i", distance, distance))
-        k *= self._used[:size]
+        k *= self._condition[:size] == condition
         return k
 
-    def gamma(self, x: Array) -> tuple[float, int]:
-        """gamma of the point x [inputs], and the slot of the stored point nearest to it (-1 if none is stored)."""
-        if self._K_inverse.shape[0] == 0 or not self._used.any():
+    def gamma(self, x: Array, condition: int = 0) -> tuple[float, int]:
+        """gamma of the point x [inputs], and the slot of the stored point nearest to it.
+
+        The slot is -1 if no point of the condition is stored.
+        """
+        if not (self._condition[: self._K_inverse.shape[0]] == condition).any():
             return 1.0, -1
-        k, a = self._explain(x)
+        k, a = self._explain(x, condition)
         return float(1.0 - k @ a), int(np.argmax(k))
 
-    def _explain(self, x: Array) -> tuple[Array, Array]:
+    def _explain(self, x: Array, condition: int) -> tuple[Array, Array]:
         """k_X and a = K^-1 k_X, cached: a point that is admitted had its gamma computed just before."""
-        if self._asked is None or not np.array_equal(self._asked[0], x):
-            k = self._kernel(x)
-            self._asked = (x.copy(), k, blas.dsymv(1.0, self._K_inverse, k))
-        return self._asked[1], self._asked[2]
+        if self._asked is None or self._asked[1] != condition or not np.array_equal(self._asked[0], x):
+            k = self._kernel(x, condition)
+            self._asked = (x.copy(), condition, k, blas.dsymv(1.0, self._K_inverse, k))
+        return self._asked[2], self._asked[3]
 
-    def add(self, slot: int, x: Array) -> None:
+    def add(self, slot: int, x: Array, condition: int = 0) -> None:
         """Store the point x in an empty slot: K^-1 += u u' / gamma with u = (K^-1 k_X, -1 at the slot)."""
         if slot >= self._K_inverse.shape[0]:
             self._allocate(slot)
-        k, a = self._explain(x)
+        k, a = self._explain(x, condition)
         u = a.copy()
         u[slot] = -1.0
         blas.dsyr(1.0 / (1.0 + JITTER - float(k @ a)), u, a=self._K_inverse, overwrite_a=True)
-        self._put(slot, x)
+        self._put(slot, x, condition)
 
-    def replace(self, slot: int, x: Array) -> None:
+    def replace(self, slot: int, x: Array, condition: int = 0) -> None:
         """Replace the point in a slot by x, in one pass over K^-1 (one read, one write).
 
         Removal:   K^-1 -= b b', b the slot's column of K^-1 divided by the root of its diagonal element
@@ -83,7 +89,7 @@ class KernelNovelty:
         Together:  u u' - b b' = ((u - b)(u + b)' + (u + b)(u - b)') / 2
         """
         column = np.concatenate([self._K_inverse[:slot, slot], self._K_inverse[slot, slot:]])
-        k_X, a = self._explain(x)
+        k_X, a = self._explain(x, condition)
         k = k_X.copy()
         k[slot] = 0.0
         b = column / np.sqrt(column[slot])
@@ -95,11 +101,11 @@ class KernelNovelty:
         u /= np.sqrt(gamma)
         blas.dsyr2(0.5, u - b, u + b, a=self._K_inverse, overwrite_a=True)
         self._K_inverse[slot, slot] = 1.0 / gamma
-        self._put(slot, x)
+        self._put(slot, x, condition)
 
-    def _put(self, slot: int, x: Array) -> None:
+    def _put(self, slot: int, x: Array, condition: int) -> None:
         self._X[slot] = x
-        self._used[slot] = 1.0
+        self._condition[slot] = condition
         self._asked = None
 
 
@@ -140,7 +146,7 @@ class HistoryNovelty:
         self._last = last.copy()
 
 
-def best_swap(Phi: Array, gram: Array, phi_new: Array) -> int:
+def swap_for_largest_sigma_min(Phi: Array, gram: Array, phi_new: Array) -> int:
     """Row i of the stack Phi [p, k] whose replacement by phi_new [k] gives the largest smallest singular value.
 
     With A = Phi'Phi + phi_new phi_new' = Q diag(l) Q' and z_i = Q' phi_i, the smallest eigenvalue mu_i of

@@ -1,7 +1,7 @@
 """The parameters of all networks as one flat vector, the gradient of the loss, and the optimisers.
 
 Forward:     h_0 = z,  h_l = tanh(W_l h_(l-1) + b_l),  Phi = h_L,  y_hat = theta' Phi + theta_0
-Loss:        L = mean((y_hat - y)^2) over channels, axes and samples
+Loss:        L = mean((y_hat - y)^2) over channels, axes and samples; an error without a label counts as zero
 Backward:    delta_y = dL/dy_hat = 2 (y_hat - y) / (3 C M)
              delta_l = dL/d(W_l h_(l-1) + b_l) = (W_(l+1)' delta_(l+1)) (1 - h_l^2), elementwise; theta' is W_(L+1)
 Gradient:    dL/dW_l' = h_(l-1) delta_l',  dL/db_l = sum of delta_l over the samples; the same for theta and theta_0
@@ -25,7 +25,8 @@ ADAM_SLOW: Final = 0.999
 ADAM_FLOOR: Final = 1e-8
 _tanh_backward: Final = torch.ops.aten.tanh_backward.grad_input
 """delta (1 - h^2). The overload is named, because torch would look for it at every call."""
-MINUS_ONE: Final = torch.tensor(-1.0)
+FLOAT: Final = torch.float32
+"""Of all parameters, inputs and labels, whatever torch's default is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,22 +63,18 @@ def layer_outputs(z: torch.Tensor, parameters: Views) -> list[torch.Tensor]:
     """h_0 = z [C, m, n], h_1, ..., h_L; the last is Phi without its constant."""
     outputs = [z]
     for W, b in zip(parameters.weights, parameters.biases, strict=True):
-        outputs.append(_tanh_layer(outputs[-1], W.mT, b.mT))
+        outputs.append(_affine(outputs[-1], W.mT, b.mT).tanh_())
     return outputs
 
 
-def _tanh_layer(below: torch.Tensor, W: torch.Tensor, b: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
-    """h_l = tanh(W h_(l-1) + b), W [C, out, in].
-
-    As tanh(a) = 2 sigmoid(2 a) - 1, because torch's sigmoid is three times as fast as its tanh on a CPU.
-    """
-    sigmoid = torch.baddbmm(b, W, below, beta=2.0, alpha=2.0, out=out).sigmoid_()
-    return torch.add(MINUS_ONE, sigmoid, alpha=2.0, out=sigmoid)
+def _affine(below: torch.Tensor, W: torch.Tensor, b: torch.Tensor, out: torch.Tensor | None = None) -> torch.Tensor:
+    """W h_(l-1) + b, W [C, out, in]. In two steps: torch.baddbmm, which broadcasts b, takes longer than both."""
+    return torch.bmm(W, below, out=out).add_(b)
 
 
 def predictions(z: torch.Tensor, parameters: Views) -> torch.Tensor:
     """y_hat = theta' Phi + theta_0, [C, 3, n], at inputs z [C, m, n]."""
-    return torch.baddbmm(parameters.last_bias.mT, parameters.last_layer.mT, layer_outputs(z, parameters)[-1])
+    return _affine(layer_outputs(z, parameters)[-1], parameters.last_layer.mT, parameters.last_bias.mT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +105,7 @@ class _Layer:
         of_weights, of_biases = [*gradient.weights, gradient.last_layer], [*gradient.biases, gradient.last_bias]
         layers = []
         for W, b, of_W, of_b in zip(weights, biases, of_weights, of_biases, strict=True):
-            output, delta = torch.zeros(2, W.shape[0], W.shape[2], rows)
+            output, delta = torch.zeros(2, W.shape[0], W.shape[2], rows, dtype=FLOAT)
             layers.append(_Layer(W, W.mT, b.mT, of_W, of_b.mT, output, delta, delta.mT))
         return layers
 
@@ -134,20 +131,25 @@ class LossGradient:
         *self._inner, self._last = _Layer.all_of(parameters, gradient, rows)
         self._derivative = 2.0 / self._last.output.numel()
 
-    def at(self, z: torch.Tensor, y: torch.Tensor, dropout: torch.Tensor | None) -> torch.Tensor:
+    def at(
+        self, z: torch.Tensor, y: torch.Tensor, known: torch.Tensor | None, dropout: torch.Tensor | None
+    ) -> torch.Tensor:
         """Write the gradient at a mini-batch; returns y_hat - y, [C, 3, M], which the next call overwrites.
 
         Parameters
         ----------
         z: scaled inputs, [C, m, M].
         y: labels, [C, 3, M].
+        known: 1 where the sample has a label, else 0, [C, 1, M]; None if all have one.
         dropout: factors on the features, [C, k - 1, M]; None for no dropout.
         """
         last, h = self._last, [z]
         for layer in self._inner:  # h_l = tanh(W_l h_(l-1) + b_l)
-            h.append(_tanh_layer(h[-1], layer.W, layer.b, layer.output))
+            h.append(_affine(h[-1], layer.W, layer.b, layer.output).tanh_())
         Phi = h[-1] if dropout is None else h[-1] * dropout
-        errors = torch.baddbmm(last.b, last.W, Phi, out=last.output).sub_(y)  # theta' Phi + theta_0 - y
+        errors = _affine(Phi, last.W, last.b, last.output).sub_(y)  # theta' Phi + theta_0 - y
+        if known is not None:
+            errors.mul_(known)
         torch.mul(errors, self._derivative, out=last.delta)  # delta_y = 2 errors / (3 C M)
         last.write_gradient(Phi)
         above = last
@@ -175,9 +177,9 @@ class Optimiser:
         count = 2 if config.optimiser == "adam" else 1
         fits = len(moments) == count and all(moment.size == size for moment in moments)
         start = [torch.from_numpy(moment.copy()) for moment in moments] if fits else []
-        self._moments = start or [torch.zeros(size) for _ in range(count)]
+        self._moments = start or [torch.zeros(size, dtype=FLOAT) for _ in range(count)]
         self.steps = steps if fits else 0
-        self._step = torch.tensor(0.0)
+        self._step = torch.tensor(0.0, dtype=FLOAT)
 
     @property
     def moments(self) -> tuple[Array32, ...]:

@@ -5,8 +5,10 @@ from typing import Literal
 
 from offboard.config import BufferConfig, TrainerConfig
 from offboard.data.buffer import SampleTable
+from offboard.memory.memory import Prior
 from offboard.training.gate import Evidence
 from offboard.training.network import Array32, NetworkState
+from offboard.training.prior import NO_CONTEST, Contest, train_from_prior
 from protocol.conventions import Array
 from protocol.feature_config import TrainedFeatures
 from protocol.feature_set import FeatureSet
@@ -35,6 +37,8 @@ class TrainingResult:
     epoch_losses: Array
     """[epochs, 3, 2]: training, validation, test loss per channel after each epoch, (m/s^2)^2 and (rad/s^2)^2."""
     training_samples: int
+    contest: Contest = NO_CONTEST
+    """With a prior: how the networks trained on this flight have done against it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +59,13 @@ class TrainingJob:
     samples_seen: int
     wire_dtype: Literal["float16", "float32"]
     """Float size of the parameters on the link: the gate judges the networks as they would fly."""
+    prior: Prior | None = None
+    """What the flight started from; None: nothing."""
+    contest: Contest = NO_CONTEST
+    """Of the rounds before."""
 
     def run(self) -> TrainingResult:
         """Run the round, by offboard.training.round. torch is loaded here: a process that learns nothing needs none."""
         from offboard.training.round import train
 
-        return train(self)
+        return train(self) if self.prior is None else train_from_prior(self, self.prior)

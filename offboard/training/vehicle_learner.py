@@ -4,6 +4,7 @@ A process that trains for several vehicles has one VehicleLearner for each. No b
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -14,9 +15,13 @@ from offboard.config import OffboardConfig
 from offboard.data.buffer import TRAINING, FeatureFunction, NewestRing, NoveltyBuffer, split_of_block
 from offboard.data.experience import Experience, dump_experience
 from offboard.data.labels import LabelledSample, LabelMaker
+from offboard.memory.memory import Condition, Memory, thinned
+from offboard.memory.memory_file import require_fit
+from offboard.memory.recorder import FlightRecorder
 from offboard.training.gate import Gate, Verdict
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
 from offboard.training.network import InputPlan, NetworkState, feature_set, initial_state, phi, state_of
+from offboard.training.prior import NO_CONTEST
 from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
 from protocol.messages import SampleBatch
@@ -41,11 +46,14 @@ class VehicleLearner:
         self._config = config
         networks = config.features.trained
         self._plan = InputPlan.of(networks)
-        self._labels = LabelMaker(config.labels)
+        self._labels = LabelMaker(config.labels, networks.channels)
         self._state = TrainerState(initial_state(networks, np.random.default_rng([config.seed, 1])), (), 0, 0)
         self._buffer = NoveltyBuffer(config.buffer, networks, self._feature_function(self._state.network))
         self._newest = NewestRing(config.buffer.newest)
-        self._gate = Gate(config.gate, networks.spectral_norm_max)
+        self._memory: Memory | None = None
+        self._contest = NO_CONTEST
+        self._recorder = FlightRecorder()
+        self._gate = Gate(config.gate, networks)
         self._issued: dict[int, FeatureSet] = {}
         self.latest: FeatureSet | None = None
         """The newest version issued or loaded."""
@@ -58,6 +66,8 @@ class VehicleLearner:
         """Of the last round, (m/s^2)^2 and (rad/s^2)^2; None where the channel has no held-out sample."""
         self._labelled_at_last_job = 0
         self._training_samples = 0
+        self._condition = 0
+        """Number of the flight; the samples of each are a condition of their own (offboard.data.buffer)."""
         self._block = (-1, TRAINING)
         self._time_shift_ns: int | None = None
         self._last_time_ns = 0
@@ -66,6 +76,11 @@ class VehicleLearner:
     def samples(self) -> int:
         """Samples received and used since start."""
         return self._labels.samples
+
+    @property
+    def unused(self) -> Mapping[str, int]:
+        """Samples and labels that were not used, by reason (offboard.data.labels.UNUSED)."""
+        return self._labels.unused
 
     @property
     def buffered(self) -> int:
@@ -84,14 +99,16 @@ class VehicleLearner:
     def start_flight(self) -> None:
         """Another onboard process has started: sample indices and sample times begin anew."""
         self._labels.restart()
+        self._condition += self.labelled > 0
         self._time_shift_ns = None
 
     def receive(self, batch: SampleBatch) -> None:
         """Label the samples of a batch, assign each to a split, and store it."""
         for labelled in self._labels.receive(batch):
-            sample = self._on_one_clock(labelled)
+            sample = replace(self._on_one_clock(labelled), condition=self._condition)
             split = self._split(sample.time_ns)
             self._newest.put(sample, split)
+            self._recorder.put(sample)
             self._buffer.consider(sample, split)
             self.labelled += 1
             self._training_samples += split == TRAINING
@@ -123,19 +140,21 @@ class VehicleLearner:
             config=self._config.trainer,
             seed=self._config.seed,
             state=self._state,
-            buffer=self._buffer.rows().released(before_ns),
+            buffer=self._buffer.rows_for(self._condition).released(before_ns),
             newest=self._newest.rows().released(before_ns),
             buffer_config=self._config.buffer,
             flying=self._issued.get(flying_version),
             version=self.version + 1,
             samples_seen=self.labelled,
             wire_dtype=self._config.transfer.dtype,
+            prior=None if self._memory is None else self._memory.prior,
+            contest=self._contest,
         )
 
     def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:
         """Continue from the trained networks; issue a version if the gate allows it."""
         verdict = self._gate.judge(result.candidate, result.evidence, now_ns)
-        self._state = result.state
+        self._state, self._contest = result.state, result.contest
         self._buffer.set_features(self._feature_function(result.state.network))
         self.verdicts[verdict.name.lower()] += 1
         losses = (float(loss) if np.isfinite(loss) else None for loss in result.epoch_losses[-1, 1])
@@ -203,6 +222,8 @@ class VehicleLearner:
         self._training_samples = experience.training_samples
         times = np.concatenate([experience.buffer.time_ns, experience.newest.time_ns])
         self._last_time_ns = int(times.max(initial=0))
+        conditions = np.concatenate([experience.buffer.condition, experience.newest.condition])
+        self._condition = int(conditions.max(initial=0))
 
     def warm_start(self, features: FeatureSet) -> None:
         """Start from the networks of an earlier version, with no samples; it is then the latest version.
@@ -215,6 +236,26 @@ class VehicleLearner:
         self._state = TrainerState(state_of(features, self._config.features.trained), (), 0, 1)
         self._buffer.set_features(self._feature_function(self._state.network))
         self.latest = features
+
+    def recall(self, memory: Memory) -> None:
+        """Start from a memory: its inner layers and theta are the latest version, and every round starts from them.
+
+        A memory whose inner layers have not been learnt yet changes nothing.
+
+        Raises
+        ------
+        UnusableMemoryError
+            If its networks are not the configured ones.
+        """
+        require_fit(memory.features, self._config.features.trained)
+        if memory.learnt == 0:
+            return
+        self._memory = memory
+        self.warm_start(memory.version())
+
+    def condition(self, name: str) -> Condition:
+        """The flight so far as a condition of a memory."""
+        return Condition(name, self._config.vehicle_id, thinned(self._recorder.samples()))
 
     def _require_same_networks(self, network: NetworkState) -> None:
         mine = self._state.network

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
-from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig
+from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig, thrust_along
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.ilc import IterativeLearning, IterativeLearningConfig
 from onboard.control.laws.indi import Indi, IndiConfig
@@ -26,6 +26,7 @@ from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.laws.repetitive import Repetitive, RepetitiveConfig
 from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
+from onboard.control.slope import LoopGains
 from onboard.control.tracking_bound import TrackingBounds
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
@@ -56,6 +57,8 @@ COMMAND_JUMP_RAD = 0.2
 """A commanded attitude that changes by more in a tick is a new command, and its change no rate."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Above this attitude error the linear error model does not hold: the reference is set to the vehicle's attitude."""
+MODEL_GAP_MAX_S = 0.02
+"""The same after a longer time since the last tick, which is no small step for the model of the attitude."""
 
 
 class ChannelSettings(ConfigRecord):
@@ -87,7 +90,8 @@ def _augmentation(settings: CascadeSettings, channel: ChannelName, rng: np.rando
     config = one.augmentation
     match config:
         case AdaptiveConfig():
-            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng)
+            loop_gains = LoopGains.of(channel, settings.position.gains, settings.attitude.gains)
+            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng, loop_gains)
         case IntegralConfig():
             return Integral(config)
         case L1Config():
@@ -166,18 +170,21 @@ class CascadedController:
 
     def offer_features(self, features: FeatureSet) -> str:
         """Swap the features of both channels in one tick, or refuse."""
-        plans = []
+        plans, offered = [], False
         for augmentation, channel in zip(self.augmentations, (features.position, features.attitude), strict=True):
             if channel is None or not isinstance(augmentation, AdaptiveAugmentation) or not augmentation.learns:
                 continue
+            offered = True
+            if augmentation.flies(channel):
+                continue  # a swap would forget S
             new, plan = augmentation.plan(channel)
             if plan.refusal:
                 return plan.refusal
-            plans.append((augmentation, new, plan, channel.last_layer))
-        if not plans:
+            plans.append((augmentation, new, plan))
+        if not offered:
             return "not_accepting"
-        for augmentation, new, plan, memory in plans:
-            augmentation.commit(new, plan, memory)
+        for augmentation, new, plan in plans:
+            augmentation.commit(new, plan)
         return ""
 
     def last_layers(self) -> tuple[Array | None, Array | None]:
@@ -265,7 +272,7 @@ class CascadedController:
         self._attitude_model.step(self._turn_command, self._hedge(self._output.attitude, attitude), inputs.dt)
         self._attitude_model.error(state.quaternion, state.rates, attitude.model_error)
         e1, e2, e3, _, _, _ = attitude.model_error.tolist()
-        if e1 * e1 + e2 * e2 + e3 * e3 > MODEL_ERROR_MAX_RAD**2:
+        if inputs.dt > MODEL_GAP_MAX_S or e1 * e1 + e2 * e2 + e3 * e3 > MODEL_ERROR_MAX_RAD**2:
             self._attitude_model.reset(state.quaternion, state.rates)
             attitude.model_error[:] = 0.0
 
@@ -319,13 +326,12 @@ class CascadedController:
 
     def _thrust_vector(self, inputs: ControlInputs, u: Vector3) -> tuple[float, Quaternion]:
         """Collective thrust [N] along the present body axis, and the attitude for u, within the limits."""
-        self._limits.step(inputs.saturated, inputs.adapt, inputs.dt)
+        self._limits.step(inputs.adapt, float(inputs.position.residual[2]), inputs.dt)
         fx, fy, fz = self._limits.specific_thrust(u, float(self._output.position.adaptive[2]))
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
         commanded = attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()
-        thrust = self._airframe.mass_kg * (fx * r02 + fy * r12 + fz * r22)
-        return max(thrust, 0.0), commanded
+        return self._airframe.mass_kg * thrust_along((fx, fy, fz), (r02, r12, r22)), commanded
 
     def _commanded_rate(self, commanded: Quaternion, inputs: ControlInputs) -> Vector3:
         """Rate of the commanded attitude, rad/s, filtered; zero without that feed-forward and on the ground."""
@@ -352,8 +358,8 @@ class CascadedController:
         p, q, r = inputs.state.rates.tolist()
         if not self._settings.prediction:
             return (w, x, y, z), (p, q, r)
-        dt, (now, next_) = inputs.dt, inputs.coming
-        before = inputs.attitude.u_hat.tolist()
+        dt, (now, next_) = inputs.period, inputs.coming
+        before = now if inputs.missed else vector(inputs.attitude.u_hat.tolist())
         nu = self._output.attitude.adaptive_now.tolist()
         delay = self._settings.gyro_delay_ticks
         here = vector(w_i + delay * dt * (u0 + n) for w_i, u0, n in zip((p, q, r), before, nu, strict=True))

@@ -25,6 +25,7 @@ from configs.loader import ConfigRecord
 from onboard.control.features import Features
 from onboard.control.laws.last_layer import PROJECTION_MARGIN
 from protocol.conventions import Array
+from protocol.geometry import Vector3
 
 
 class SwapConfig(ConfigRecord):
@@ -39,16 +40,18 @@ class SwapConfig(ConfigRecord):
 
 
 class RecentStates:
-    """Ring buffer of recent signal vectors."""
+    """Ring buffer of recent signal vectors, and of the residual at each."""
 
     def __init__(self, size: int, signal_count: int) -> None:
         self._ring: Array = np.zeros((size, signal_count))
+        self._residuals: Array = np.zeros((size, 3))
         self._filled = 0
         self._next = 0
 
-    def push(self, signals: Array) -> None:
-        """Add one signal vector, [SIGNAL_COUNT]; it replaces the oldest."""
+    def push(self, signals: Array, residual: Vector3 = (0.0, 0.0, 0.0)) -> None:
+        """Add one signal vector, [SIGNAL_COUNT], and the filtered residual there; they replace the oldest."""
         self._ring[self._next] = signals
+        self._residuals[self._next] = residual
         self._next = (self._next + 1) % self._ring.shape[0]
         self._filled = min(self._filled + 1, self._ring.shape[0])
 
@@ -57,6 +60,12 @@ class RecentStates:
         if self._filled == 0:
             return np.zeros((self._ring.shape[1], 0))
         return np.hstack([self._ring[: self._filled].T, now])
+
+    def in_order(self) -> tuple[Array, Array]:
+        """Signal vectors [SIGNAL_COUNT, n] and residuals [n, 3], the oldest first."""
+        oldest = self._next if self._filled == self._ring.shape[0] else 0
+        order = (oldest + np.arange(self._filled)) % self._ring.shape[0]
+        return self._ring[order].T, self._residuals[order]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +78,8 @@ class SwapPlan:
     """eps_2: largest norm of the change of nu_ad over the recent states, units of u."""
     refusal: str
     """Empty if the swap may be carried out, else a name of protocol.messages.REFUSALS."""
+    theta: Array
+    """[k, 3], theta_n that flies with W."""
 
 
 def plan_swap(
@@ -82,11 +93,11 @@ def plan_swap(
     weight_norm_max: W_max; a theta_n outside the ball is refused.
     """
     if new.lipschitz > config.lipschitz_max:
-        return SwapPlan(memory, 0.0, "lipschitz")
+        return SwapPlan(memory, 0.0, "lipschitz", memory)
     if float(np.linalg.norm(memory)) > weight_norm_max:
-        return SwapPlan(memory, 0.0, "weight_norm")
+        return SwapPlan(memory, 0.0, "weight_norm", memory)
     if recent.shape[1] == 0:
-        return SwapPlan(memory, 0.0, "")
+        return SwapPlan(memory, 0.0, "", memory)
     Phi = old.evaluate(old.select(recent))
     nu_before = W.T @ Phi
     Phi_bar = new.evaluate(new.select(recent))
@@ -98,10 +109,10 @@ def plan_swap(
     change = W_new.T @ Phi_bar - nu_before
     jump = float(np.sqrt((change * change).sum(axis=0).max()))
     if not np.isfinite(jump):
-        return SwapPlan(W_new, jump, "not_finite")
+        return SwapPlan(W_new, jump, "not_finite", memory)
     if float(np.linalg.norm(W_new)) > weight_norm_max * (1.0 + PROJECTION_MARGIN) ** 0.5:
-        return SwapPlan(W_new, jump, "weight_norm")
-    return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "")
+        return SwapPlan(W_new, jump, "weight_norm", memory)
+    return SwapPlan(W_new, jump, "swap_jump" if jump > config.jump_max else "", memory)
 
 
 def resemblance(Phi: Array, Phi_bar: Array) -> float:

@@ -66,6 +66,7 @@ class NetworkFeatures(_Selection):
 
     def __init__(self, channel: ChannelFeatures) -> None:
         super().__init__(channel.inputs, channel.offset, channel.scale)
+        self.channel = channel
         # [W, b], with a row of ones below the input of the layer: one product per layer, into preallocated arrays.
         self._layers = [
             np.ascontiguousarray(np.hstack([W, b[:, None]]))

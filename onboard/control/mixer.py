@@ -12,13 +12,13 @@ Thrusts = tuple[float, float, float, float]
 class Mixer:
     """Distributes thrust and torque to four motors.
 
-    At the motors' limits it reduces yaw first, then thrust, then roll and pitch.
+    At the motors' limits it reduces yaw first, then thrust, then roll and pitch. The limits are those of motors that
+    give `scale` times the nominal thrust.
     """
 
     def __init__(self, config: AirframeConfig) -> None:
         self._config = config
-        self._max = config.motor_thrust_max_n
-        self._min = config.motor_thrust_min_share * self._max
+        self.scale = 1.0
         self._x = 0.25 / config.arm_x_m
         self._y = 0.25 / config.arm_y_m
         self._z = 0.25 / config.yaw_torque_per_thrust_m
@@ -28,7 +28,8 @@ class Mixer:
 
         Roll torque is -sum(y_i T_i), pitch torque sum(x_i T_i), yaw torque k (T_1 + T_2 - T_3 - T_4).
         """
-        low, high = self._min, self._max
+        high = self.scale * self._config.motor_thrust_max_n
+        low = self._config.motor_thrust_min_share * high
         roll, pitch, yaw = torque_nm[0] * self._y, torque_nm[1] * self._x, torque_nm[2] * self._z
         # Roll and pitch first: shrink them together only if their own spread exceeds the range.
         spread = 2.0 * (abs(roll) + abs(pitch))

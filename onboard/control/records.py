@@ -48,7 +48,7 @@ class ControlInputs:
     """Inputs of a controller in one tick. The arrays belong to the caller and change with the next tick."""
 
     dt: float
-    """s since the last tick."""
+    """s since the last tick; more than a period if ticks were missed."""
     state: VehicleState
     target: Target
     signals: Array
@@ -65,6 +65,13 @@ class ControlInputs:
     """Added to u of the position (m/s^2) and the attitude channel (rad/s^2) after the law, to measure margins."""
     level_only: bool = False
     """True without a velocity estimate: hold level, sink slowly, do not control position."""
+    missed: int = 0
+    """Ticks missed since the last one. The last command was held meanwhile."""
+
+    @property
+    def period(self) -> float:
+        """s from one tick to the next if none is missed."""
+        return self.dt / (1 + self.missed)
 
 
 class ChannelTelemetry:

@@ -124,7 +124,7 @@ class TrackingBounds:
 
     def __init__(self, position: ChannelGains, attitude: ChannelGains) -> None:
         self._position, self._attitude = _axes(position), _axes(attitude)
-        self._dt = 0.0
+        self._period = 0.0
         self._running = False
         self._resets_seen = 0
         self._velocity = [0.0, 0.0, 0.0]
@@ -146,18 +146,18 @@ class TrackingBounds:
             self._running = False
             output.position.tracking_bound = output.attitude.tracking_bound = 0.0
             return
-        restart = not self._running or inputs.state.position_reset_count != self._resets_seen
-        if not self._running or inputs.dt != self._dt:
-            self._start(inputs.dt)
+        restart = not self._running or inputs.missed > 0 or inputs.state.position_reset_count != self._resets_seen
+        if not self._running or inputs.period != self._period:
+            self._start(inputs.period)
         self._resets_seen = inputs.state.position_reset_count
         output.position.tracking_bound = self._position_bound(inputs, restart)
         output.attitude.tracking_bound = self._attitude_bound(inputs, output, command_turn, command_rate, restart)
 
-    def _start(self, dt: float) -> None:
-        self._running, self._dt = True, dt
+    def _start(self, period: float) -> None:
+        self._running, self._period = True, period
         for axis in (*self._position, *self._attitude):
             axis.forget()
-            axis.prepare(dt)
+            axis.prepare(period)
 
     def _position_bound(self, inputs: ControlInputs, restart: bool) -> float:
         """Bound on the true distance to the path, m: that of the estimate, and what the estimate may be off."""

@@ -7,6 +7,8 @@ The vehicle obeys x_dot = A x + B (u_hat + Delta). Delta itself cannot be measur
 is Delta plus the noise of the sensors. Controllers filter it (Delta_hat); the trainer smooths it over time.
 """
 
+from collections.abc import Sequence
+
 from onboard.control.actuators import Delivered
 from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ChannelMeasurement
@@ -25,16 +27,22 @@ class UncertaintyMeasurement:
         self._last_rates: Vector3 = (0.0, 0.0, 0.0)
         self._last_delivered = (0.0, 0.0, 0.0, 0.0)
 
-    def step(self, state: VehicleState, delivered: Delivered) -> tuple[ChannelMeasurement, ChannelMeasurement]:
+    def step(self, state: VehicleState, passed: Sequence[Delivered]) -> tuple[ChannelMeasurement, ChannelMeasurement]:
         """Position and attitude channel at the present. The records are rewritten in the next tick.
 
-        delivered: thrust and torque now. The mean with those of the last tick has moved the vehicle since then.
+        passed: thrust and torque at the end of each period since the last tick: one, or more if ticks were missed.
+        Their mean has moved the vehicle since then.
         """
-        now = (delivered.thrust_n, *delivered.torque_nm)
-        T, *tau = (0.5 * (before + after) for before, after in zip(self._last_delivered, now, strict=True))
-        self._last_delivered = now
-        self._translation(state, T)
-        self._rotation(state, vector(tau))
+        sums, latest = (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+        for delivered in passed:
+            now = (delivered.thrust_n, *delivered.torque_nm)
+            T, x, y, z = (0.5 * (before + after) for before, after in zip(self._last_delivered, now, strict=True))
+            latest, self._last_delivered = (T, x, y, z), now
+            sums = (sums[0] + T, sums[1] + x, sums[2] + y, sums[3] + z)
+        periods = len(passed)
+        T, x, y, z = (one / periods for one in sums)
+        self._translation(state, T, latest[0])
+        self._rotation(state, (x, y, z), self._dt * periods)
         return self._position, self._attitude
 
     def coming(self, state: VehicleState, delivered: Delivered, ahead: Delivered) -> tuple[Vector3, Vector3]:
@@ -50,20 +58,18 @@ class UncertaintyMeasurement:
         (tx, ty, tz), (p, q, r) = tau, rates
         return (tx - (Jz - Jy) * q * r) / Jx, (ty - (Jx - Jz) * p * r) / Jy, (tz - (Jy - Jx) * p * q) / Jz
 
-    def _translation(self, state: VehicleState, T: float) -> None:
-        """u_hat = g e_3 - (T / m) R e_3;  r = R f + (T / m) R e_3, f the specific force."""
-        lift = -T / self._airframe.mass_kg
+    def _translation(self, state: VehicleState, T: float, T_last: float) -> None:
+        """u_hat = g e_3 - (T / m) R e_3;  r = R f + (T_last / m) R e_3, f the specific force of the last period."""
+        lift, last_lift = -T / self._airframe.mass_kg, -T_last / self._airframe.mass_kg
         f = state.specific_force.tolist()
         u_hat, r = self._position.u_hat, self._position.residual
         for axis, (R0, R1, R2) in enumerate(state.rotation.tolist()):
-            along = lift * R2
-            u_hat[axis] = along
-            r[axis] = R0 * f[0] + R1 * f[1] + R2 * f[2] - along
+            u_hat[axis] = lift * R2
+            r[axis] = R0 * f[0] + R1 * f[1] + R2 * f[2] - last_lift * R2
         u_hat[2] += GRAVITY
 
-    def _rotation(self, state: VehicleState, tau: Vector3) -> None:
-        """u_hat = J^-1 (tau - omega x J omega);  r = omega_dot - u_hat."""
-        dt = self._dt
+    def _rotation(self, state: VehicleState, tau: Vector3, dt: float) -> None:
+        """u_hat = J^-1 (tau - omega x J omega);  r = omega_dot - u_hat, over the time `dt` since the last tick."""
         p, q, r = state.rates.tolist()
         last_p, last_q, last_r = self._last_rates
         up, uq, ur = self._angular_acceleration(tau, (p, q, r))

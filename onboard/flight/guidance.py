@@ -1,5 +1,7 @@
 """Guidance: the target of each tick from the flight mode, continuous over take-off, path, hold and landing.
 
+The path begins when the vehicle has reached the height of take-off.
+
 When the position estimate jumps, the path stays at its place in the world frame of the new poses. The target moves with
 the vehicle and returns to the path at a limited speed. The target of a landing sinks, and presses the vehicle
 onto the floor, until touch-down. Then it is where the vehicle stands.
@@ -98,9 +100,14 @@ class Guidance:
         self._descent_speed = 0.0
         self.place(position)
 
-    def step(self, run: bool, landing: bool, dt: float) -> Target:
-        """Target of this tick. `run`: path time advances; `landing`: the target descends from where it is."""
-        self._clock.step(run and not landing, dt)
+    def step(self, run: bool, landing: bool, dt: float, climbing: bool = False) -> Target:
+        """Target of this tick.
+
+        run: path time advances. landing: the target descends from where it is. climbing: the vehicle has not reached
+        its height; the path does not begin before, or it would be flown along the floor.
+        """
+        waits = climbing and self._clock.time_s >= self.path.start_s - self._clock.stop_s
+        self._clock.step(run and not landing and not waits, dt)
         speed = self._config.trajectory.landing_speed_m_s  # reached within a second, and left as fast
         change = dt * speed if landing else -dt * speed
         self._descent_speed = min(max(self._descent_speed + change, 0.0), speed)

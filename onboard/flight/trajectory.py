@@ -317,6 +317,8 @@ class PathClock:
         self.rate = 1.0
         self.rate_change = 0.0
         """d rate / dt, 1/s."""
+        self.stop_s = 0.5 * ease_s
+        """Path time that still passes when a running clock is stopped."""
 
     def step(self, run: bool, dt: float) -> None:
         """Advance by dt [s]; `run`: whether path time runs."""

@@ -43,6 +43,7 @@ TICK: Final = RecordType(
         ("vibration", "m/s^2"),
         ("position_sigma", "m"),
         ("thrust", "N"),
+        ("thrust_scale", "thrust as a multiple of the nominal one, estimated"),
         *vector_fields("position", "ned", "m"),
         *vector_fields("velocity", "ned", "m/s"),
         *vector_fields("quaternion", "wxyz", ""),
@@ -82,6 +83,7 @@ def write_tick(
     battery_v: float,
     motors: Sequence[float],
     motor_thrusts_n: Array,
+    thrust_scale: float,
 ) -> None:
     """Write one tick into `row`, in the order of TICK.
 
@@ -90,6 +92,7 @@ def write_tick(
     saturated: the motors cannot deliver what the controller demands in this tick.
     motors: [4], commanded, as shares of the maximum thrust.
     motor_thrusts_n: [4], N, by the actuator model.
+    thrust_scale: with which the actuator model and the mixer worked.
     """
     state, target = inputs.state, inputs.target
     row[:POSITION_AT] = (
@@ -105,6 +108,7 @@ def write_tick(
         state.vibration,
         state.position_sigma_m,
         control.thrust_n,
+        thrust_scale,
         *state.position.tolist(),
         *state.velocity.tolist(),
         *state.quaternion.tolist(),

@@ -134,6 +134,13 @@ def test_merge_lays_mappings_over_and_replaces_the_rest() -> None:
     assert base == {"a": {"b": 1, "c": [1, 2]}, "d": 4}
 
 
+def test_an_assigned_mapping_of_another_kind_replaces() -> None:
+    base = {"law": {"kind": "slow", "gain": 1.0, "own": 2}}
+    assert set_path(base, "law={kind: fast, gain: 3.0}") == {"law": {"kind": "fast", "gain": 3.0}}
+    assert set_path(base, "law={kind: slow, gain: 3.0}")["law"] == {"kind": "slow", "gain": 3.0, "own": 2}
+    assert set_path(base, "law={gain: 3.0}")["law"] == {"kind": "slow", "gain": 3.0, "own": 2}
+
+
 def test_set_path_assigns_one_value() -> None:
     tree = {"a": {"b": 1}}
     assert set_path(tree, "a.b=1e-3") == {"a": {"b": 0.001}}

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from offboard.data.buffer import VALIDATION
+from offboard.data.experience import load_experience
 from offboard.links.pose_relay import PoseRelay
 from offboard.records import EPOCH, LINK, TRAINING
 from protocol.endpoint import Endpoint
@@ -251,6 +252,37 @@ def test_a_version_that_cannot_be_sent_is_reported_once_and_the_core_continues()
     assert len(reported) <= 1 + len(again.versions), "not at every step"
     assert reported
     assert flying in log.versions
+
+
+def test_data_that_is_not_learnt_from_is_counted_in_log_and_summary() -> None:
+    core, onboard = OffboardCore(offboard_config(labels={"attitude_limit_rad_s2": 10.0}), 7, None), Onboard()
+    log = fly(core, onboard, figure8_through_jet(6.0).batches(), loss=0.05)
+    unused = core.summary()["unused"]
+    assert isinstance(unused, dict)
+    assert unused["over_limit_attitude"] > 30
+    assert unused["over_limit_position"] == 0
+    assert unused["gap_position"] > 0
+    last = dict(zip(LINK.names, log.of(LINK)[-1], strict=True))
+    assert 0 < last["unused_over_limit_attitude"] <= unused["over_limit_attitude"]
+    assert last["labels"] > 200, "the position labels are not lost with them"
+    assert core.status(START_NS)["unused"] == sum(unused.values())
+
+
+def test_each_flight_is_a_condition_of_its_own() -> None:
+    core, onboard = OffboardCore(offboard_config(), 7, None), Onboard()
+    flight = figure8_through_jet(5.0)
+    fly(core, onboard, flight.batches())
+    first = load_experience(core.learner.experience()).buffer
+    assert not first.condition.any()
+    fly(core, Onboard(session=2), figure8_through_jet(5.0, jet_m_s=0.0).batches(), start_ns=START_NS + 10**10)
+    saved = core.learner.experience()
+    both = load_experience(saved).buffer
+    assert np.array_equal(both.take(both.condition == 0).time_ns, first.time_ns), "the jet is not overwritten by calm"
+    assert (both.condition == 1).sum() > 20
+    again = OffboardCore(offboard_config(), 8, None)
+    again.resume(saved)
+    fly(again, Onboard(session=3), flight.batches(), start_ns=START_NS + 2 * 10**10)
+    assert set(load_experience(again.learner.experience()).buffer.condition.tolist()) == {0, 1, 2}
 
 
 def test_poses_that_are_all_late_by_the_same_time_mean_a_clock_jump() -> None:

@@ -53,6 +53,19 @@ def test_a_stall_is_skipped_and_counted() -> None:
     assert all(gap > PERIOD - 1_000_000 for gap in gaps), "no burst of ticks after the stall"
 
 
+def test_a_stall_in_the_sleep_is_known_to_the_tick_after_it() -> None:
+    world = World()
+    pace = keeper(world)
+    pace.wait()
+    assert pace.skipped == 0
+    world.oversleep_ns = 42_000_000
+    late = pace.wait()
+    assert (pace.skipped, pace.missed) == (8, 8)
+    world.oversleep_ns = 0
+    assert 2_900_000 < pace.wait() - late < 3_100_000
+    assert (pace.skipped, pace.missed) == (0, 8)
+
+
 def test_spin_wakes_at_the_deadline_although_sleep_is_late() -> None:
     world = World(oversleep_ns=250_000)
     pace = keeper(world, spin_ns=300_000)

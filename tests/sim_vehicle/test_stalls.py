@@ -1,4 +1,4 @@
-"""A stall of the simulator makes a flight invalid if it was long, or if the vehicle crashed soon after it."""
+"""A stall of the simulator makes a flight invalid if it was long or had consequences for the vehicle."""
 
 from sim_vehicle.stalls import Stalls
 
@@ -33,3 +33,28 @@ def test_a_crash_without_a_stall_is_a_lost_vehicle() -> None:
     stalls.note(4 * S, 19 * MS)
     stalls.note_crash(5 * S)
     assert stalls.invalid_reason == ""
+
+
+def test_motors_stopped_in_a_stall_make_a_flight_invalid() -> None:
+    stalls = Stalls()
+    stalls.note(2 * S, 58 * MS)
+    stalls.note_stop(2 * S + 5 * MS)
+    assert stalls.invalid_reason == "the motors were stopped when the simulator stood still for 58 ms at 2.00 s"
+
+
+def test_motors_stopped_later_are_a_landing() -> None:
+    stalls = Stalls()
+    stalls.note(2 * S, 58 * MS)
+    stalls.note_stop(2 * S + 100 * MS)
+    assert stalls.invalid_reason == ""
+
+
+def test_a_vehicle_never_armed_is_an_invalid_flight_only_with_stalls() -> None:
+    smooth, stalling = Stalls(), Stalls()
+    for second in range(4):
+        smooth.note(second * S, 5 * MS)
+        stalling.note(second * S, (20 + second % 3 * 10) * MS)
+    smooth.note_no_flight()
+    stalling.note_no_flight()
+    assert smooth.invalid_reason == ""
+    assert stalling.invalid_reason == "the vehicle was never armed; the simulator stood still for 40 ms at 2.00 s"

@@ -1,4 +1,8 @@
-"""MRAC and DMRAC: nu_ad = W' Phi(x, c), with the last-layer law. In DMRAC the features are learnt in flight."""
+"""MRAC and DMRAC: nu_ad = W' Phi(x, c), with a last-layer law. In DMRAC the features are learnt in flight.
+
+The law of the last layer is one of two, by configuration: the gradient law (`last_layer`), or the one with a covariance
+(`kalman_last_layer`). They differ in how they learn, what they estimate, and how they swap.
+"""
 
 from math import exp, sqrt
 from typing import Annotated, Literal
@@ -9,10 +13,13 @@ from pydantic import Field
 from configs.loader import ConfigRecord
 from onboard.control.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
 from onboard.control.features import BiasFeatures, Features, NetworkFeatures, RadialFeatures, random_channel
+from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
+from onboard.control.posterior_swap import PosteriorPlan, plan_posterior_swap
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
+from onboard.control.slope import LoopGains
 from protocol.conventions import Array
 from protocol.feature_config import ChannelName, FeatureInputs
 from protocol.feature_set import ChannelFeatures
@@ -29,7 +36,7 @@ class AdaptiveConfig(ConfigRecord):
     kind: Literal["adaptive"]
     features: Literal["network", "rbf", "bias"]
     rbf_width: Annotated[float, Field(gt=0, description="width of the Gaussians, scaled units per sqrt(input)")] = 0.6
-    law: AdaptationConfig
+    law: Annotated[AdaptationConfig | KalmanConfig, Field(discriminator="kind")]
     error_weight: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 0.1)
     """Diagonal of Q: for the first and the second half of e."""
     swap: SwapConfig
@@ -58,20 +65,22 @@ class AdaptiveAugmentation:
         inputs: FeatureInputs,
         channel: ChannelName,
         rng: np.random.Generator,
+        loop_gains: LoopGains,
     ) -> None:
         """inputs: what the start features and the radial basis functions see; the bias alone sees nothing."""
-        self._config = config
+        self._config, self._loop_gains = config, loop_gains
         A_rm = gains.closed_loop_matrix()
         Q = np.diag(np.repeat(config.error_weight, 3))
         P = lyapunov_p(A_rm, Q)
         self.features: Features = _start_features(config, inputs, channel, rng)
-        self.last_layer = LastLayer(
-            config.law, self.features.feature_count, tracking_weights(P, gains.natural_frequency_rad_s)
+        PB, k = tracking_weights(P, gains.natural_frequency_rad_s), self.features.feature_count
+        self.last_layer: LastLayer | KalmanLastLayer = (
+            KalmanLastLayer(config.law, k, PB) if isinstance(config.law, KalmanConfig) else LastLayer(config.law, k, PB)
         )
         self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
-        self._ticks = 0
+        self._ticks, self._dt = 0, 0.0
         self._Delta_hat: Vector3 = (0.0, 0.0, 0.0)
         self._eps_1_squared = 0.0
         self._eps_2 = 0.0
@@ -83,11 +92,13 @@ class AdaptiveAugmentation:
         Phi = self.features.evaluate(self.features.select(channel.signals))
         if channel.adapt:
             self._filter_residual(channel.residual.tolist(), dt)
-            self.last_layer.step(Phi[:, 0], channel.model_error, self._Delta_hat, dt)
+            nu = self.last_layer.learn(Phi, channel, self._Delta_hat)
             if self._ticks % self._ring_period == 0:
-                self._recent.push(channel.signals[:, 0])
+                self._recent.push(channel.signals[:, 0], self._Delta_hat)
             self._ticks += 1
-        nu: Array = np.dot(self.last_layer.W.T, Phi)
+        else:
+            nu = self.last_layer.estimate(Phi)
+        self._dt = dt
         self._report(nu, dt, telemetry)
         return nu[:, 1]
 
@@ -97,7 +108,7 @@ class AdaptiveAugmentation:
         self._Delta_hat = vector(D + share * (r - D) for D, r in zip(self._Delta_hat, residual, strict=True))
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
-        """eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x))."""
+        """eps_1: mean of norm(nu(x) - Delta_hat); eps_3: norm(nu(x_ahead) - nu(x))."""
         now, ahead = nu.T.tolist()
         misfit2 = sum((nu_i - D) ** 2 for nu_i, D in zip(now, self._Delta_hat, strict=True))
         self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
@@ -116,22 +127,29 @@ class AdaptiveAugmentation:
         """Whether the features may be replaced by trained ones."""
         return self._config.features == "network"
 
+    def flies(self, channel: ChannelFeatures) -> bool:
+        """Whether these features, with this theta, are in use already."""
+        return isinstance(self.features, NetworkFeatures) and self.features.channel.same_as(channel)
+
     def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
         """Plan a swap to these features; nothing changes yet."""
         new = NetworkFeatures(channel)
-        plan = plan_swap(
-            self._config.swap,
-            self.features,
-            self.last_layer.W,
-            new,
-            channel.last_layer,
-            self._config.law.weight_norm_max,
-            self._recent.columns(self._signals),
-        )
-        return new, plan
+        config, law = self._config, self.last_layer
+        if isinstance(law, KalmanLastLayer):
+            since = (self._ticks - 1) % self._ring_period
+            times = self._dt, self._ring_period * self._dt, since * self._dt
+            return new, plan_posterior_swap(
+                config.swap, law, self.features, new, channel, self._loop_gains, self._recent, self._signals, times
+            )
+        recent, limit = self._recent.columns(self._signals), config.law.weight_norm_max
+        return new, plan_swap(config.swap, self.features, law.W, new, channel.last_layer, limit, recent)
 
-    def commit(self, features: Features, plan: SwapPlan, memory: Array) -> None:
-        """Carry out a plan that was not refused. memory: theta_n [k, 3]."""
+    def commit(self, features: Features, plan: SwapPlan) -> None:
+        """Carry out a plan that was not refused."""
         self.features = features
-        self.last_layer.replace(plan.W, memory)
+        if isinstance(self.last_layer, KalmanLastLayer):
+            assert isinstance(plan, PosteriorPlan)
+            self.last_layer.adopt(plan.theta, plan.X, plan.S)
+        else:
+            self.last_layer.replace(plan.W, plan.theta)
         self._eps_2 = plan.jump

@@ -31,7 +31,8 @@ class L1:
     def __init__(self, config: L1Config) -> None:
         self._config = config
         self._started = False
-        self._prediction: Array = np.zeros(3)
+        self._rate: Array = np.zeros(3)
+        self._error: Array = np.zeros(3)
         self._sigma: Array = np.zeros(3)
         self._nu: Array = np.zeros(3)
 
@@ -50,11 +51,12 @@ class L1:
         if not self._started:
             error, self._sigma, self._started = np.zeros(3), self._nu.copy(), True
         else:
-            # u_hat of the last step is known only now.
-            error = self._prediction + T * channel.u_hat - channel.rate
+            # Exact for u_hat and sigma_hat constant since the last step: v_tilde decays, the rest integrates. u_hat and
+            # the length of the step are known only now.
+            prediction = self._rate + decay * self._error + ((1.0 - decay) / a) * self._sigma
+            error = prediction + T * channel.u_hat - channel.rate
             self._sigma = -(a * decay / (1.0 - decay)) * error
-        # Exact for u_hat and sigma_hat constant over the next step: v_tilde decays, the rest integrates.
-        self._prediction = channel.rate + decay * error + ((1.0 - decay) / a) * self._sigma
+        self._rate, self._error = channel.rate.copy(), error
         share = 1.0 - exp(-self._config.bandwidth_rad_s * T)
         limit = self._config.limit
         self._nu = (self._nu + share * (self._sigma - self._nu)).clip(-limit, limit)

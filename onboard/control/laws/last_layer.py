@@ -38,12 +38,13 @@ safeguard scales W back to norm(W) <= W_max sqrt(1 + PROJECTION_MARGIN). A step 
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
+from onboard.control.laws.law import ChannelState
 from protocol.conventions import Array
 from protocol.geometry import Vector3
 
@@ -56,6 +57,7 @@ SQUARE_MAX = 1e30
 class AdaptationConfig(ConfigRecord):
     """Gains of one channel's last-layer law."""
 
+    kind: Literal["gradient"] = "gradient"
     tracking_gain: Annotated[
         float,
         Field(ge=0, le=1e4, description="gamma, 1/s^3: nu_ad gains so much per second and unit of e_1, first axis"),
@@ -108,6 +110,11 @@ def tracking_weights(P: Array, natural_frequency_rad_s: Sequence[float]) -> Arra
     return PB
 
 
+def tracking_rate_weight(PB: Array) -> float:
+    """p: the largest weight of e_2 in PB [n, 3]."""
+    return float(np.abs(PB[PB.shape[0] // 2 :]).max())
+
+
 def projected_rate(W: Array, rate: Array, gamma: Array, weight_norm_max: float) -> Array:
     """The smooth projection operator, Gamma-weighted (Lavretsky and Wise, "Robust and Adaptive Control", 11.4).
 
@@ -139,7 +146,7 @@ class LastLayer:
         self._bound2 = config.weight_norm_max**2
         self._safe_bound2 = self._bound2 * (1.0 + PROJECTION_MARGIN)
         self._PB = PB
-        self._rate_weight = float(np.abs(PB[PB.shape[0] // 2 :]).max())
+        self._rate_weight = tracking_rate_weight(PB)
         self.W: Array = np.zeros((feature_count, 3))
         self.memory: Array = np.zeros((feature_count, 3))
         """theta_n, the trained last layer, towards which W leaks."""
@@ -165,6 +172,16 @@ class LastLayer:
         self._gamma = self._gamma_for(W.shape[0])
         self._change = np.zeros(W.shape)
         self._keep_in_ball()
+
+    def learn(self, Phi: Array, channel: ChannelState, Delta_hat: Vector3) -> Array:
+        """One tick of the law; returns nu [3, 2] at the columns of Phi [k, 2], the present state and the one ahead."""
+        self.step(Phi[:, 0], channel.model_error, Delta_hat, channel.dt)
+        return self.estimate(Phi)
+
+    def estimate(self, Phi: Array) -> Array:
+        """W'Phi [3, n] at the features Phi [k, n]."""
+        nu: Array = np.dot(self.W.T, Phi)
+        return nu
 
     def step(self, Phi: Array, e: Array, Delta_hat: Vector3, dt: float) -> None:
         """One step of W_dot = -Gamma Phi (gamma e'PB + lambda (W'Phi - Delta_hat)') / m^2 - sigma (W - theta_n).

@@ -72,3 +72,20 @@ def test_the_summary_says_bound_error_and_coverage() -> None:
     assert told["live_bound"]["position"] == {"bound_median": 0.02, "error_median": 0.01, "coverage": 0.75}
     line = dict(summary_rows(told))["live bound"]
     assert line == "position 20.0 mm (error 10.0), 75.0 % covered; attitude 5.7 deg (error 0.0), 100.0 % covered"
+
+
+def test_the_summary_says_what_training_did_and_what_it_did_not_use() -> None:
+    trace = made_up_trace([0.01] * 4, [0.02] * 4, [True] * 4)
+    counts: dict[str, dict[str, int]] = {}
+    offboard = {
+        "rounds": 5,
+        "verdicts": {"send": 2, "not_triggered": 3},
+        "unused": {"low": 7, "gap_position": 0, "over_limit_attitude": 9},
+        "rejected": {},
+    }
+    told = build_summary(resolve("hover", Choices("pid", 5, 5.0)), "lockstep", trace, "", {}, offboard, counts)
+    lines = dict(summary_rows(told))
+    assert lines["training"] == "5 rounds: not triggered 3, send 2"
+    assert lines["not learnt from"] == "over limit attitude 9, low 7"
+    without = build_summary(resolve("hover", Choices("pid", 5, 5.0)), "lockstep", trace, "", {}, None, counts)
+    assert not {"training", "not learnt from"} & dict(summary_rows(without)).keys()

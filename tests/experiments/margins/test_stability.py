@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.margins.stability import margins
+from experiments.margins.stability import margins, unstable_poles
 
 OMEGA = np.geomspace(0.05, 200.0, 2000)
 S = 1j * OMEGA
@@ -35,3 +35,18 @@ def test_the_delay_margin_is_the_delay_that_takes_the_phase_margin() -> None:
     found = margins(OMEGA, L)
     late = margins(OMEGA, L * np.exp(-1e-3 * found.delay_margin_ms * S))
     assert late.phase_margin_deg == pytest.approx(0.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("poles", "count"),
+    [((-1.0, -2.0, -3.0), 0), ((1.0, -2.0, -3.0), 1), ((0.5 + 3.0j, 0.5 - 3.0j, -1.0), 2), ((1.0, 2.0, 3.0), 3)],
+)
+def test_unstable_poles_are_counted(poles: tuple[complex, ...], count: int) -> None:
+    characteristic = np.prod([(S - pole) / (S + 5.0) for pole in poles], axis=0)
+    assert unstable_poles(characteristic) == count
+
+
+@pytest.mark.parametrize(("delay_s", "count"), [(0.38, 0), (0.4, 2)])
+def test_the_count_holds_with_a_dead_time(delay_s: float, count: int) -> None:
+    """L = 4 exp(-d s) / s is unstable from d = pi / 8 on."""
+    assert unstable_poles((S + 4.0 * np.exp(-delay_s * S)) / (S + 4.0)) == count

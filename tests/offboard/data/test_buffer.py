@@ -128,3 +128,66 @@ def test_old_validation_samples_are_released_to_training_and_new_ones_are_not() 
     assert rows.split.tolist() == [TEST, TRAINING, TEST, TRAINING, TEST, VALIDATION, TEST, VALIDATION, TEST, VALIDATION]
     assert ring.rows().split.tolist() == [TEST, VALIDATION] * 5
     assert replace(rows, split=ring.rows().split).rows == 10
+
+
+def wind(condition: int, kept: NoveltyBuffer, first: int, label: float, laps: int = 3) -> None:
+    """Fly the same 12 m stretch, several times, in a condition whose labels all have this value."""
+    for number in range(laps * 100):
+        place = -6.0 + 12.0 * (number % 100) / 100
+        one = sample(first + number, place, label)
+        kept.consider(replace(one, condition=condition), TRAINING)
+
+
+@pytest.mark.parametrize("distinguished", [True, False])
+def test_a_new_wind_at_the_same_place_does_not_overwrite_the_old_one(distinguished: bool) -> None:
+    """Two winds over the same places: with one condition for both, only the labels of the second are left."""
+    kept = buffer(capacity=200, refresh_age_s=1.0)
+    wind(0, kept, 0, 1.0)
+    before = kept.rows()
+    wind(1 if distinguished else 0, kept, 1000, -1.0)
+    rows = kept.rows()
+    first = rows.take(rows.labels[:, 0, 0] > 0.0)
+    if not distinguished:
+        assert first.rows == 0
+        return
+    assert np.array_equal(first.time_ns, before.time_ns), "all that was stored is still there"
+    assert np.ptp(rows.take(rows.labels[:, 0, 0] < 0.0).signals[:, SIGNAL_INDEX["position_n"]]) > 11.0
+    wind(0, kept, 2000, 3.0)
+    back = kept.rows()
+    assert (back.labels[back.condition == 0, 0, 0] > 2.0).all(), "back in the first wind, its samples are refreshed"
+    assert (back.labels[back.condition == 1, 0, 0] < 0.0).all()
+
+
+def test_a_round_uses_another_winds_samples_only_where_the_present_one_has_none() -> None:
+    kept = buffer(capacity=200)
+    wind(0, kept, 0, 1.0)
+    assert kept.rows_for(1).rows == kept.rows_for(0).rows == kept.count, "of a new wind nothing is known yet"
+    for index in range(50):  # the new wind is met on the northern half only
+        one = sample(1000 + index, 6.0 * index / 50, -1.0)
+        kept.consider(replace(one, condition=1), TRAINING)
+    rows = kept.rows_for(1)
+    north = rows.signals[:, SIGNAL_INDEX["position_n"]]
+    assert (rows.condition[north > 0.2] == 1).all()
+    assert (rows.condition[north < -0.5] == 0).sum() > 5
+    assert (rows.condition == 1).sum() == (kept.rows().condition == 1).sum()
+
+
+@pytest.mark.parametrize("deletion", ["svd", "fifo"])
+def test_a_full_buffer_gives_each_condition_its_share(deletion: str) -> None:
+    kept = buffer(deletion=deletion)
+    rng = np.random.default_rng(0)
+    for condition in range(3):
+        for number in range(300):
+            one = sample(1000 * condition + number, float(rng.uniform(-20.0, 20.0)), float(condition))
+            kept.consider(replace(one, condition=condition), TRAINING)
+    assert np.bincount(kept.rows().condition).tolist() == [8, 8, 8]
+
+
+def test_a_sample_that_lacks_a_label_does_not_replace_one_that_has_it() -> None:
+    kept = buffer(refresh_age_s=1.0)
+    assert kept.consider(sample(0, 1.0, 5.0), TRAINING)
+    partly = sample(200, 1.0, 6.0)
+    partly.labels[1] = np.nan
+    assert not kept.consider(partly, TRAINING)
+    assert kept.consider(sample(201, 1.0, 7.0), TRAINING)
+    assert kept.rows().labels[:, 1, 0].tolist() == [7.0]

@@ -129,3 +129,57 @@ def test_times_and_weights() -> None:
         assert c.sum() == pytest.approx(1.0)
         assert c @ (np.arange(-left, right) + 0.5) == pytest.approx(0.0, abs=1e-9)
         assert gain == pytest.approx(float(c @ c))
+
+
+def test_a_channel_over_its_limit_does_not_cost_the_other_its_label_and_is_counted() -> None:
+    flight = figure8_through_jet(6.0)
+    wild = flight.delivered.copy()
+    wild[100:150, 1] -= 1e4
+    maker = LabelMaker(LABELS)
+    samples = [s for batch in Flight(flight.signals, wild, flight.delta).batches() for s in maker.receive(batch)]
+    calm = label_all(flight.batches())
+    assert [sample.index for sample in samples] == [sample.index for sample in calm]
+    without = [sample for sample in samples if np.isnan(sample.labels[1]).any()]
+    assert {sample.index for sample in without} >= set(range(105, 145))
+    assert all(np.array_equal(a.labels[0], b.labels[0]) for a, b in zip(samples, calm, strict=True))
+    assert maker.unused["over_limit_attitude"] == len(without)
+    assert maker.unused["over_limit_position"] == 0
+    both = wild.copy()
+    both[100:150, 0] -= 1e4
+    none = label_all(Flight(flight.signals, both, flight.delta).batches())
+    assert not {sample.index for sample in none} & set(range(105, 145)), "no label at all: no sample"
+
+
+def test_a_channel_that_is_not_learnt_costs_and_counts_nothing() -> None:
+    flight = figure8_through_jet(6.0)
+    wild = flight.delivered.copy()
+    wild[:, 1] -= 1e4
+    maker = LabelMaker(LABELS, ("position",))
+    samples = [s for batch in Flight(flight.signals, wild, flight.delta).batches() for s in maker.receive(batch)]
+    assert len(samples) == len(label_all(flight.batches()))
+    assert all(np.isnan(sample.labels[1]).all() for sample in samples)
+    assert maker.unused["over_limit_attitude"] == maker.unused["gap_attitude"] == 0
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_every_sample_is_used_or_counted(loss: float) -> None:
+    """Each channel: samples that arrived = labels + those over the limit + those at a gap; low ones apart."""
+    rng = np.random.default_rng(3)
+    flight = figure8_through_jet(12.0)
+    signals, delivered = flight.signals.copy(), flight.delivered.copy()
+    signals[:60, SIGNAL_INDEX["position_d"]] = 0.0
+    delivered[200:230, 0] -= 1e4
+    maker = LabelMaker(LABELS)
+    batches = [b for b in Flight(signals, delivered, flight.delta).batches() if rng.random() >= loss]
+    samples = [sample for batch in batches for sample in maker.receive(batch)]
+    maker.receive(replace(batches[0], first_index=10**6))  # what still waits is skipped
+    arrived = 5 * len(batches)
+    low = sum(5 for batch in batches if batch.first_index < 60)
+    assert maker.unused["low"] == low + 5
+    for channel, name in enumerate(("position", "attitude")):
+        labelled = sum(not np.isnan(sample.labels[channel]).any() for sample in samples)
+        assert labelled + maker.unused[f"gap_{name}"] + maker.unused[f"over_limit_{name}"] == arrived - low
+    assert maker.unused["over_limit_position"] >= 20
+    assert (maker.unused["gap_attitude"] > 30) == (loss > 0.0)
+    maker.receive(batches[-1])
+    assert maker.unused["late"] == 5

@@ -34,7 +34,7 @@ def evidence(new: tuple[float, float], flying: tuple[float, float], n: int = 80,
 
 
 def gate() -> Gate:
-    return Gate(CONFIG.gate, NETWORKS.spectral_norm_max)
+    return Gate(CONFIG.gate, NETWORKS)
 
 
 def judge(found: Evidence, features: FeatureSet | None = None) -> Verdict:
@@ -47,22 +47,38 @@ def test_a_clearly_better_version_is_sent() -> None:
 
 def test_one_better_channel_is_enough_unless_the_other_gets_worse() -> None:
     assert judge(evidence((0.1, 0.2), (0.5, 0.2))) is Verdict.SEND
-    assert judge(evidence((0.1, 0.9), (0.5, 0.2))) is Verdict.WORSE_ELSEWHERE
+    assert judge(evidence((0.1, 0.9), (0.5, 0.2))) is Verdict.CHANNEL_WORSE
 
 
-def test_nothing_is_sent_while_the_flying_version_is_good() -> None:
-    tiny = 0.5 * CONFIG.gate.trigger_unexplained
-    assert judge(evidence((0.0, 0.0), (tiny, tiny))) is Verdict.NOT_TRIGGERED
+def test_one_channel_alone_is_never_called_worse() -> None:
+    networks = NETWORKS.model_copy(update={"channels": ("position",)})
+    alone = Gate(CONFIG.gate, networks)
+    for new in (0.1, 0.9):
+        verdict = alone.judge(candidate(), evidence((new, 9.0), (0.5, 0.5)), 10 * S)
+        assert verdict is (Verdict.SEND if new < 0.5 else Verdict.NOT_TRIGGERED)
 
 
-def test_a_small_or_doubtful_gain_is_not_sent() -> None:
-    assert judge(evidence((0.495, 0.495), (0.5, 0.5))) is Verdict.NOT_BETTER
-    rng = np.random.default_rng(2)
-    noisy = evidence((0.5, 0.5), (0.55, 0.55), n=40)
-    doubtful = replace(
-        noisy, candidate_errors=rng.exponential(0.5, (40, 2)), flying_errors=rng.exponential(0.55, (40, 2))
-    )
-    assert judge(doubtful) is not Verdict.SEND
+def test_a_gain_that_is_small_against_what_training_leaves_is_no_event() -> None:
+    left = 0.5
+    gain = CONFIG.gate.trigger * left
+    assert judge(evidence((left, left), (left + 0.9 * gain, left + 0.9 * gain))) is Verdict.NOT_TRIGGERED
+    assert judge(evidence((left, left), (left + 1.1 * gain, left))) is Verdict.SEND
+    always = Gate(CONFIG.gate.model_copy(update={"trigger": 0.0}), NETWORKS)
+    assert always.judge(candidate(), evidence((left, left), (left + 0.1 * gain, left)), 10 * S) is Verdict.SEND
+
+
+def test_the_noise_of_the_labels_is_no_event_however_large_the_loss() -> None:
+    """Both versions explain all but the noise: the loss is as large as the labels, and nothing can be gained."""
+    assert judge(evidence((1.0, 1.0), (1.01, 1.01))) is Verdict.NOT_TRIGGERED
+
+
+def test_a_gain_that_comes_from_a_single_stretch_is_not_sent() -> None:
+    """Much better in one block of time, hardly worse in the three others: less than a standard error."""
+    found = evidence((0.52, 0.5), (0.5, 0.5), n=40)
+    found.flying_errors[30:, 0] = 5.0
+    assert judge(found) is Verdict.NOT_SIGNIFICANT
+    found.flying_errors[:30, 0] = 4.0
+    assert judge(found) is Verdict.SEND
 
 
 def test_too_few_samples_and_too_soon() -> None:
@@ -88,8 +104,24 @@ def test_an_unsafe_version_is_refused_even_if_it_is_better(change: dict[str, obj
 
 
 def test_a_channel_that_is_not_learnt_is_ignored() -> None:
-    found = replace(evidence((0.1, 5.0), (0.5, 0.1)), label_power=np.array([1.0, np.nan]))
+    found = evidence((0.1, 5.0), (0.5, 0.1))
+    assert judge(found) is Verdict.CHANNEL_WORSE
+    networks = NETWORKS.model_copy(update={"channels": ("position",)})
+    assert Gate(CONFIG.gate, networks).judge(candidate(), found, 10 * S) is Verdict.SEND
+
+
+def test_a_channel_is_judged_by_the_samples_that_have_its_label() -> None:
+    found = evidence((0.1, 0.1), (0.5, 0.5))
+    missing = np.arange(80) % 2 == 1
+    for errors in (found.candidate_errors, found.flying_errors):
+        errors[missing, 1] = np.nan
     assert judge(found) is Verdict.SEND
+    found.candidate_errors[0, 1] = np.nan
+    assert judge(found) is Verdict.NOT_FINITE
+    for errors in (found.candidate_errors, found.flying_errors):
+        errors[CONFIG.gate.minimum_validation :, 1] = np.nan
+        errors[0, 1] = np.nan
+    assert judge(found) is Verdict.TOO_FEW_SAMPLES
 
 
 def test_neighbours_in_time_do_not_count_as_independent() -> None:

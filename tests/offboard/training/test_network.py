@@ -98,7 +98,7 @@ def test_the_written_out_gradient_equals_autograd(dropout: bool) -> None:
     y = torch.from_numpy(rng.normal(size=(C, 3, 64)).astype(np.float32))
     kept = torch.from_numpy((rng.random((C, k - 1, 64)) > 0.3).astype(np.float32)) if dropout else None
     gradient = Views.of(torch.zeros_like(flat), state)
-    errors = LossGradient(Views.of(flat, state), gradient, 64).at(z, y, kept)
+    errors = LossGradient(Views.of(flat, state), gradient, 64).at(z, y, None, kept)
     leaf = flat.clone().requires_grad_(True)
     views = Views.of(leaf, state)
     h = z.mT  # one row per sample

@@ -1,5 +1,7 @@
 """A round of training: it is deterministic and bounded, learns, and can be continued."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +10,12 @@ import torch
 
 from offboard.config import OffboardConfig
 from offboard.data.buffer import TRAINING, VALIDATION, SampleTable
+from offboard.training.evidence import squared_errors
 from offboard.training.gate import Gate, Verdict
 from offboard.training.gradient import Optimiser
-from offboard.training.round import TrainingJob, TrainingResult, squared_errors
+from offboard.training.job import TrainingJob, TrainingResult
 from offboard.training.vehicle_learner import VehicleLearner
-from tests.offboard.flights import figure8_through_jet, offboard_config
+from tests.offboard.flights import ROOT, figure8_through_jet, offboard_config
 
 FLIGHT = figure8_through_jet(12.0, gust_m_s2=0.05)
 
@@ -80,7 +83,7 @@ def test_a_diverged_round_is_undone() -> None:
     )
     assert result.state.rounds == job.state.rounds + 1
     config = offboard_config()
-    gate = Gate(config.gate, config.features.trained.spectral_norm_max)
+    gate = Gate(config.gate, config.features.trained)
     verdict = gate.judge(result.candidate, result.evidence, 10**10)
     assert verdict is Verdict.NOT_FINITE
 
@@ -125,3 +128,78 @@ def test_adam_takes_the_same_steps_as_torch() -> None:
         optimiser.step(mine, gradient)
         optimiser = Optimiser(config, 50, optimiser.moments, optimiser.steps)  # as between rounds
     assert torch.allclose(mine, theirs.detach(), atol=1e-6)
+
+
+def test_a_sample_without_a_label_of_a_channel_does_not_count_for_it_and_counts_for_the_other() -> None:
+    """Half of the attitude labels are missing: the position channel is trained as if they were there."""
+    job = job_after(offboard_config())
+    partly = [without_attitude(table) for table in (job.buffer, job.newest)]
+    full, part = job.run(), replace(job, buffer=partly[0], newest=partly[1]).run()
+    # Apart from Adam's and the spectral bound's rounding, which act on all parameters at once, nothing is shared.
+    assert part.epoch_losses[:, :, 0] == pytest.approx(full.epoch_losses[:, :, 0], rel=1e-2, nan_ok=True)
+    assert not np.allclose(part.epoch_losses[:, :, 1], full.epoch_losses[:, :, 1], rtol=1e-2, equal_nan=True)
+    assert np.isfinite(part.epoch_losses[:, :2]).all()
+    assert np.isnan(part.evidence.candidate_errors[:, 1]).sum() == np.isnan(partly_labels(partly)).sum() > 0
+    again = replace(job, state=part.state, buffer=partly[0], newest=partly[1])
+    better = rounds(again, 6)
+    errors = squared_errors(better.candidate, FLIGHT.signals.astype(np.float32), FLIGHT.delta).mean(axis=0)
+    assert (errors < 0.25 * np.square(FLIGHT.delta).sum(axis=2).mean(axis=0)).all(), "and what is there is enough"
+
+
+def without_attitude(table: SampleTable) -> SampleTable:
+    labels = table.labels.copy()
+    labels[(table.time_ns // 20_000_000) % 2 == 0, 1] = np.nan
+    return replace(table, labels=labels)
+
+
+def partly_labels(tables: list[SampleTable]) -> np.ndarray:
+    """Attitude labels, first axis, of the held-out samples, each sample once."""
+    both = tables[0].joined(tables[1])
+    held_out = both.take(both.split == VALIDATION)
+    _, first = np.unique(held_out.time_ns, return_index=True)
+    return held_out.take(first).labels[:, 1, 0]
+
+
+def test_a_channel_without_any_label_keeps_its_last_layer() -> None:
+    job = rounds_state(job_after(offboard_config()), 2)
+    labels = [table.labels.copy() for table in (job.buffer, job.newest)]
+    for one in labels:
+        one[:, 1] = np.nan
+    silent = replace(
+        job, buffer=replace(job.buffer, labels=labels[0]), newest=replace(job.newest, labels=labels[1])
+    ).run()
+    before, after = job.state.network.last_layer, silent.state.network.last_layer
+    assert np.abs(before[1]).max() > 0.1
+    assert np.abs(after[1]).sum() == pytest.approx(np.abs(before[1]).sum(), rel=0.2)
+    assert np.isnan(silent.evidence.label_power[1])
+    gate = Gate(offboard_config().gate, offboard_config().features.trained)
+    assert gate.judge(silent.candidate, silent.evidence, 10**10) is Verdict.TOO_FEW_SAMPLES
+
+
+def rounds_state(job: TrainingJob, count: int) -> TrainingJob:
+    return replace(job, state=rounds(job, count).state)
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.2])
+def test_torchs_default_dtype_does_not_matter(dropout: float) -> None:
+    job = job_after(offboard_config(features={"trained": {"dropout": dropout}}))
+    expected = job.run()
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = job.run()
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert np.array_equal(found.epoch_losses, expected.epoch_losses)
+    for a, b in zip(found.state.network.weights, expected.state.network.weights, strict=True):
+        assert a.dtype == np.float32
+        assert np.array_equal(a, b)
+
+
+def test_a_library_user_keeps_torchs_threads_and_the_process_takes_one() -> None:
+    lines = (
+        "import torch; torch.set_num_threads(3)",
+        "import offboard.training.round; assert torch.get_num_threads() == 3, 'changed by an import'",
+        "from types import SimpleNamespace as N; from offboard.command import _load_torch",
+        "_load_torch([N(config=N(experience=N(mode='learn')))]); assert torch.get_num_threads() == 1",
+    )
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True, cwd=ROOT, timeout=120)

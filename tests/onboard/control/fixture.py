@@ -43,6 +43,9 @@ LAW = _both(
     {"law": {"tracking_gain": 5.0, "composite_gain": 10.0, "bias_weight": 40.0}},
     {"law": {"tracking_gain": 20.0, "composite_gain": 10.0, "bias_weight": 40.0}},
 )
+COVARIANCE = _both(
+    {"law": {"tracking_gain": 5.0, "composite_gain": 10.0}}, {"law": {"tracking_gain": 20.0, "composite_gain": 10.0}}
+)
 OWN: dict[str, dict[str, Any]] = {
     "pid": _both({"gain": [16.0, 16.0, 30.0], "limit": 6.0}, {"gain": [600.0, 600.0, 20.0], "limit": 120.0}),
     "l1": _both(
@@ -51,7 +54,7 @@ OWN: dict[str, dict[str, Any]] = {
     "indi": _both({"filter_s": 0.1}, {"filter_s": 0.05}),
     "bias": LAW,
     "mrac": LAW,
-    "dmrac": LAW,
+    "dmrac": COVARIANCE,
 }
 """Gains of these tests, whatever the search has written into the shipped files since."""
 
@@ -82,7 +85,7 @@ class Rig:
         hover = AIRFRAME.mass_kg * GRAVITY / 4.0
         self.motors.delivered.thrusts_n[:] = self.belief.delivered.thrusts_n[:] = hover
         self.uncertainty = UncertaintyMeasurement(AIRFRAME, DT)
-        self.commands = [(hover,) * 4]
+        self.commands = [(hover / AIRFRAME.motor_thrust_max_n,) * 4]
         self.mixer, self.signals, self.state = Mixer(AIRFRAME), SignalVector(DT), VehicleState()
         self.target: Any = np.array([0.0, 0.0, -1.0])
         self.yaw = 0.0
@@ -95,7 +98,7 @@ class Rig:
         self._sense()
         point = PathPoint(tuple(self.target), REST, REST)
         delivered = self.belief.delivered
-        position, attitude = self.uncertainty.step(self.state, delivered)
+        position, attitude = self.uncertainty.step(self.state, [delivered])
         signals = self.signals.step(self.state, delivered.thrusts_n, 3.7)
         return ControlInputs(
             dt=DT,
@@ -118,7 +121,7 @@ class Rig:
             rows.append(self._row())
             command = self.mixer.thrusts(self.output.thrust_n, self.output.torque_nm)
             self.saturated = abs(sum(command) - self.output.thrust_n) > 1e-3
-            self.commands.append(command)
+            self.commands.append(tuple(thrust / AIRFRAME.motor_thrust_max_n for thrust in command))
             self._move(self.commands.pop(0))
         return rows
 
@@ -141,7 +144,7 @@ class Rig:
         return row
 
     def _move(self, command: Any) -> None:
-        """One tick under a motor command."""
+        """One tick under a motor command, in shares of the maximum thrust."""
         jx, jy, jz = AIRFRAME.inertia_kg_m2
         J, dt = np.array([jx, jy, jz]), DT / SUBSTEPS
         force = np.zeros(3)

@@ -102,7 +102,7 @@ def test_the_actuator_model_is_the_exact_first_order_lag(command, lag_s):
     model = ActuatorModel(AIRFRAME, 0.005)
     model.delivered.thrusts_n[:] = 0.15
     for _ in range(10):
-        model.step((command,) * 4)
+        model.step((command / HIGH,) * 4)
     expected = command + (0.15 - command) * math.exp(-0.05 / lag_s)
     np.testing.assert_allclose(model.delivered.thrusts_n, expected, rtol=1e-12)
 
@@ -112,7 +112,7 @@ def test_the_actuator_model_is_the_exact_first_order_lag(command, lag_s):
 def test_the_actuator_models_wrench(thrusts):
     model = ActuatorModel(AIRFRAME, 0.005)
     model.delivered.thrusts_n[:] = thrusts
-    thrust, torque = model.step(thrusts)[1:]
+    thrust, torque = model.step(tuple(thrust / HIGH for thrust in thrusts))[1:]
     np.testing.assert_allclose((thrust, *torque), wrench(thrusts), atol=1e-12)
 
 
@@ -136,13 +136,30 @@ def test_motors_are_left_as_they_are_where_the_response_is_no_shorter_than_the_l
     slow = AIRFRAME.model_copy(update={"motor_response_s": AIRFRAME.motor_lag_down_s})
     model, wanted = ActuatorModel(slow, 0.005), (0.1, 0.15, 0.2, 0.25)
     model.delivered.thrusts_n[:] = 0.17
-    assert model.overdriven(wanted) == wanted
+    assert model.overdriven(wanted) == pytest.approx([thrust / HIGH for thrust in wanted], rel=1e-12)
 
 
 def test_driven_motors_keep_their_limits_and_stand_where_they_are_wanted():
     model = ActuatorModel(DRIVEN, 0.005)
     model.delivered.thrusts_n[:] = 0.15
-    assert model.overdriven((0.15,) * 4) == pytest.approx((0.15,) * 4)
-    most = AIRFRAME.motor_thrust_max_n
-    least = AIRFRAME.motor_thrust_min_share * most
-    assert model.overdriven((most, least, most, least)) == pytest.approx((most, least, most, least))
+    assert model.overdriven((0.15,) * 4) == pytest.approx((0.15 / HIGH,) * 4)
+    least = AIRFRAME.motor_thrust_min_share
+    assert model.overdriven((HIGH, LOW, HIGH, LOW)) == pytest.approx((1.0, least, 1.0, least))
+
+
+def test_motors_that_give_less_keep_their_shares_and_their_limits_fall():
+    """A change of the thrust scale is no step of the commands."""
+    model, mixer = ActuatorModel(DRIVEN, 0.005), Mixer(DRIVEN)
+    shares = (0.4, 0.5, 0.45, 0.55)
+    for _ in range(400):
+        full = model.step(shares)
+    model.scale = mixer.scale = 0.7
+    np.testing.assert_allclose(model.delivered.thrusts_n, 0.7 * full.thrusts_n, rtol=1e-12)
+    assert model.delivered.thrust_n == pytest.approx(0.7 * full.thrust_n)
+    assert model.delivered.torque_nm == pytest.approx([0.7 * torque for torque in full.torque_nm])
+    np.testing.assert_allclose(model.step(shares).thrusts_n, 0.7 * full.thrusts_n, rtol=1e-5)
+    assert mixer.thrusts(100.0, (0.0, 0.0, 0.0)) == pytest.approx((0.7 * HIGH,) * 4)
+    assert mixer.thrusts(0.0, (0.0, 0.0, 0.0)) == pytest.approx((0.7 * LOW,) * 4)
+    assert model.overdriven((HIGH, 0.0, HIGH, 0.0)) == pytest.approx((1.0, DRIVEN.motor_thrust_min_share) * 2)
+    standing = tuple(model.delivered.thrusts_n.tolist())
+    assert model.overdriven(standing) == pytest.approx(shares, rel=1e-5)

@@ -14,6 +14,7 @@ from onboard.control.laws.last_layer import PROJECTION_MARGIN, AdaptationConfig
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
+from onboard.control.slope import LoopGains
 from protocol.feature_config import FeatureInputs, SignalScale
 from protocol.feature_set import ChannelFeatures
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
@@ -255,7 +256,8 @@ def flying_augmentation(swap_config):
     scales = {name: SignalScale(offset=0.0, scale=1.0) for name in INPUTS}
     inputs = FeatureInputs(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
     gains = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
-    augmentation = AdaptiveAugmentation(config, gains, inputs, "position", np.random.default_rng(0))
+    loop = LoopGains.of("position", gains, gains)
+    augmentation = AdaptiveAugmentation(config, gains, inputs, "position", np.random.default_rng(0), loop)
     state = ChannelState(dt=0.005, adapt=True, signals=np.zeros((SIGNAL_COUNT, 2)))
     for tick in range(400):
         for column, t in enumerate((tick * 0.005, tick * 0.005 + 0.17)):
@@ -272,7 +274,7 @@ def test_the_commanded_nu_ad_does_not_jump_by_more_than_was_reported(swap_config
     new = channel(77)
     features, plan = augmentation.plan(new)
     assert plan.refusal == ""
-    augmentation.commit(features, plan, new.last_layer)
+    augmentation.commit(features, plan)
     state.adapt = False
     telemetry = ChannelTelemetry()
     jump = float(np.linalg.norm(augmentation.step(state, telemetry) - before))

@@ -34,7 +34,7 @@ def test_the_errors_dynamics_are_the_same_in_saturation() -> None:
     calm = Rig(shipped_controller("none"), FORCE)
     unsaturated = column(calm.fly(2.0), "position_e")
     saturated, _ = errors_of_a_great_step(True, force=FORCE)
-    np.testing.assert_allclose(saturated, unsaturated, atol=0.04)
+    np.testing.assert_allclose(saturated, unsaturated, atol=0.05)
     np.testing.assert_allclose(unsaturated[-1, :3], -np.array(FORCE) / (16.0, 16.0, 25.0), rtol=0.05)
 
 
@@ -56,7 +56,7 @@ def test_both_directions_of_the_attitude_dynamics_know_the_gyroscopic_torque() -
     torque = (1e-3, -2e-3, 3e-4)
     inputs = rig.inputs()
     for _ in range(2):  # u_hat is the mean of two ticks
-        _, attitude = rig.uncertainty.step(inputs.state, Delivered(np.zeros(4), 0.5, torque))
+        _, attitude = rig.uncertainty.step(inputs.state, [Delivered(np.zeros(4), 0.5, torque)])
     output = rig.controller.step(inputs)
     np.testing.assert_allclose(output.torque_nm, J @ output.attitude.demand + gyroscopic, rtol=1e-9)
     expected = np.linalg.solve(J, np.array(torque) - gyroscopic)

@@ -48,6 +48,28 @@ def test_the_target_is_continuous_through_hold_and_landing():
     assert np.abs(np.diff(velocity, axis=0)).max() < 5.0 * DT
 
 
+def climb(flight, seconds):
+    """Targets while the vehicle has not reached the height of take-off."""
+    return [flight.step(True, False, DT, climbing=True) for _ in range(round(seconds / DT))]
+
+
+def test_the_path_waits_for_a_vehicle_that_has_not_reached_its_height():
+    flight = started()
+    waiting = climb(flight, 8.0)
+    np.testing.assert_allclose(columns(waiting, "position")[-1], (0.3, -0.2, -1.02), atol=1e-6)
+    assert np.abs(columns(waiting, "velocity")[:, :2]).max() < 1e-3
+    flown = fly(flight, (True, False, 6))
+    assert np.abs(np.diff(columns(waiting[-1:] + flown, "position"), axis=0)).max() < 2.0 * DT
+    assert flown[-1].lap_phase >= 0.0
+
+
+def test_the_path_does_not_wait_for_a_vehicle_that_climbs_with_its_target():
+    flight, other = started(), started()
+    climb(flight, 2.5)
+    fly(other, (True, False, 2.5))
+    assert fly(flight, (True, False, 8)) == fly(other, (True, False, 8))
+
+
 def test_landing_descends_at_its_speed_from_the_present_target():
     flight = started()
     top = fly(flight, (True, False, 9))[-1].now.position

@@ -102,7 +102,8 @@ def shipped_channels():
         for channel in ("position", "attitude"):
             tree = read_part("controllers", name)["settings"].get(channel, {})
             augmentation = tree.get("augmentation", {})
-            if augmentation.get("kind") == "adaptive" and augmentation["law"]["composite_gain"] > 0.0:
+            law = augmentation.get("law", {})
+            if law.get("kind") == "gradient" and law["composite_gain"] > 0.0:
                 yield pytest.param(tree["gains"], augmentation, id=f"{name}-{channel}")
 
 

@@ -1,0 +1,25 @@
+"""`dmrac memory show FOLDER`: what a memory holds."""
+
+import argparse
+from pathlib import Path
+
+from experiments.memory.description import describe
+from offboard.memory.folder import open_memory
+
+DESCRIPTION = "Check a memory and show what it holds: networks, prior and conditions (docs/memory.md)."
+EXAMPLES = """examples:
+  dmrac memory show memory
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the actions of the subcommand."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    show = actions.add_parser("show", help="check a memory and show what it holds")
+    show.add_argument("folder", type=Path, metavar="FOLDER", help="of the memory")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Show the memory; returns 0. Raises ConfigError if there is none, or it is damaged."""
+    print("\n".join(describe(arguments.folder, open_memory(arguments.folder))))
+    return 0

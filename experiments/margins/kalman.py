@@ -1,0 +1,79 @@
+"""The last-layer law with a covariance as a linear filter from the residual to nu, at constant features.
+
+With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b,
+
+    F = k_w / (s + s_w) + k_b / (s + s_b),    nu = F (r - nu - t e'PB),    e = E (nu - r)
+    nu / r = F (1 + t E') / (1 + F (1 + t E')),    E' = (w_1 + w_2 s) / (s^2 + k_2 s + k_1)
+
+where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from onboard.control.laws.kalman_last_layer import KalmanConfig
+from onboard.control.laws.last_layer import lyapunov_p, tracking_weights
+from onboard.control.reference_model import ChannelGains
+
+ACTIVE_FEATURES: Final = 10.0
+"""Phi'Phi of the prediction: between 1, the constant alone, and k. It only divides the gain between W and b."""
+SETTLING_TICKS: Final = 40000
+"""Enough for 10 time constants of 1 / s_w at 200 Hz with the smallest shipped s_w."""
+
+
+def fastest_filter(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
+    """nu / r at the largest gain that the law can have."""
+    F = fastest_loop(law, error_weight, gains, axis, s)
+    return F / (1.0 + F)
+
+
+def fastest_loop(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
+    """F (1 + t E') at the largest gain that the law can have: composite_gain, divided as S0 says.
+
+    That is the law after its start and after a swap. As S falls, the gain does: margins here are margins there.
+    """
+    of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
+    share = of_W / (of_W + of_b)
+    return _loop(law, error_weight, gains, axis, s, law.composite_gain * share, law.composite_gain * (1.0 - share))
+
+
+def settled_filter(
+    law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any, dt: float
+) -> Any:
+    """nu / r at the stationary covariance of constant features, the least gain that the law comes to."""
+    k_w, k_b = settled_gains(law, dt)
+    F = _loop(law, error_weight, gains, axis, s, k_w, k_b)
+    return F / (1.0 + F)
+
+
+def settled_gains(law: KalmanConfig, dt: float) -> tuple[float, float]:
+    """k_w and k_b, 1/s, at the fixed point of the covariance of (W'Phi, b) with ticks of dt, s."""
+    of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
+    keep_W, keep_b = np.exp(-law.prior_rate * dt), np.exp(-law.fast_bias_rate * dt)
+    p, q, r = of_W, 0.0, of_b
+    for _ in range(SETTLING_TICKS):
+        p = keep_W**2 * p + (1.0 - keep_W**2) * of_W
+        q *= keep_W * keep_b
+        r = keep_b**2 * r + (1.0 - keep_b**2) * of_b
+        g_W, g_b = p + q, q + r
+        v = max(law.noise**2, (g_W + g_b) / (law.composite_gain * dt)) + g_W + g_b
+        p, q, r = p - g_W * g_W / v, q - g_W * g_b / v, r - g_b * g_b / v
+    return float(g_W / v / dt), float(g_b / v / dt)
+
+
+def _loop(
+    law: KalmanConfig,
+    error_weight: tuple[float, float],
+    gains: ChannelGains,
+    axis: int,
+    s: Any,
+    k_w: float,
+    k_b: float,
+) -> Any:
+    Q = np.diag(np.repeat(np.array(error_weight), 3))
+    PB = tracking_weights(lyapunov_p(gains.closed_loop_matrix(), Q), gains.natural_frequency_rad_s)
+    k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
+    t = law.tracking_gain / law.composite_gain if law.composite_gain > 0.0 else 0.0
+    error = (PB[axis, axis] + PB[3 + axis, axis] * s) / (s**2 + k2 * s + k1)
+    return (k_w / (s + law.prior_rate) + k_b / (s + law.fast_bias_rate)) * (1.0 + t * error)

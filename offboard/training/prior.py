@@ -1,0 +1,167 @@
+"""A round of training that starts from a prior: what earlier flights taught (offboard.memory).
+
+Two entrants per channel: the prior's inner layers with their last layer refitted towards theta, and the networks that
+the round has trained on this flight, which also start from the prior. Trained on a few seconds, the second may be wrong
+wherever the vehicle has not been yet. It flies only after it has predicted better: each round's entrants are tried on
+the samples that arrive after them (`Contest`). Whoever leads there is the round's candidate, which the gate then judges
+like any other.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from offboard.data.buffer import TRAINING, SampleTable
+from offboard.memory.memory import INDEPENDENT_S, Prior, posterior_mean
+from offboard.training.evidence import evidence_of
+from offboard.training.network import InputPlan, feature_set, phi
+from protocol.conventions import Array
+from protocol.feature_codec import decode_feature_set, encode_for_wire
+from protocol.feature_set import ChannelFeatures, FeatureSet
+from protocol.signals import CHANNELS
+
+if TYPE_CHECKING:
+    from offboard.training.job import TrainingJob, TrainingResult
+
+EVIDENCE_HALF_LIFE_S: Final = 4.0
+EVIDENCE_MINIMUM_S: Final = 2.0
+"""Newer samples than this decide before the networks trained on this flight may fly."""
+LEAD: Final = 0.03
+"""Share by which an entrant's errors must be smaller to take the lead of a channel."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contest:
+    """Two entrants and how they have predicted samples that were not there yet when they were made."""
+
+    made_ns: int = 0
+    """Time of the newest sample known when the entrants were made."""
+    refitted: FeatureSet | None = None
+    trained: FeatureSet | None = None
+    errors: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    """Sums of squared errors, fading: of refitted and trained, for each channel."""
+    seconds: float = 0.0
+    """s of samples in these sums, fading with them."""
+    trained_leads: tuple[bool, bool] = (False, False)
+    """Whether the networks trained on this flight lead, for each channel."""
+
+    def continued(self, samples: SampleTable) -> "Contest":
+        """The contest with the samples that are newer than its entrants.
+
+        Errors count about their mean over these samples: the law on board removes a constant error at once.
+        """
+        new = samples.take(samples.time_ns > self.made_ns)
+        if self.refitted is None or self.trained is None or new.rows < 2:
+            return self
+        elapsed_s = float(new.time_ns.max() - new.time_ns.min()) * 1e-9
+        fade = 0.5 ** (elapsed_s / EVIDENCE_HALF_LIFE_S)
+        now = [_scatter(entrant, new) for entrant in (self.refitted, self.trained)]
+        sums = fade * np.array(self.errors) + np.array(now)
+        (a, b), (c, d) = sums.tolist()
+        seconds = fade * self.seconds + elapsed_s
+        leads = self._lead(0, a, c, seconds), self._lead(1, b, d, seconds)
+        return replace(self, errors=((a, b), (c, d)), seconds=seconds, trained_leads=leads)
+
+    def _lead(self, channel: int, refitted: float, trained: float, seconds: float) -> bool:
+        """Whether the trained networks lead with these errors: the lead changes only by a clear margin."""
+        if self.trained_leads[channel]:
+            return refitted >= (1.0 - LEAD) * trained
+        return seconds >= EVIDENCE_MINIMUM_S and trained < (1.0 - LEAD) * refitted
+
+
+NO_CONTEST: Final = Contest()
+
+
+def train_from_prior(job: "TrainingJob", prior: Prior) -> "TrainingResult":
+    """Run one round of a flight that started from the prior."""
+    from offboard.training.round import train
+
+    known = job.buffer.joined(job.newest)
+    contest = job.contest.continued(job.newest)
+    result = train(replace(job, prior=None))
+    refitted = _as_flown(refit(job, prior), job)
+    trained = result.candidate
+    leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
+    candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
+    contest = replace(contest, made_ns=int(known.time_ns.max(initial=0)), refitted=refitted, trained=trained)
+    evidence = evidence_of(job, candidate, result.evidence.numpy_difference)
+    diverged = not np.isfinite(result.evidence.candidate_errors).all()
+    return result if diverged else replace(result, candidate=candidate, evidence=evidence, contest=contest)
+
+
+def _without_losses(job: "TrainingJob", candidate: FeatureSet) -> FeatureSet:
+    """The candidate, but each channel that the flying version explains as well, on held-out samples, as it flies.
+
+    Otherwise the gate would keep back what one channel gains for what the other one may lose.
+    """
+    if job.flying is None:
+        return candidate
+    evidence, channels = evidence_of(job, candidate, 0.0), list[ChannelFeatures | None]()
+    for at, (new, flying) in enumerate(zip(_both(candidate), _both(job.flying), strict=True)):
+        gains = evidence.flying_errors[:, at] - evidence.candidate_errors[:, at]
+        gains = gains[np.isfinite(gains)]
+        keeps = flying is not None and not (gains.size and gains.mean() > 0.0)
+        channels.append(flying if keeps else new)
+    return replace(candidate, position=channels[0], attitude=channels[1])
+
+
+def _both(features: FeatureSet) -> tuple[ChannelFeatures | None, ChannelFeatures | None]:
+    return features.position, features.attitude
+
+
+def _leading(contest: Contest, at: int, refitted: FeatureSet, trained: FeatureSet) -> ChannelFeatures | None:
+    entrant = trained if contest.trained_leads[at] else refitted
+    return _both(entrant)[at]
+
+
+def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
+    """The prior's inner layers with the posterior mean of the last layer, given the samples of this flight.
+
+    The newest samples and the buffer have the shares that a mini-batch gives them: the last layer follows a fault.
+    """
+    plan = InputPlan.of(job.network_config)
+    parent = 0 if job.flying is None else job.flying.version
+    start = feature_set(prior.network, plan, job.version, parent, job.samples_seen)
+    newest, buffer = (table.take(table.split == TRAINING) for table in (job.newest, job.buffer))
+    samples = newest.joined(buffer)
+    if samples.rows == 0:
+        return start
+    weights = _weights(newest, buffer, job.buffer_config.newest_fraction, job.buffer_config.newest_scale)
+    fitted: list[ChannelFeatures | None] = [None, None]
+    for row, (at, channel) in enumerate(zip(plan.channels, start.channels, strict=True)):
+        known = ~np.isnan(samples.labels[:, at, 0])
+        root = np.sqrt(weights[known])[:, None]
+        Phi = phi(channel, samples.signals[known]) * root
+        Delta = samples.labels[known, at].astype(np.float64) * root
+        W = posterior_mean(Phi, Delta, channel.last_layer, float(prior.variance[row] / prior.noise[row]))
+        fitted[at] = replace(channel, last_layer=W)
+    return replace(start, position=fitted[0], attitude=fitted[1])
+
+
+def _weights(newest: SampleTable, buffer: SampleTable, newest_fraction: float, newest_scale: float) -> Array:
+    """Weight of each sample, newest first then buffer, [n]; their sum is the number of independent labels."""
+    times_ns = np.concatenate([newest.time_ns, buffer.time_ns])
+    independent = np.unique(times_ns // round(INDEPENDENT_S * 1e9)).size
+    share = newest_fraction if newest.rows and buffer.rows else float(newest.rows > 0)
+    fading = np.exp(-np.arange(newest.rows)[::-1] / newest_scale)
+    of_newest = share * fading / max(float(fading.sum()), 1e-12)
+    of_buffer = np.full(buffer.rows, (1.0 - share) / max(buffer.rows, 1))
+    weights: Array = independent * np.concatenate([of_newest, of_buffer])
+    return weights
+
+
+def _scatter(features: FeatureSet, samples: SampleTable) -> list[float]:
+    """Sum of squared errors about their mean, of both channels; 0 for a channel without features."""
+    found = [0.0, 0.0]
+    for at, channel in enumerate(_both(features)):
+        known = ~np.isnan(samples.labels[:, at, 0])
+        if channel is not None and known.any():
+            errors = samples.labels[known, at] - phi(channel, samples.signals[known]) @ channel.last_layer
+            found[at] = float(np.square(errors - errors.mean(axis=0)).sum())
+    return found
+
+
+def _as_flown(features: FeatureSet, job: "TrainingJob") -> FeatureSet:
+    """The features with their parameters rounded as for sending."""
+    return decode_feature_set(encode_for_wire(features, job.wire_dtype))

@@ -1,0 +1,98 @@
+"""Mean X and covariance S of a Kalman filter whose states revert to their prior, each at a rate of its own.
+
+    predict:  X <- D X,                       S <- D S D + (I - D^2) S0,    D = diag(exp(-s_i dt)), S0 diagonal
+    correct:  X <- X + g (y - X'phi)' / v,    S <- S - g g' / v,            g = S phi,  v = R + phi'S phi
+
+S stays symmetric and positive definite in any precision, for any number of steps:
+- Symmetric to the bit: D S D is an elementwise product with a symmetric matrix, and u u', u = g / sqrt(v), has equal
+  numbers on both sides of its diagonal, because a product of two floating-point numbers commutes.
+- Positive definite: in units of S0, the smallest eigenvalue of S is at least f = min_i (1 - d_i^2) after a prediction,
+  and at least f / (1 + f phi'S0 phi / R) after the correction that follows. Rounding of a step changes S by less than
+  that as long as `rounding_share` is below 1 (docs/theory_covariance.md). Nothing accumulates: each prediction restores
+  f.
+- S <= S0 always, so it does not wind up while nothing is excited.
+
+theta', X' and S are the rows of one array, so that one product evaluates them along phi, and one rank-one update with
+[d; u] u' corrects X' and S. numpy's time is that of its calls.
+"""
+
+from math import exp, expm1
+
+import numpy as np
+
+from protocol.conventions import Array
+
+
+class KalmanState:
+    """X [n, 3] and S [n, n], beside a constant theta [n, 3], in the precision of the prior variances."""
+
+    def __init__(self, theta: Array, prior_variance: Array, rates_1_s: Array) -> None:
+        """Start from X = 0 and S = S0.
+
+        Parameters
+        ----------
+        prior_variance: [n], the diagonal of S0.
+        rates_1_s: [n], s_i.
+        """
+        n, dtype = prior_variance.size, prior_variance.dtype
+        self.prior_variance, self._rates = prior_variance, rates_1_s
+        self._rows: Array = np.zeros((6 + n, n), dtype=dtype)
+        self.theta_rows, self.X_rows, self.S = self._rows[:3], self._rows[3:6], self._rows[6:]
+        """theta' [3, n], X' [3, n] and S [n, n]."""
+        self.theta_rows[:] = theta.T
+        self._moving, self._diagonal = self._rows[3:], self.S.reshape(-1)[:: n + 1]
+        self._diagonal[:] = prior_variance
+        self._keep: Array = np.ones((3 + n, n), dtype=dtype)
+        self._gain: Array = np.zeros(n, dtype=dtype)
+        self._change: Array = np.empty((3 + n, n), dtype=dtype)
+        self._left: Array = np.empty((3 + n, 1), dtype=dtype)
+        self._u, self._u_row = self._left[3:, 0], self._left[3:].T
+        self._dt = 0.0
+
+    def predict(self, dt: float) -> None:
+        """X <- D X, S <- D S D + (I - D^2) S0, over dt, s."""
+        if dt != self._dt:
+            self._dt = dt
+            d = np.array([exp(-rate * dt) for rate in self._rates.tolist()])
+            self._keep[:3], self._keep[3:] = d, d[:, None] * d
+            each_state = zip(self._rates.tolist(), self.prior_variance.tolist(), strict=True)
+            self._gain[:] = [-expm1(-2.0 * rate * dt) * variance for rate, variance in each_state]
+        np.multiply(self._moving, self._keep, out=self._moving)
+        np.add(self._diagonal, self._gain, out=self._diagonal)
+
+    def along(self, columns: Array) -> Array:
+        """theta', X' and S times columns [n, m]: [6 + n, m]."""
+        product: Array = self._rows.dot(columns)
+        return product
+
+    def correct(self, g: Array, innovation: list[float], v: float) -> None:
+        """X <- X + g innovation' / v, S <- S - g g' / v.
+
+        Parameters
+        ----------
+        g: [n], S phi.
+        innovation: [3], y - X'phi.
+        v: R + phi'S phi.
+        """
+        root = v**-0.5
+        x, y, z = innovation
+        np.multiply(g, root, out=self._u)
+        left = self._left
+        left[0, 0], left[1, 0], left[2, 0] = -x * root, -y * root, -z * root
+        np.dot(left, self._u_row, out=self._change)
+        np.subtract(self._moving, self._change, out=self._moving)
+
+
+def rounding_share(
+    prior_variance: Array, rates_1_s: Array, noise_variance: float, dt: float, dtype: type[np.floating] = np.float32
+) -> float:
+    """How much of the smallest eigenvalue of S the rounding of one step may take: below 1, S stays positive definite.
+
+    For features of at most 1 in magnitude; a bound on the worst case (docs/theory_covariance.md), not an estimate.
+    """
+    n, unit = prior_variance.size, float(np.finfo(dtype).eps) / 2.0
+    phi2 = float(prior_variance.sum())  # in units of S0, in which S is at most I
+    floor = float((-np.expm1(-2.0 * rates_1_s * dt)).min())
+    left = floor / (1.0 + floor * phi2 / noise_variance)
+    of_g = n**1.5 * unit * (phi2 / noise_variance) ** 0.5
+    return float((4.0 * unit * n**0.5 + 2.0 * of_g + of_g * of_g) / left)
