@@ -42,11 +42,9 @@ NOT_YET: Final = (
 """Fields of rooms that are not written in C yet (README.md)."""
 UNREAD_YET: Final = frozenset(
     {
-        *(
-            f"CoreConfig.{name}"
-            for name in ("period_ns", "controller", "guidance", "supervisor", "samples", "estimator", "lissajous")
-        ),
-        *("CascadeSettings", "ChannelSettings", "DemandLimitsConfig"),
+        *(f"CoreConfig.{name}" for name in ("period_ns", "controller", "guidance", "supervisor", "samples")),
+        *(f"CoreConfig.{name}" for name in ("estimator", "lissajous", "thrust_scale")),
+        *("CascadeSettings", "ChannelSettings", "KalmanConfig"),
         *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),
         "AdaptiveConfig.rbf_width",
     }

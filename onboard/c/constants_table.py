@@ -18,6 +18,8 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.conventions": ("GRAVITY", "NEVER_NS"),
     "protocol.signals": ("SIGNAL_COUNT",),
     "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
+    "onboard.control.actuators": ("CATCH_UP_MAX",),
+    "onboard.control.demand_limits": ("FALL_MIN_M_S2", "ASTRAY_COSINE", "UPRIGHT_MIN"),
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
     "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
@@ -45,7 +47,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.messages": ("SAMPLES_PER_BATCH_MAX",),
     "onboard.sampling.sampler": ("SAMPLE_BYTES", "NETWORK_BYTES", "BATCH_OVERHEAD_BYTES", "_BURST_BYTES"),
 }
-"""Module, and names there; `OLD=NEW` gives it another name in C."""
+"""Module, and names there; `OLD=NEW` gives it another name in C. A tuple becomes NAME_0, NAME_1 and so on."""
 ENUMERATIONS: Final[dict[str, type[Enum]]] = {"MODE": FlightMode, "EVENT": Event, "COMMAND": Command}
 """Prefix of the members in C, and the enumeration."""
 
@@ -69,7 +71,11 @@ def constants() -> Iterator[tuple[str, Any, str]]:
     for module, names in CONSTANTS.items():
         for name in names:
             old, _, new = name.partition("=")
-            yield (new or old).lstrip("_"), getattr(import_module(module), old), module
+            name_in_c, value = (new or old).lstrip("_"), getattr(import_module(module), old)
+            if isinstance(value, tuple):
+                yield from ((f"{name_in_c}_{index}", one, module) for index, one in enumerate(value))
+            else:
+                yield name_in_c, value, module
     for name, (model, field) in LIMITS.items():
         yield name, _most(model, field), f"{model.__name__}.{field}"
 

@@ -1,5 +1,7 @@
 #include "control/actuators.h"
 
+#include <string.h>
+
 #include "control/mixer.h"
 #include "numerics/elementary.h"
 
@@ -14,9 +16,22 @@ void actuators_init(ActuatorModel *self, const AirframeConfig *config, real peri
     self->down = REAL(1.0) - real_exp(-period_s / config->motor_lag_down_s);
     self->lead_up = lead(config->motor_lag_up_s, config->motor_response_s);
     self->lead_down = lead(config->motor_lag_down_s, config->motor_response_s);
-    self->max = config->motor_thrust_max_n;
-    self->min = config->motor_thrust_min_share * self->max;
+    self->scale = REAL(1.0);
+    memset(self->acting, 0, sizeof self->acting);
     self->delivered = (Delivered){{0}, 0, {0}};
+}
+
+/* ActuatorModel.scale */
+void actuators_set_scale(ActuatorModel *self, real scale) {
+    real ratio = scale / self->scale;
+    self->scale = scale;
+    for (int i = 0; i < 4; i++) {
+        self->delivered.thrusts_n[i] *= ratio;
+    }
+    self->delivered.thrust_n *= ratio;
+    for (int i = 0; i < 3; i++) {
+        self->delivered.torque_nm[i] *= ratio;
+    }
 }
 
 /* ActuatorModel.step */
@@ -26,10 +41,22 @@ void actuators_step(ActuatorModel *self, const real commanded[4]) {
     self->delivered = later;
 }
 
+/* ActuatorModel.catch_up */
+int32_t actuators_catch_up(ActuatorModel *self, const real commanded[4], int32_t missed, Delivered *passed) {
+    int32_t count = 1 + (missed < 0 ? 0 : missed < CATCH_UP_MAX ? missed : CATCH_UP_MAX);
+    for (int i = 0; i < count; i++) {
+        actuators_step(self, i == 0 ? self->acting : commanded);
+        passed[i] = self->delivered;
+    }
+    memcpy(self->acting, commanded, sizeof self->acting);
+    return count;
+}
+
 /* ActuatorModel.ahead */
 void actuators_ahead(const ActuatorModel *self, const real commanded[4], Delivered *out) {
+    real most = self->scale * self->config.motor_thrust_max_n;
     for (int i = 0; i < 4; i++) {
-        real now = self->delivered.thrusts_n[i], command = commanded[i];
+        real now = self->delivered.thrusts_n[i], command = most * commanded[i];
         out->thrusts_n[i] = now + (command > now ? self->up : self->down) * (command - now);
     }
     real total[4];
@@ -44,7 +71,8 @@ void actuators_ahead(const ActuatorModel *self, const real commanded[4], Deliver
 static real driven(const ActuatorModel *self, real now, real wanted) {
     real gap = wanted - now;
     real command = wanted + (gap > REAL(0.0) ? self->lead_up : self->lead_down) * gap;
-    return real_min(real_max(command, self->min), self->max);
+    real share = command / (self->scale * self->config.motor_thrust_max_n);
+    return real_min(real_max(share, self->config.motor_thrust_min_share), REAL(1.0));
 }
 
 /* ActuatorModel.overdriven */

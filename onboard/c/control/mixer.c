@@ -5,8 +5,7 @@
 /* Mixer.__init__ */
 void mixer_init(Mixer *self, const AirframeConfig *config) {
     self->config = *config;
-    self->max = config->motor_thrust_max_n;
-    self->min = config->motor_thrust_min_share * self->max;
+    self->scale = REAL(1.0);
     self->x = REAL(0.25) / config->arm_x_m;
     self->y = REAL(0.25) / config->arm_y_m;
     self->z = REAL(0.25) / config->yaw_torque_per_thrust_m;
@@ -14,7 +13,8 @@ void mixer_init(Mixer *self, const AirframeConfig *config) {
 
 /* Mixer.thrusts */
 void mixer_thrusts(const Mixer *self, real thrust_n, const real torque_nm[3], real thrusts[4]) {
-    real low = self->min, high = self->max;
+    real high = self->scale * self->config.motor_thrust_max_n;
+    real low = self->config.motor_thrust_min_share * high;
     real roll = torque_nm[0] * self->y, pitch = torque_nm[1] * self->x, yaw = torque_nm[2] * self->z;
     /* Roll and pitch first: shrink them together only if their own spread exceeds the range. */
     real spread = REAL(2.0) * (real_abs(roll) + real_abs(pitch));

@@ -9,16 +9,15 @@
 
 typedef struct {
     AirframeConfig config;
-    real max; /* N */
-    real min; /* N */
-    real x;   /* 1/m: thrust of each motor per pitch torque */
-    real y;   /* 1/m, the same for roll */
-    real z;   /* 1/m, the same for yaw */
+    real scale; /* thrust of the motors as a multiple of the nominal one; the caller sets it */
+    real x;     /* 1/m: thrust of each motor per pitch torque */
+    real y;     /* 1/m, the same for roll */
+    real z;     /* 1/m, the same for yaw */
 } Mixer;
 
 void mixer_init(Mixer *self, const AirframeConfig *config);
 
-/* Motor thrusts [N] closest to the demand [N, N m] within [min, max]. At the limits it reduces yaw first, then thrust,
+/* Motor thrusts [N] closest to the demand [N, N m] within the limits of motors of that scale. There it reduces yaw first, then thrust,
  * then roll and pitch. */
 void mixer_thrusts(const Mixer *self, real thrust_n, const real torque_nm[3], real thrusts[4]);
 

@@ -28,12 +28,13 @@ typedef struct {
 
 /* Inputs of a controller in one tick. */
 typedef struct {
-    real dt; /* s since the last tick */
+    real dt; /* s since the last tick; more than a period if ticks were missed */
     const VehicleState *state;
     const Target *target;
     const ChannelMeasurement *position;
     const ChannelMeasurement *attitude;
     bool adapt; /* false on the ground and while an input is too old to learn from: change no adaptive state */
+    int32_t missed; /* ticks missed since the last one; the last command was held meanwhile */
 } ControlInputs;
 
 /* What one channel did in a tick, for the log; zeros where a controller has no such quantity. */

@@ -93,14 +93,14 @@ void tracking_bounds_reset(TrackingBounds *self) {
 }
 
 /* TrackingBounds._start */
-static void start(TrackingBounds *self, real dt) {
+static void start(TrackingBounds *self, real period) {
     self->running = true;
-    self->dt = dt;
+    self->period = period;
     for (int i = 0; i < 3; i++) {
         axis_forget(self->position + i);
-        axis_prepare(self->position + i, dt);
+        axis_prepare(self->position + i, period);
         axis_forget(self->attitude + i);
-        axis_prepare(self->attitude + i, dt);
+        axis_prepare(self->attitude + i, period);
     }
 }
 
@@ -151,9 +151,11 @@ void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, con
         self->running = false;
         return;
     }
-    bool restart = !self->running || inputs->state->position_reset_count != self->resets_seen;
-    if (!self->running || inputs->dt != self->dt) {
-        start(self, inputs->dt);
+    real period = inputs->dt / (real)(1 + inputs->missed); /* ControlInputs.period */
+    bool restart =
+        !self->running || inputs->missed > 0 || inputs->state->position_reset_count != self->resets_seen;
+    if (!self->running || period != self->period) {
+        start(self, period);
     }
     self->resets_seen = inputs->state->position_reset_count;
     bounds[0] = position_bound(self, inputs, restart);

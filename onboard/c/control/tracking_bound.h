@@ -42,7 +42,7 @@ typedef struct {
 typedef struct {
     AxisBound position[3];
     AxisBound attitude[3];
-    real dt;
+    real period;
     bool running;
     int32_t resets_seen;
     real velocity[3];

@@ -19,41 +19,49 @@ static void angular_acceleration(const UncertaintyMeasurement *self, const real 
     out[2] = (tau[2] - (Jy - Jx) * p * q) / Jz;
 }
 
-/* UncertaintyMeasurement._translation: u_hat = g e_3 - (T / m) R e_3;  r = R f + (T / m) R e_3, f the specific force */
-static void translation(UncertaintyMeasurement *self, const VehicleState *state, real T) {
-    real lift = -T / self->airframe.mass_kg;
+/* UncertaintyMeasurement._translation: u_hat = g e_3 - (T / m) R e_3;  r = R f + (T_last / m) R e_3, f the specific force
+ * of the last period */
+static void translation(UncertaintyMeasurement *self, const VehicleState *state, real T, real T_last) {
+    real lift = -T / self->airframe.mass_kg, last_lift = -T_last / self->airframe.mass_kg;
     const real *f = state->specific_force;
     for (int axis = 0; axis < 3; axis++) {
         const real *R = state->rotation + 3 * axis;
-        real along = lift * R[2];
-        self->position.u_hat[axis] = along;
-        self->position.residual[axis] = R[0] * f[0] + R[1] * f[1] + R[2] * f[2] - along;
+        self->position.u_hat[axis] = lift * R[2];
+        self->position.residual[axis] = R[0] * f[0] + R[1] * f[1] + R[2] * f[2] - last_lift * R[2];
     }
     self->position.u_hat[2] += GRAVITY;
 }
 
-/* UncertaintyMeasurement._rotation: u_hat = J^-1 (tau - omega x J omega);  r = omega_dot - u_hat */
-static void rotation(UncertaintyMeasurement *self, const VehicleState *state, const real tau[3]) {
+/* UncertaintyMeasurement._rotation: u_hat = J^-1 (tau - omega x J omega);  r = omega_dot - u_hat, over the time `dt`
+ * since the last tick */
+static void rotation(UncertaintyMeasurement *self, const VehicleState *state, const real tau[3], real dt) {
     real u[3];
     angular_acceleration(self, tau, state->rates, u);
     for (int axis = 0; axis < 3; axis++) {
         self->attitude.u_hat[axis] = u[axis];
-        self->attitude.residual[axis] = (state->rates[axis] - self->last_rates[axis]) / self->dt - u[axis];
+        self->attitude.residual[axis] = (state->rates[axis] - self->last_rates[axis]) / dt - u[axis];
     }
     vector_copy(state->rates, self->last_rates);
 }
 
 /* UncertaintyMeasurement.step */
-void uncertainty_step(UncertaintyMeasurement *self, const VehicleState *state, const Delivered *delivered) {
-    const real now[4] = {delivered->thrust_n, delivered->torque_nm[0], delivered->torque_nm[1],
-                         delivered->torque_nm[2]};
-    real mean[4];
-    for (int i = 0; i < 4; i++) {
-        mean[i] = REAL(0.5) * (self->last_delivered[i] + now[i]);
-        self->last_delivered[i] = now[i];
+void uncertainty_step(UncertaintyMeasurement *self, const VehicleState *state, const Delivered *passed,
+                      int32_t periods) {
+    real mean[4] = {0}, latest = REAL(0.0);
+    for (int k = 0; k < periods; k++) {
+        const real now[4] = {passed[k].thrust_n, passed[k].torque_nm[0], passed[k].torque_nm[1],
+                             passed[k].torque_nm[2]};
+        latest = REAL(0.5) * (self->last_delivered[0] + now[0]);
+        for (int i = 0; i < 4; i++) {
+            mean[i] += REAL(0.5) * (self->last_delivered[i] + now[i]);
+            self->last_delivered[i] = now[i];
+        }
     }
-    translation(self, state, mean[0]);
-    rotation(self, state, mean + 1);
+    for (int i = 0; i < 4; i++) {
+        mean[i] /= (real)periods;
+    }
+    translation(self, state, mean[0], latest);
+    rotation(self, state, mean + 1, self->dt * (real)periods);
 }
 
 /* UncertaintyMeasurement.coming */

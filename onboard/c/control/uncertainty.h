@@ -21,9 +21,10 @@ typedef struct {
 
 void uncertainty_init(UncertaintyMeasurement *self, const AirframeConfig *airframe, real period_s);
 
-/* Position and attitude channel at the present. `delivered`: thrust and torque now; the mean with those of the last
- * tick has moved the vehicle since then. */
-void uncertainty_step(UncertaintyMeasurement *self, const VehicleState *state, const Delivered *delivered);
+/* Position and attitude channel at the present. `passed` [periods]: thrust and torque at the end of each period since the
+ * last tick: one, or more if ticks were missed. Their mean has moved the vehicle since then. */
+void uncertainty_step(UncertaintyMeasurement *self, const VehicleState *state, const Delivered *passed,
+                      int32_t periods);
 
 /* Angular acceleration by the actuators now and one tick later, rad/s^2, at the present rates. */
 void uncertainty_coming(const UncertaintyMeasurement *self, const VehicleState *state, const Delivered *delivered,

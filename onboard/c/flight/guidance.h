@@ -37,7 +37,8 @@ void guidance_place(Guidance *self, const real position[3]);
 /* End a landing: the target stays at `position`. */
 void guidance_rest(Guidance *self, const real position[3]);
 
-/* Target of this tick. `run`: path time advances; `landing`: the target descends from where it is. */
-void guidance_step(Guidance *self, bool run, bool landing, real dt, Target *out);
+/* Target of this tick. `run`: path time advances; `landing`: the target descends from where it is; `climbing`: the vehicle
+ * has not reached its height, and the path does not begin before. */
+void guidance_step(Guidance *self, bool run, bool landing, real dt, bool climbing, Target *out);
 
 #endif

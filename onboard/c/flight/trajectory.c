@@ -250,7 +250,7 @@ void path_at(const Path *self, double t, PathPoint *out) {
 
 /* PathClock.__init__ */
 void path_clock_init(PathClock *self) {
-    *self = (PathClock){REAL(1.0), REAL(1.0), 0.0, REAL(1.0), REAL(0.0)};
+    *self = (PathClock){REAL(1.0), REAL(0.5), REAL(1.0), 0.0, REAL(1.0), REAL(0.0)};
 }
 
 /* PathClock.step */

@@ -56,6 +56,7 @@ void path_at(const Path *self, double t, PathPoint *out);
 /* Path time. Its rate changes between 0 and 1 within `ease_s`, so the target's velocity never jumps. */
 typedef struct {
     real ease_s;
+    real stop_s; /* path time that still passes when a running clock is stopped */
     real x;
     double time_s;
     real rate;

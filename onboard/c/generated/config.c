@@ -56,6 +56,15 @@ static void read_AirframeConfig(Cursor *from, AirframeConfig *out) {
     out->motor_response_s = read_real(from);
 }
 
+static void read_ThrustScaleConfig(Cursor *from, ThrustScaleConfig *out) {
+    out->enabled = read_int(from) != 0;
+    out->time_constant_s = read_real(from);
+    out->start_time_constant_s = read_real(from);
+    out->least = read_real(from);
+    out->greatest = read_real(from);
+    out->thrust_min_share = read_real(from);
+}
+
 static void read_EstimatorConfig(Cursor *from, EstimatorConfig *out) {
     out->accelerometer_sigma = read_real(from);
     out->accelerometer_sigma_max = read_real(from);
@@ -260,6 +269,26 @@ static void read_AdaptationConfig(Cursor *from, AdaptationConfig *out) {
     out->residual_filter_s = read_real(from);
 }
 
+static void read_KalmanConfig(Cursor *from, KalmanConfig *out) {
+    out->tracking_gain = read_real(from);
+    out->composite_gain = read_real(from);
+    out->noise = read_real(from);
+    out->prior = read_real(from);
+    out->fast_bias = read_real(from);
+    out->prior_rate = read_real(from);
+    out->fast_bias_rate = read_real(from);
+    out->weight_norm_max = read_real(from);
+    out->residual_filter_s = read_real(from);
+    out->confidence = read_int(from) != 0;
+    out->slope_share = read_real(from);
+}
+
+static void read_AdaptiveLaw(Cursor *from, AdaptiveLaw *out) {
+    out->kind = (AdaptiveLawKind)read_choice(from, 1);
+    read_AdaptationConfig(from, &out->gradient);
+    read_KalmanConfig(from, &out->kalman);
+}
+
 static void read_SwapConfig(Cursor *from, SwapConfig *out) {
     out->memory_weight = read_real(from);
     out->ring_size = (int32_t)read_int(from);
@@ -272,7 +301,7 @@ static void read_SwapConfig(Cursor *from, SwapConfig *out) {
 static void read_AdaptiveConfig(Cursor *from, AdaptiveConfig *out) {
     out->features = (AdaptiveFeatures)read_choice(from, 2);
     out->rbf_width = read_real(from);
-    read_AdaptationConfig(from, &out->law);
+    read_AdaptiveLaw(from, &out->law);
     for (int i = 0; i < 2; i++) {
         out->error_weight[i] = read_real(from);
     }
@@ -299,10 +328,7 @@ static void read_DemandLimitsConfig(Cursor *from, DemandLimitsConfig *out) {
     out->climb_acceleration_max_m_s2 = read_real(from);
     out->take_off_acceleration_max_m_s2 = read_real(from);
     out->sink_acceleration_max_m_s2 = read_real(from);
-    out->short_tilt_max_rad = read_real(from);
-    out->short_climb_max_m_s2 = read_real(from);
-    out->short_after_s = read_real(from);
-    out->recovered_after_s = read_real(from);
+    out->lack_filter_s = read_real(from);
 }
 
 static void read_CascadeSettings(Cursor *from, CascadeSettings *out) {
@@ -335,6 +361,7 @@ static void read_Swing(Cursor *from, Swing *out) {
 static void read_CoreConfig(Cursor *from, CoreConfig *out) {
     out->period_ns = read_int(from);
     read_AirframeConfig(from, &out->airframe);
+    read_ThrustScaleConfig(from, &out->thrust_scale);
     read_EstimatorConfig(from, &out->estimator);
     read_SupervisorConfig(from, &out->supervisor);
     read_GuidanceConfig(from, &out->guidance);
@@ -346,7 +373,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x24, 0xa4, 0xde, 0xce, 0xb2, 0x31, 0xe9, 0x68};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xeb, 0xa9, 0x5d, 0x6a, 0x9b, 0x0a, 0x4f, 0x1e};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 3452
+#define CONFIG_IMAGE_BYTES 3668
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -24,6 +24,15 @@ typedef struct {
     real motor_lag_down_s; /* 80 */
     real motor_response_s; /* 88 */
 } AirframeConfig;
+
+typedef struct {
+    bool enabled; /* 0: whether k is estimated and used; if not, it is 1 */
+    real time_constant_s; /* 8: s, of the estimate at hover */
+    real start_time_constant_s; /* 16: s, the same when it begins; at most time_constant_s */
+    real least; /* 24: least k, as a multiple of the nominal thrust */
+    real greatest; /* 32: greatest k */
+    real thrust_min_share; /* 40: thrust below which nothing is learnt, as a share of the weight */
+} ThrustScaleConfig;
 
 typedef struct {
     real accelerometer_sigma; /* 0: m/s^2 per sample, motors off; grows with vibration */
@@ -229,6 +238,28 @@ typedef struct {
 } AdaptationConfig;
 
 typedef struct {
+    real tracking_gain; /* 0: 1/s^3: nu_ad gains at most so much per second and unit of e_1 */
+    real composite_gain; /* 8: lambda, 1/s: nu_ad follows the residual no faster than this; 0 = off */
+    real noise; /* 16: sqrt(R): residual of a tick about the model, units of u */
+    real prior; /* 24: p: spread of W about the trained last layer, units of u */
+    real fast_bias; /* 32: sigma_b: stationary spread of b, units of u */
+    real prior_rate; /* 40: s_w, 1/s: W reverts to the trained last layer */
+    real fast_bias_rate; /* 48: s_b, 1/s: b reverts to zero */
+    real weight_norm_max; /* 56: W_max: radius of the balls of theta and of [W - theta; b] */
+    real residual_filter_s; /* 64: time constant of Delta_hat */
+    bool confidence; /* 72: false: ablation, a = 1 */
+    real slope_share; /* 80: largest slope of theta'Phi, as a share of the loop's own gains */
+} KalmanConfig;
+
+typedef enum { LAW_GRADIENT, LAW_KALMAN } AdaptiveLawKind;
+
+typedef struct {
+    AdaptiveLawKind kind; /* 0 */
+    AdaptationConfig gradient; /* 8 */
+    KalmanConfig kalman; /* 64 */
+} AdaptiveLaw;
+
+typedef struct {
     real memory_weight; /* 0: mu per recent state: pull towards W_bar */
     int32_t ring_size; /* 8: recent states kept */
     int32_t ring_period_ticks; /* 16: ticks between two of them */
@@ -240,9 +271,9 @@ typedef struct {
 typedef struct {
     AdaptiveFeatures features; /* 0 */
     real rbf_width; /* 8: width of the Gaussians, scaled units per sqrt(input) */
-    AdaptationConfig law; /* 16 */
-    real error_weight[2]; /* 72 */
-    SwapConfig swap; /* 88 */
+    AdaptiveLaw law; /* 16 */
+    real error_weight[2]; /* 168 */
+    SwapConfig swap; /* 184 */
 } AdaptiveConfig;
 
 typedef enum { AUGMENTATION_NONE, AUGMENTATION_INTEGRAL, AUGMENTATION_L1, AUGMENTATION_INDI, AUGMENTATION_REPETITIVE, AUGMENTATION_ILC, AUGMENTATION_ADAPTIVE } ChannelSettingsAugmentationKind;
@@ -267,22 +298,19 @@ typedef struct {
     real climb_acceleration_max_m_s2; /* 8 */
     real take_off_acceleration_max_m_s2; /* 16: climb until the laws begin to adapt */
     real sink_acceleration_max_m_s2; /* 24 */
-    real short_tilt_max_rad; /* 32: tilt while the motors saturate, at most tilt_max_rad */
-    real short_climb_max_m_s2; /* 40: climb while the motors saturate */
-    real short_after_s; /* 48: time constant of lowering the limits */
-    real recovered_after_s; /* 56: time constant of raising them again */
+    real lack_filter_s; /* 32: s, time constant on the vertical residual that tells what thrust lacks */
 } DemandLimitsConfig;
 
 typedef struct {
     ChannelSettings position; /* 0 */
-    ChannelSettings attitude; /* 344 */
-    bool hedging; /* 688: pseudo-control hedging of both reference models */
-    real position_error_max_m; /* 696 */
-    DemandLimitsConfig limits; /* 704 */
-    bool prediction; /* 768: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 776: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 784: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 792 */
+    ChannelSettings attitude; /* 440 */
+    bool hedging; /* 880: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 888 */
+    DemandLimitsConfig limits; /* 896 */
+    bool prediction; /* 936: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 944: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 952: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 960 */
 } CascadeSettings;
 
 typedef struct {
@@ -303,12 +331,13 @@ typedef struct {
 typedef struct {
     int64_t period_ns; /* 0: ns, one tick */
     AirframeConfig airframe; /* 8 */
-    EstimatorConfig estimator; /* 104 */
-    SupervisorConfig supervisor; /* 544 */
-    GuidanceConfig guidance; /* 808 */
-    CascadeSettings controller; /* 2544: of the cascade */
-    SamplerConfig samples; /* 3344 */
-    Swing lissajous[2]; /* 3392: north and east; zero on another path */
+    ThrustScaleConfig thrust_scale; /* 104 */
+    EstimatorConfig estimator; /* 152 */
+    SupervisorConfig supervisor; /* 592 */
+    GuidanceConfig guidance; /* 856 */
+    CascadeSettings controller; /* 2592: of the cascade */
+    SamplerConfig samples; /* 3560 */
+    Swing lissajous[2]; /* 3608: north and east; zero on another path */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

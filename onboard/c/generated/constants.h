@@ -11,6 +11,11 @@
 #define SIGNAL_COUNT 21 /* protocol.signals */
 #define LAYERS_MAX 4 /* protocol.feature_set */
 #define WIDTH_MAX 128 /* protocol.feature_set */
+#define CATCH_UP_MAX 20 /* onboard.control.actuators */
+#define FALL_MIN_M_S2 REAL(2.0) /* onboard.control.demand_limits */
+#define ASTRAY_COSINE_0 REAL(0.96) /* onboard.control.demand_limits */
+#define ASTRAY_COSINE_1 REAL(0.9) /* onboard.control.demand_limits */
+#define UPRIGHT_MIN REAL(0.5) /* onboard.control.demand_limits */
 #define RBF_COUNT 20 /* onboard.control.features */
 #define INPUT_LIMIT REAL(3.0) /* onboard.control.features */
 #define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */

@@ -127,21 +127,21 @@ EVENTS = st.sampled_from(["start", "jump", "first pose", "two jumps", "place", "
 @SETTINGS
 @given(
     events=st.lists(
-        st.tuples(EVENTS, vectors(3, 0.6), st.booleans(), st.booleans(), st.integers(1, 60)), min_size=1, max_size=6
+        st.tuples(EVENTS, vectors(3, 0.6), *[st.booleans()] * 3, st.integers(1, 60)), min_size=1, max_size=6
     )
 )
 def test_guidance(core: Core, name: str, events: list[Any]) -> None:
     config = guidance_config(name)
     ours, theirs, state, posed = core.Guidance(), Guidance(config), VehicleState(), False
     core.guidance_init(ours, configured(core, config), drawn(core, config.trajectory))
-    for event, where, run, landing, count in events:
+    for event, where, run, landing, climbing, count in events:
         posed = posed or event == "first pose"
         _happen(core, ours, theirs, state, event, where)
         core.guidance_follow_jump(ours, filled(core.VehicleState, state), posed)
         theirs.follow_jump(state, posed)
         for _ in range(count):
-            target, expected = core.Target(), theirs.step(run, landing, DT)
-            core.guidance_step(ours, run, landing, DT, target)
+            target, expected = core.Target(), theirs.step(run, landing, DT, climbing)
+            core.guidance_step(ours, run, landing, DT, climbing, target)
         for point in ("now", "ahead", "attitude_ahead", "path"):
             same_point(getattr(target, point), getattr(expected, point))
         same(target.feed_forward, expected.feed_forward, scale=1.0)
@@ -174,7 +174,7 @@ def test_the_way_back_after_a_jump_ends(core: Core) -> None:
     target = core.Target()
     for _ in range(200):
         expected = theirs.step(True, False, DT)
-        core.guidance_step(ours, True, False, DT, target)
+        core.guidance_step(ours, True, False, DT, False, target)
         same_point(target.now, expected.now)
     assert list(ours.offset) == [0.0, 0.0, 0.0]
     assert math.dist(target.now.position, target.path.position) == 0.0

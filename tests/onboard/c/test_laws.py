@@ -13,11 +13,13 @@ from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.indi import Indi, IndiConfig
 from onboard.control.laws.integral import Integral, IntegralConfig
 from onboard.control.laws.l1 import L1, L1Config
+from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
 from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
+from onboard.control.slope import LoopGains
 from protocol.signals import SIGNAL_COUNT
 from tests.onboard.c.channels import c_channel, c_network_features, channel
 from tests.onboard.c.parity import SETTINGS, array, call, configured, same, vectors, view
@@ -33,15 +35,16 @@ VALUES = ("tracking_error", "model_error", "rate", "u_hat", "residual")
 
 
 def ticks(most: int = 6) -> st.SearchStrategy[Any]:
-    """Some ticks of a channel: 15 + 3 numbers, and whether it adapts and is saturated."""
-    return st.lists(st.tuples(vectors(21, 5.0), st.booleans(), st.booleans()), min_size=1, max_size=most)
+    """Some ticks of a channel: 15 + 3 numbers, whether it adapts and is saturated, and the periods since the last one."""
+    one = st.tuples(vectors(21, 5.0), st.booleans(), st.booleans(), st.sampled_from([1, 1, 1, 3]))
+    return st.lists(one, min_size=1, max_size=most)
 
 
 def state_of(tick: Any, seed: int = 0) -> ChannelState:
-    values, adapt, saturated = tick
+    values, adapt, saturated, periods = tick
     parts = np.split(np.array(values), [6, 12, 15, 18])
     signals = np.random.default_rng(seed).normal(size=(SIGNAL_COUNT, 2))
-    return ChannelState(DT, adapt, saturated, **dict(zip(VALUES, parts, strict=True)), signals=signals)
+    return ChannelState(periods * DT, adapt, saturated, **dict(zip(VALUES, parts, strict=True)), signals=signals)
 
 
 def c_state(core: Core, state: ChannelState) -> Any:
@@ -162,7 +165,8 @@ def adaptive_config(kind: str, **swap: Any) -> AdaptiveConfig:
 
 
 def both(core: Core, config: AdaptiveConfig, seed: int) -> tuple[Any, AdaptiveAugmentation]:
-    theirs = AdaptiveAugmentation(config, GAINS, FEATURES.untrained, "position", np.random.default_rng(seed))
+    rng, loop_gains = np.random.default_rng(seed), LoopGains.of("position", GAINS, GAINS)
+    theirs = AdaptiveAugmentation(config, GAINS, FEATURES.untrained, "position", rng, loop_gains)
     ours = core.Adaptive()
     if config.features == "network":
         start = channel(seed)
@@ -170,7 +174,7 @@ def both(core: Core, config: AdaptiveConfig, seed: int) -> tuple[Any, AdaptiveAu
     else:
         theirs.features = BiasFeatures()
         core.features_init_bias(ours.features)
-    core.adaptive_init(ours, configured(core, config), configured(core, GAINS))
+    assert core.adaptive_init(ours, configured(core, config), configured(core, GAINS))
     return ours, theirs
 
 
@@ -199,17 +203,34 @@ def test_adaptive_swaps_and_goes_on(core: Core, seed: int) -> None:
     ours, theirs = both(core, adaptive_config("network"), seed)
     rng = np.random.default_rng(seed)
     for index in range(5):
-        step_both(core, ours, theirs, state_of((rng.normal(size=21), True, False), seed + index))
+        step_both(core, ours, theirs, state_of((rng.normal(size=21), True, False, 1), seed + index))
     offered = channel(seed + 1)
     new, plan = theirs.plan(offered)
     c_offered, c_new, work, c_plan = c_channel(core, offered), core.Features(), core.SwapWorkspace(), core.SwapPlan()
     core.adaptive_plan(ours, c_offered, c_new, work, c_plan)
     same(view(c_plan.W)[:60], plan.W, rtol=1e-9)
-    theirs.commit(new, plan, offered.last_layer)
+    assert not core.adaptive_flies(ours, c_offered) and not theirs.flies(offered)
+    theirs.commit(new, plan)
     core.adaptive_commit(ours, c_new, c_plan, c_offered.last_layer)
-    state = state_of((rng.normal(size=21), True, False), seed)
+    assert core.adaptive_flies(ours, c_offered) and theirs.flies(offered)
+    for other in (c_channel(core, channel(seed + 2)), _changed(c_channel(core, offered), "last_layer", 4)):
+        assert not core.adaptive_flies(ours, other)
+    state = state_of((rng.normal(size=21), True, False, 1), seed)
     telemetry, c_telemetry = ChannelTelemetry(), core.ChannelTelemetry()
     expected = theirs.step(state, telemetry)
     nu = call(core, "adaptive_step", ours, c_state(core, state), c_telemetry, out=3)
     same(nu, expected, rtol=1e-9, scale=1.0)
     same_telemetry(c_telemetry, telemetry, rtol=1e-9)
+
+
+def _changed(offered: Any, name: str, index: int) -> Any:
+    getattr(offered, name)[index] += 1e-9
+    return offered
+
+
+def test_the_law_with_a_covariance_is_refused(core: Core) -> None:
+    """It is not in the C core yet; a vehicle must not fly another law in its place."""
+    given = {"tracking_gain": 6.0, "composite_gain": 17.0, "noise": 1.0, "prior": 1.0, "fast_bias": 1.0}
+    law = KalmanConfig(kind="kalman", prior_rate=0.1, fast_bias_rate=1.0, weight_norm_max=4.0, **given)
+    config = adaptive_config("network").model_copy(update={"law": law})
+    assert not core.adaptive_init(core.Adaptive(), configured(core, config), configured(core, GAINS))

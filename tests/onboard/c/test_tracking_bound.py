@@ -1,7 +1,6 @@
 """The live bound on the tracking error: the C core against numpy's."""
 
 import ctypes
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.c.library import Core
-from onboard.control.records import ChannelMeasurement, ControlOutput, Target
+from onboard.control.records import ChannelMeasurement, ControlInputs, ControlOutput, Target
 from onboard.control.reference_model import ChannelGains
 from onboard.control.tracking_bound import TrackingBounds, majorant
 from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import PathPoint
+from protocol.signals import SIGNAL_COUNT
 from tests.onboard.c.parity import SETTINGS, array, call, configured, filled, quaternions, same, vectors
 from tests.onboard.control.fixture import DT
 
@@ -42,11 +42,18 @@ TICK = st.tuples(
     ticks=st.lists(TICK, min_size=1, max_size=6),
     attitude=st.sampled_from(ATTITUDES),
     jump_at=st.integers(0, 6),
-    longer_at=st.integers(0, 6),
+    missed_at=st.integers(0, 6),
+    other_period_at=st.integers(0, 6),
     reset_at=st.integers(0, 6),
 )
 def test_bounds(
-    core: Core, ticks: list[Any], attitude: ChannelGains, jump_at: int, longer_at: int, reset_at: int
+    core: Core,
+    ticks: list[Any],
+    attitude: ChannelGains,
+    jump_at: int,
+    missed_at: int,
+    other_period_at: int,
+    reset_at: int,
 ) -> None:
     ours, theirs = core.TrackingBounds(), TrackingBounds(POSITION, attitude)
     core.tracking_bounds_init(ours, configured(core, POSITION), configured(core, attitude))
@@ -58,10 +65,12 @@ def test_bounds(
         state.rates[:], measured.u_hat[:], measured.residual[:] = turns[:3], turns[3:6], turns[6:9]
         state.quaternion[:], output.commanded_quaternion = q, tuple(commanded)
         state.position_reset_count += index == jump_at
-        dt = 2.0 * DT if index == longer_at else DT
+        missed = 2 if index == missed_at else 0
+        dt = (1 + missed) * (2.0 * DT if index == other_period_at else DT)
         turn, rate = tuple(0.02 * x for x in turns[9:12]), tuple(turns[9:12])
         target = Target(point, (0.0,) * 3, point, point, 0.0, point)
-        inputs = SimpleNamespace(dt=dt, state=state, target=target, position=position, attitude=measured, adapt=adapt)
+        signals, coming = np.zeros((SIGNAL_COUNT, 2)), ((0.0,) * 3, (0.0,) * 3)
+        inputs = ControlInputs(dt, state, target, signals, position, measured, False, adapt, coming, missed=missed)
         theirs.step(inputs, output, turn, rate)
         kept = [
             filled(core.VehicleState, state),
@@ -69,7 +78,7 @@ def test_bounds(
             filled(core.ChannelMeasurement, position),
             filled(core.ChannelMeasurement, measured),
         ]
-        c_inputs = core.ControlInputs(dt, *map(ctypes.pointer, kept), adapt)
+        c_inputs = core.ControlInputs(dt, *map(ctypes.pointer, kept), adapt, missed)
         bounds = call(core, "tracking_bounds_step", ours, c_inputs, commanded, turn, rate, out=2)
         same(bounds, [output.position.tracking_bound, output.attitude.tracking_bound])
         if index == reset_at:

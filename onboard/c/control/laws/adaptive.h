@@ -1,4 +1,5 @@
-/* MRAC and DMRAC: nu_ad = W' Phi(x, c), with the last-layer law. The twin of onboard/control/laws/adaptive.py. */
+/* MRAC and DMRAC: nu_ad = W' Phi(x, c), with the gradient law of the last layer. The twin of
+ * onboard/control/laws/adaptive.py. The law with a covariance (`law.kind: kalman`) is not written in C yet. */
 #ifndef DMRAC_ADAPTIVE_H
 #define DMRAC_ADAPTIVE_H
 
@@ -21,14 +22,18 @@ typedef struct {
     real eps_2;
 } Adaptive;
 
-/* The features of the start are set with features_init_...(&self->features) before. */
-void adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGains *gains);
+/* The features of the start are set with features_init_...(&self->features) before. Returns false for another law than the
+ * gradient one; `self` must not be used then. */
+bool adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGains *gains);
 
 /* Update W with Phi(x); nu_ad = W'Phi(x_ahead). */
 void adaptive_step(Adaptive *self, const ChannelState *channel, ChannelTelemetry *telemetry, real nu_ad[3]);
 
 /* Reset the filter. W and the features stay. */
 void adaptive_reset(Adaptive *self);
+
+/* Whether these features, with this theta, are in use already: a swap to them would change nothing. */
+bool adaptive_flies(const Adaptive *self, const ChannelFeatures *channel);
 
 /* Plan a swap to these features: `new_features` becomes them, `plan` says what became of it. Nothing else changes. */
 void adaptive_plan(const Adaptive *self, const ChannelFeatures *channel, Features *new_features, SwapWorkspace *work,

@@ -19,12 +19,14 @@ static void predict(L1 *self, const ChannelState *channel) {
         if (!self->started) {
             self->sigma[i] = self->nu[i];
         } else {
-            /* u_hat of the last step is known only now. */
-            error = self->prediction[i] + T * channel->u_hat[i] - v;
+            /* Exact for u_hat and sigma_hat constant since the last step: v_tilde decays, the rest integrates. u_hat
+             * and the length of the step are known only now. */
+            real prediction = self->rate[i] + decay * self->error[i] + ((REAL(1.0) - decay) / a) * self->sigma[i];
+            error = prediction + T * channel->u_hat[i] - v;
             self->sigma[i] = -(a * decay / (REAL(1.0) - decay)) * error;
         }
-        /* Exact for u_hat and sigma_hat constant over the next step: v_tilde decays, the rest integrates. */
-        self->prediction[i] = v + decay * error + ((REAL(1.0) - decay) / a) * self->sigma[i];
+        self->rate[i] = v;
+        self->error[i] = error;
         self->nu[i] = real_clip(self->nu[i] + share * (self->sigma[i] - self->nu[i]), -limit, limit);
     }
     self->started = true;

@@ -11,7 +11,8 @@
 typedef struct {
     L1Config config;
     bool started;
-    real prediction[3];
+    real rate[3];
+    real error[3];
     real sigma[3];
     real nu[3];
 } L1;
