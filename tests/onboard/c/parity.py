@@ -13,7 +13,7 @@ from onboard.c.config_table import Leaf, OneOf, Record, Several, record_of
 
 SANITIZED = os.environ.get("DMRAC_TEST_SANITIZED") == "1"
 """Set by test_sanitizers.py, which runs these tests again in a process that the sanitizers watch."""
-SETTINGS = settings(max_examples=10 if SANITIZED else 40, deadline=None, derandomize=True)
+SETTINGS = settings(max_examples=10 if SANITIZED else 20, deadline=None, derandomize=True)
 RTOL = 1e-12
 """Largest difference of a step in double, relative to the largest number compared."""
 

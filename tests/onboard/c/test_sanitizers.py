@@ -13,6 +13,7 @@ HERE = Path(__file__).resolve().parent
 LEFT_OUT = ("test_sanitizers.py", "test_build.py")
 
 
+@pytest.mark.full
 @pytest.mark.timeout(1200)
 @pytest.mark.skipif(os.environ.get("DMRAC_TEST_SANITIZED") == "1", reason="is running")
 def test_the_core_under_sanitizers() -> None:
@@ -36,6 +37,8 @@ def test_the_core_under_sanitizers() -> None:
         "no:xdist",
         "-p",
         "no:cacheprovider",
+        "-m",
+        "not full",
         str(HERE),
         *ignored,
     ]
