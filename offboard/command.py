@@ -21,6 +21,7 @@ from offboard.links.vehicle_service import VehicleService
 from offboard.memory.folder import memory_file, read_memory, remember
 from offboard.memory.memory import UnusableMemoryError
 from offboard.process import serve
+from offboard.training.fleet import Fleet
 from protocol.feature_config import fill_process
 from protocol.keys import load_key
 from protocol.session import session_number
@@ -188,8 +189,10 @@ def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
     several, resume = bool(arguments.also), arguments.resume
     if several:
         _check_options(arguments)
-    vehicles = [_vehicle(arguments, path, several) for path in (arguments.config, *arguments.also)]
+    fleet = Fleet() if several else None
+    vehicles = [_vehicle(arguments, path, fleet) for path in (arguments.config, *arguments.also)]
     _check_distinct(vehicles)
+    _check_shared(vehicles)
     checkpoints = [_checkpoint_of(vehicle, resume) if several and resume else resume for vehicle in vehicles]
     if resume is not None and not any(checkpoints):
         raise ConfigError(f"--resume {resume}: holds no vehicle_N/checkpoint.npz of any of these vehicles")
@@ -199,13 +202,14 @@ def _vehicles(arguments: argparse.Namespace) -> list[Vehicle]:
     return vehicles
 
 
-def _vehicle(arguments: argparse.Namespace, config_path: Path | None, several: bool) -> Vehicle:
-    """One vehicle, with nothing learnt yet. Raises ConfigError."""
+def _vehicle(arguments: argparse.Namespace, config_path: Path | None, fleet: Fleet | None) -> Vehicle:
+    """One vehicle, with nothing learnt yet; without a fleet it is the only one. Raises ConfigError."""
+    several = fleet is not None
     own = argparse.Namespace(**{**vars(arguments), "config": config_path})
     flight = flight_of(own, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
     config = _with_memory(fill_process(OffboardConfig, flight.tree, flight.source, "offboard"), arguments)
     session = session_number(time.time_ns(), secrets.randbits(20))
-    core = OffboardCore(config, session, load_key(flight.network.key_file))
+    core = OffboardCore(config, session, load_key(flight.network.key_file), fleet)
     out = arguments.out / f"vehicle_{config.vehicle_id}" if several else arguments.out
     status = StatusLines(f"offboard {config.vehicle_id}" if several else "offboard", arguments.json)
     return Vehicle(flight, config, core, out, status)
@@ -260,6 +264,27 @@ def _check_distinct(vehicles: Sequence[Vehicle]) -> None:
                     f"{vehicle.flight.source}: {key}: {value} is used by {other}; each vehicle needs its own"
                 )
             users[value] = vehicle
+
+
+def _check_shared(vehicles: Sequence[Vehicle]) -> None:
+    """Raise ConfigError where vehicles that share their networks have other networks or another training."""
+    first, *others = vehicles
+    if not any(vehicle.config.trainer.shared for vehicle in vehicles):
+        return
+    wanted = _shared_settings(first.config)
+    for vehicle in others:
+        for key, value in _shared_settings(vehicle.config).items():
+            if value != wanted[key]:
+                raise ConfigError(
+                    f"{vehicle.flight.source}: {key}: {value}; allowed is {wanted[key]}, as in {first.flight.source}, "
+                    "because the vehicles share their networks (offboard.trainer.shared)"
+                )
+
+
+def _shared_settings(config: OffboardConfig) -> dict[str, object]:
+    """What the vehicles of a fleet have in common, by key."""
+    sections = {"features.trained": config.features.trained, "offboard.trainer": config.trainer}
+    return {f"{name}.{key}": value for name, section in sections.items() for key, value in section.model_dump().items()}
 
 
 def _checkpoint_of(vehicle: Vehicle, folder: Path) -> Path | None:

@@ -68,6 +68,10 @@ class TrainerConfig(ConfigRecord):
     epochs: int = Field(default=4, ge=1, le=100, description="parts of a round; the losses are recorded after each")
     projection_every: int = Field(default=10, ge=1, description="mini-batches between two spectral projections")
     period_s: float = Field(default=0.5, ge=0.0, description="s, least time between starts of rounds")
+    shared: bool = Field(
+        default=True,
+        description="one network for all vehicles of the process, a last layer for each; one vehicle: none",
+    )
     minimum_samples: int = Field(default=60, ge=8, description="training samples before the first round")
     refit_last_layer: bool = Field(default=True, description="end each round with a ridge regression of the last layer")
     ridges: tuple[float, ...] = Field(

@@ -16,6 +16,7 @@ from offboard.links.pose_relay import PoseRelay
 from offboard.links.version_sender import VersionSender
 from offboard.memory.memory_file import load_memory
 from offboard.records import Logged, link_record, training_records
+from offboard.training.fleet import Fleet, FleetJob
 from offboard.training.job import TrainingJob, TrainingResult
 from offboard.training.vehicle_learner import VehicleLearner
 from protocol.clock import ForwardClock
@@ -25,6 +26,8 @@ from protocol.feature_set import FeatureSet
 from protocol.messages import Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 
 LINK_RECORD_PERIOD_NS: Final = 1_000_000_000
+GATHER_NS: Final = 20_000_000
+"""Two steps of the process: the vehicles of a fleet ask for a round within it, and one round serves them all."""
 
 
 @dataclass(slots=True)
@@ -32,7 +35,7 @@ class OffboardOutput:
     """What one step of the core asks the process to do."""
 
     to_onboard: list[bytes] = field(default_factory=list)
-    job: TrainingJob | None = None
+    job: TrainingJob | FleetJob | None = None
     """To be run outside the loop; its result goes to `receive_training`."""
     records: list[Logged] = field(default_factory=list)
     events: list[tuple[int, str]] = field(default_factory=list)
@@ -50,9 +53,10 @@ class OffboardCore:
     ----------
     session: this process's session number.
     key: pre-shared key of the link to onboard; None only between loopback addresses.
+    fleet: the vehicles to share the networks with, if the configuration says so (`trainer.shared`).
     """
 
-    def __init__(self, config: OffboardConfig, session: int, key: bytes | None) -> None:
+    def __init__(self, config: OffboardConfig, session: int, key: bytes | None, fleet: Fleet | None = None) -> None:
         self._learning = config.experience.mode == "learn"
         self._round_period_ns = round(config.trainer.period_s * 1e9)
         self._checkpoint_period_ns = round(config.experience.checkpoint_period_s * 1e9)
@@ -68,6 +72,9 @@ class OffboardCore:
         """Time sync requests to answer: their origin time, and when they arrived."""
         self._job_outstanding = False
         self._next_round_ns = 0
+        self._fleet = fleet if config.trainer.shared else None
+        self._entered: FleetJob | None = None
+        self._entered_ns = 0
         self._next_checkpoint_ns: int | None = None
         self._next_link_record_ns = 0
         self._out = OffboardOutput()
@@ -93,6 +100,7 @@ class OffboardCore:
         if self.endpoint.peer_session != self._peer_session:
             self._start_session(now_ns)
         if isinstance(message, SampleBatch) and self._learning:
+            self._start_with_fleet()
             self.learner.receive(message)
         elif isinstance(message, Status):
             event = self._versions.receive(message, now_ns)
@@ -103,6 +111,15 @@ class OffboardCore:
         elif isinstance(message, TimeSyncRequest):
             self._requests.append((message.origin_ns, now_ns))
             self._report_layout(now_ns)
+
+    def _start_with_fleet(self) -> None:
+        """Start a vehicle that has learnt nothing yet with the inner layers of the fleet, once there are any."""
+        if self._fleet is None or self.learner.latest is not None or self.learner.labelled:
+            return
+        features = self._fleet.start()
+        if features is not None:
+            self.learner.warm_start(features)
+            self._versions.require_sending()
 
     def _report_layout(self, now_ns: int) -> None:
         """Report another layout of onboard, once per session of onboard."""
@@ -171,14 +188,29 @@ class OffboardCore:
         self._out.version_file = (features.version, dump_version(features))
         self._event(now_ns, f"version {features.version} sent, {features.samples} samples")
 
-    def _next_job(self, now_ns: int) -> TrainingJob | None:
+    def _next_job(self, now_ns: int) -> TrainingJob | FleetJob | None:
+        if self._entered is not None:
+            return self._gathered(now_ns)
         if not self._learning or self._job_outstanding or now_ns < self._next_round_ns:
             return None
         job = self.learner.job(self._versions.flying_version)
-        if job is not None:
-            self._job_outstanding = True
-            self._next_round_ns = now_ns + self._round_period_ns
-        return job
+        if job is None:
+            return None
+        self._job_outstanding = True
+        self._next_round_ns = now_ns + self._round_period_ns
+        if self._fleet is None:
+            return job
+        # all vehicles ask at the same times
+        self._next_round_ns -= self._next_round_ns % max(self._round_period_ns, 1)
+        self._entered, self._entered_ns = self._fleet.enter(job), now_ns
+        return None
+
+    def _gathered(self, now_ns: int) -> FleetJob | None:
+        """The job that waits in the fleet, once the others have entered theirs."""
+        if now_ns < self._entered_ns + GATHER_NS:
+            return None
+        entered, self._entered = self._entered, None
+        return entered
 
     def _next_checkpoint(self, now_ns: int) -> bytes | None:
         if self._next_checkpoint_ns is None:

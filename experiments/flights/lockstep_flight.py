@@ -12,6 +12,7 @@ from experiments.flights.scenario import FlightConfig, with_pose_wait
 from experiments.flights.trace import Columns, FlightTrace
 from flight_log.schema import RecordType
 from offboard.core import OffboardCore
+from offboard.training.fleet import Fleet
 from offboard.training.job import TrainingResult
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
@@ -58,12 +59,16 @@ class LockstepOutcome:
 
 
 def build(
-    config: FlightConfig, with_offboard: bool = True, recorded: Deliveries | None = None
+    config: FlightConfig,
+    with_offboard: bool = True,
+    recorded: Deliveries | None = None,
+    fleet: Fleet | None = None,
 ) -> tuple[Lockstep[TrainingResult], OnboardCore, OffboardCore | None, Radio]:
     """Return the connected cores of a flight: lockstep, onboard, offboard (None if absent) and radio.
 
     with_offboard: without it no pose comes, and the vehicle is armed without one.
     recorded: deliveries that replace those of the configured radio.
+    fleet: other vehicles of the same trainer.
     """
     config = config if with_offboard else with_pose_wait(config)
     network = config.network
@@ -71,14 +76,14 @@ def build(
     vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle)
     radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
     onboard = OnboardCore(config.onboard, ONBOARD_SESSION, keys.offboard, keys.vehicle, keys.ground)
-    offboard = build_offboard(config, OFFBOARD_SESSION) if with_offboard else None
+    offboard = build_offboard(config, OFFBOARD_SESSION, fleet) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
     return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
 
 
-def build_offboard(config: FlightConfig, session: int) -> OffboardCore:
+def build_offboard(config: FlightConfig, session: int, fleet: Fleet | None = None) -> OffboardCore:
     """Return the offboard core; its first round of training imports torch."""
-    return OffboardCore(config.offboard, session, load_key(config.network.key_file))
+    return OffboardCore(config.offboard, session, load_key(config.network.key_file), fleet)
 
 
 def fly_lockstep(
@@ -87,6 +92,7 @@ def fly_lockstep(
     with_offboard: bool = True,
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
+    fleet: Fleet | None = None,
 ) -> LockstepOutcome:
     """Fly a scenario in virtual time, until its duration is over or the vehicle crashes.
 
@@ -95,13 +101,14 @@ def fly_lockstep(
     experience: what an earlier flight learnt (carried_experience); None: the file in the configuration, if any.
     recorded: deliveries of an earlier flight, by direction, for the datagrams of this one
         (sim_vehicle.link.radio.RecordedDeliveries).
+    fleet: the vehicles of the same trainer, which have flown before; this one joins them.
 
     Raises
     ------
     ConfigError
         If the experience cannot be read, or does not fit this flight.
     """
-    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded)
+    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet)
     experience = read_experience(config) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")

@@ -3,20 +3,23 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from configs.loader import ConfigError
+from configs.loader import ConfigError, fill_section, parse_mapping
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
 from experiments.memory.logged_samples import labelled_samples
-from experiments.replays.recorded_flight import read_recorded
+from experiments.replays.recorded_flight import CONFIG_NAME
+from flight_log.reader import Flight, FlightError, open_flight
+from offboard.config import LabelConfig
 from offboard.memory.config import MemoryConfig
 from offboard.memory.folder import memory_file, open_memory, write_memory
 from offboard.memory.memory import Condition, Memory, UnusableMemoryError, thinned, unlearnt
 from offboard.memory.memory_file import dump_memory, load_memory, require_fit
-from protocol.feature_config import TrainedFeatures
+from onboard.record.tick import TICK
+from protocol.feature_config import FeaturesConfig, TrainedFeatures
 
 
 class Source(NamedTuple):
@@ -40,19 +43,42 @@ def read_source(path: Path) -> Source:
     if memory_file(path).is_file():
         memory = open_memory(path)
         return Source(path, memory.features, memory.conditions, memory)
-    flight = read_recorded(path)
-    if flight.trace is None:
-        raise ConfigError(f"{path}: its logs have no onboard/tick to learn from")
-    condition = condition_of(flight.config, flight.trace)
-    if condition.samples.rows == 0:
+    flight = _opened(path)
+    tree, source = _config_tree(flight, path)
+    features = fill_section(FeaturesConfig, tree, source, "features").trained
+    try:
+        ticks = flight[TICK.topic]
+        rows = ticks.vector(*TICK.names)
+    except KeyError as error:
+        raise ConfigError(f"{path}: nothing to learn from: {error.args[0]}") from None
+    vehicle = int(tree["offboard"].get("vehicle_id", 1)) if isinstance(tree.get("offboard"), dict) else 1
+    name = ", ".join(str(tree.get(key, "")) for key in ("scenario", "controller")) + f", seed {tree.get('seed', '')}"
+    samples = labelled_samples(ticks.time_ns, rows, LabelConfig())
+    if samples.rows == 0:
         raise ConfigError(f"{path}: no sample above the floor in which the controller could adapt")
-    return Source(path, flight.config.features.trained, (condition,), None)
+    return Source(path, features, (Condition(name, vehicle, thinned(samples)),), None)
+
+
+def _opened(path: Path) -> Flight:
+    try:
+        return open_flight(path)
+    except FlightError as error:
+        raise ConfigError(str(error)) from None
+
+
+def _config_tree(flight: Flight, path: Path) -> tuple[dict[str, Any], str]:
+    """The plain configuration of a flight, of any version of this project, and where it is from."""
+    for attachments in flight.attachments.values():
+        if CONFIG_NAME in attachments:
+            source = f"{path}: {CONFIG_NAME}"
+            return parse_mapping(attachments[CONFIG_NAME].decode(), source), source
+    raise ConfigError(f"{path}: its logs have no {CONFIG_NAME}, so the inputs of its features are unknown")
 
 
 def condition_of(config: FlightConfig, trace: FlightTrace) -> Condition:
     """A flight as a condition."""
     time_ns = (trace.time_s * 1e9).round().astype(np.int64)
-    samples = labelled_samples(time_ns, trace.tick.rows, config.offboard.labels)
+    samples = labelled_samples(time_ns, trace.tick.rows, LabelConfig())
     name = f"{config.scenario}, {config.controller}, seed {config.seed}"
     return Condition(name, config.offboard.vehicle_id, thinned(samples))
 

@@ -7,20 +7,29 @@ flight. Wake-up jitter is measured in turns with a bare loop, because the machin
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from rich.table import Table
 
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import FlightConfig
 from experiments.timing.law_floor import law_floor_us
-from experiments.timing.learning_speed import BATCH_SIZE, BATCHES, CAPACITY, admission_ms, training_round_ms
+from experiments.timing.learning_speed import (
+    BATCH_SIZE,
+    BATCHES,
+    CAPACITY,
+    admission_ms,
+    fleet_round_ms,
+    training_round_ms,
+)
 from experiments.timing.start_up import start_onboard
 from experiments.timing.step_timing import LAW, Quantiles, measure_step, record_flight
 from experiments.timing.vehicle_speed import vehicle_speeds
 from runtime.kernel import prepare_interpreter, request_realtime
 
 Report = dict[str, Any]
+FLEET: Final = 16
+"""Vehicles that share the trainer in the time of their round."""
 
 
 def measure(config: FlightConfig, seconds: float, show: Callable[[str | Table], None]) -> Report:
@@ -48,8 +57,10 @@ def measure(config: FlightConfig, seconds: float, show: Callable[[str | Table], 
     learning = {"admission_ms": admission_ms()}
     try:
         learning["round_ms"] = training_round_ms(config)
+        learning["fleet_round_ms"] = fleet_round_ms(config, FLEET)
         batches = f"{BATCHES} mini-batches of {BATCH_SIZE}"
         show(f"training round, {batches}: {learning['round_ms']:.0f} ms of a core")
+        show(f"training round as configured, {FLEET} vehicles: {learning['fleet_round_ms']:.0f} ms of a core")
     except RuntimeError as nothing:
         show(f"training round: {nothing}")
     show(f"a sample into a full buffer of {CAPACITY}: {learning['admission_ms']:.2f} ms of a core")

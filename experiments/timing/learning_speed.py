@@ -8,6 +8,7 @@ import numpy as np
 
 from experiments.flights.lockstep_flight import build
 from experiments.flights.scenario import FlightConfig
+from offboard.training.fleet import Fleet
 
 BATCHES: Final = 100
 BATCH_SIZE: Final = 64
@@ -29,6 +30,23 @@ def training_round_ms(config: FlightConfig, runs: int = 5) -> float:
     job = _first_job(config)
     job = replace(job, config=job.config.model_copy(update={"batch_size": BATCH_SIZE, "batches": BATCHES}))
     return min(_timed_ms(job.run) for _ in range(runs))
+
+
+def fleet_round_ms(config: FlightConfig, vehicles: int, runs: int = 5) -> float:
+    """Return the time of a round as configured for so many vehicles with a flight's first samples: best, core ms.
+
+    Raises
+    ------
+    RuntimeError
+        If the flight gives no samples to train on.
+    """
+    job, fleet = _first_job(config), Fleet()
+
+    def train_all() -> None:
+        for entered in [fleet.enter(replace(job, vehicle=number)) for number in range(1, vehicles + 1)]:
+            entered.run()
+
+    return min(_timed_ms(train_all) for _ in range(runs))
 
 
 def _first_job(config: FlightConfig) -> Any:

@@ -148,7 +148,7 @@ def last_layers(prior: Prior, features: TrainedFeatures, conditions: Iterable[Co
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class Fit:
     """One condition and channel."""
 
     Phi: Array
@@ -159,7 +159,7 @@ class _Fit:
     """W_c, [k, 3]."""
 
 
-def _fits(prior: Prior, features: TrainedFeatures, condition: Condition) -> list[_Fit]:
+def _fits(prior: Prior, features: TrainedFeatures, condition: Condition) -> list[Fit]:
     plan, samples = InputPlan.of(features), condition.samples
     channels = feature_set(prior.network, plan, 1, 0, 0).channels
     weight = condition.independent_samples / max(samples.rows, 1)
@@ -167,7 +167,7 @@ def _fits(prior: Prior, features: TrainedFeatures, condition: Condition) -> list
     for row, (at, channel) in enumerate(zip(plan.channels, channels, strict=True)):
         Phi, Delta = phi(channel, samples.signals), samples.labels[:, at].astype(np.float64)
         share = weight * prior.variance[row] / prior.noise[row]
-        fits.append(_Fit(Phi, Delta, posterior_mean(Phi, Delta, np.zeros((Phi.shape[1], 3)), share)))
+        fits.append(Fit(Phi, Delta, posterior_mean(Phi, Delta, np.zeros((Phi.shape[1], 3)), share)))
     return fits
 
 
@@ -195,13 +195,13 @@ def with_theta(prior: Prior, features: TrainedFeatures, conditions: Sequence[Con
     return replace(prior, network=network)
 
 
-def _theta(fits: Sequence[_Fit]) -> Array:
+def _theta(fits: Sequence[Fit]) -> Array:
     """theta of one channel, [k, 3]."""
     mean: Array = np.mean([fit.last_layer for fit in fits], axis=0)
     return mean * agreement(fits)
 
 
-def agreement(fits: Sequence[_Fit]) -> Array:
+def agreement(fits: Sequence[Fit]) -> Array:
     """f [3]: the share of the mean of the other conditions that is right in a condition that it was not made from.
 
     With p_c = W_-c'Phi, W_-c the mean over the conditions but c, f minimises the sum over all conditions of

@@ -6,10 +6,12 @@ Backward:    delta_y = dL/dy_hat = 2 (y_hat - y) / (3 C M)
              delta_l = dL/d(W_l h_(l-1) + b_l) = (W_(l+1)' delta_(l+1)) (1 - h_l^2), elementwise; theta' is W_(L+1)
 Gradient:    dL/dW_l' = h_(l-1) delta_l',  dL/db_l = sum of delta_l over the samples; the same for theta and theta_0
 
-C channels are trained at once, on mini-batches of M samples. The gradient is written out, into views of one flat
-vector, because torch's autograd and optimisers take most of the time of a mini-batch with networks this small; a test
-compares it with autograd. Samples are along the last axis of inputs, outputs and errors: products of such narrow
-matrices then take half the time.
+C channels are trained at once, on mini-batches of M samples. V vehicles may share the inner layers, each with a last
+layer of its own: a mini-batch then has M / V samples of each, one vehicle after the other.
+
+The gradient is written out, into views of one flat vector, because torch's autograd and optimisers take most of the
+time of a mini-batch with networks this small; a test compares it with autograd. Samples are along the last axis of
+inputs, outputs and errors: products of such narrow matrices then take half the time.
 """
 
 from dataclasses import dataclass
@@ -38,6 +40,12 @@ class Views:
     biases: list[torch.Tensor]
     last_layer: torch.Tensor
     last_bias: torch.Tensor
+
+    def of_vehicle(self, vehicle: int) -> "Views":
+        """The same inner layers, with the last layers of one vehicle."""
+        C = self.weights[0].shape[0]
+        last_layer, last_bias = (one.unflatten(0, (C, -1))[:, vehicle] for one in (self.last_layer, self.last_bias))
+        return Views(self.flat, self.weights, self.biases, last_layer, last_bias)
 
     @staticmethod
     def of(flat: torch.Tensor, network: NetworkState) -> "Views":
@@ -105,7 +113,8 @@ class _Layer:
         of_weights, of_biases = [*gradient.weights, gradient.last_layer], [*gradient.biases, gradient.last_bias]
         layers = []
         for W, b, of_W, of_b in zip(weights, biases, of_weights, of_biases, strict=True):
-            output, delta = torch.zeros(2, W.shape[0], W.shape[2], rows, dtype=FLOAT)
+            own_rows = rows * weights[0].shape[0] // W.shape[0]
+            output, delta = torch.zeros(2, W.shape[0], W.shape[2], own_rows, dtype=FLOAT)
             layers.append(_Layer(W, W.mT, b.mT, of_W, of_b.mT, output, delta, delta.mT))
         return layers
 
@@ -129,24 +138,26 @@ class LossGradient:
 
     def __init__(self, parameters: Views, gradient: Views, rows: int) -> None:
         *self._inner, self._last = _Layer.all_of(parameters, gradient, rows)
+        self._channels = parameters.weights[0].shape[0]
+        self._vehicles = parameters.last_layer.shape[0] // self._channels
         self._derivative = 2.0 / self._last.output.numel()
 
     def at(
         self, z: torch.Tensor, y: torch.Tensor, known: torch.Tensor | None, dropout: torch.Tensor | None
     ) -> torch.Tensor:
-        """Write the gradient at a mini-batch; returns y_hat - y, [C, 3, M], which the next call overwrites.
+        """Write the gradient at a mini-batch; returns y_hat - y, [C V, 3, M / V], which the next call overwrites.
 
         Parameters
         ----------
         z: scaled inputs, [C, m, M].
-        y: labels, [C, 3, M].
-        known: 1 where the sample has a label, else 0, [C, 1, M]; None if all have one.
+        y: labels, [C V, 3, M / V].
+        known: 1 where the sample has a label, else 0, [C V, 1, M / V]; None if all have one.
         dropout: factors on the features, [C, k - 1, M]; None for no dropout.
         """
         last, h = self._last, [z]
         for layer in self._inner:  # h_l = tanh(W_l h_(l-1) + b_l)
             h.append(_affine(h[-1], layer.W, layer.b, layer.output).tanh_())
-        Phi = h[-1] if dropout is None else h[-1] * dropout
+        Phi = self._apart(h[-1] if dropout is None else h[-1] * dropout)
         errors = _affine(Phi, last.W, last.b, last.output).sub_(y)  # theta' Phi + theta_0 - y
         if known is not None:
             errors.mul_(known)
@@ -154,13 +165,26 @@ class LossGradient:
         last.write_gradient(Phi)
         above = last
         for layer, below in zip(reversed(self._inner), reversed(h[:-1]), strict=True):
-            torch.bmm(above.WT, above.delta, out=layer.delta)  # W_(l+1)' delta_(l+1)
+            if above is last and self._vehicles > 1:
+                layer.delta.copy_(self._together(torch.bmm(above.WT, above.delta)))
+            else:
+                torch.bmm(above.WT, above.delta, out=layer.delta)  # W_(l+1)' delta_(l+1)
             if above is last and dropout is not None:
                 layer.delta.mul_(dropout)
             _tanh_backward(layer.delta, layer.output, grad_input=layer.delta)  # delta_l = ... (1 - h_l^2)
             layer.write_gradient(below)
             above = layer
         return errors
+
+    def _apart(self, stacked: torch.Tensor) -> torch.Tensor:
+        """[C, k, M] to [C V, k, M / V]: each vehicle's samples for its own last layer."""
+        if self._vehicles == 1:
+            return stacked
+        return stacked.unflatten(2, (self._vehicles, -1)).transpose(1, 2).flatten(0, 1)
+
+    def _together(self, stacked: torch.Tensor) -> torch.Tensor:
+        """[C V, k, M / V] to [C, k, M]."""
+        return stacked.unflatten(0, (self._channels, -1)).transpose(1, 2).flatten(2)
 
 
 class Optimiser:

@@ -8,7 +8,7 @@ from offboard.data.buffer import SampleTable
 from offboard.memory.memory import Prior
 from offboard.training.gate import Evidence
 from offboard.training.network import Array32, NetworkState
-from offboard.training.prior import NO_CONTEST, Contest, train_from_prior
+from offboard.training.prior import NO_CONTEST, Contest, with_contest
 from protocol.conventions import Array
 from protocol.feature_config import TrainedFeatures
 from protocol.feature_set import FeatureSet
@@ -63,9 +63,11 @@ class TrainingJob:
     """What the flight started from; None: nothing."""
     contest: Contest = NO_CONTEST
     """Of the rounds before."""
+    vehicle: int = 1
+    """offboard.vehicle_id."""
 
     def run(self) -> TrainingResult:
         """Run the round, by offboard.training.round. torch is loaded here: a process that learns nothing needs none."""
         from offboard.training.round import train
 
-        return train(self) if self.prior is None else train_from_prior(self, self.prior)
+        return with_contest(self, train(self))

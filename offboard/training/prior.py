@@ -73,13 +73,13 @@ class Contest:
 NO_CONTEST: Final = Contest()
 
 
-def train_from_prior(job: "TrainingJob", prior: Prior) -> "TrainingResult":
-    """Run one round of a flight that started from the prior."""
-    from offboard.training.round import train
-
+def with_contest(job: "TrainingJob", result: "TrainingResult") -> "TrainingResult":
+    """The result of a round, with the candidate that leads where the flight started from a prior."""
+    prior = job.prior
+    if prior is None:
+        return result
     known = job.buffer.joined(job.newest)
     contest = job.contest.continued(job.newest)
-    result = train(replace(job, prior=None))
     refitted = _as_flown(refit(job, prior), job)
     trained = result.candidate
     leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]

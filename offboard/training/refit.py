@@ -14,12 +14,19 @@ CONSTANT_SHARE: Final = 1e-6
 
 
 def ridge_fits(
-    Phi: torch.Tensor, y: torch.Tensor, w: torch.Tensor, ridges: Sequence[float], slope: torch.Tensor | None = None
+    Phi: torch.Tensor,
+    y: torch.Tensor,
+    w: torch.Tensor,
+    ridges: Sequence[float],
+    slope: torch.Tensor | None = None,
+    toward: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """theta of each ridge, [ridges, C, k, 3], float32.
 
     theta = argmin sum_i w_i norm(y_i - theta' Phi_i)^2 + ridge theta' D theta
           = (Phi w Phi' + ridge D)^-1 Phi w y',  D = I, but nearly 0 for the constant feature, + slope
+
+    With `toward`, the ridge pulls theta to it instead of to zero.
 
     The Gram matrix is summed in float32: its rounding, 1e-7 of its trace, is far below any ridge.
 
@@ -29,6 +36,7 @@ def ridge_fits(
     y: labels, [C, 3, n]; finite everywhere.
     w: weights, [C, 1, n]; zero for samples without a label.
     slope: [C, k, k], double precision (offboard.training.slope_prior).
+    toward: [C, k, 3]; None: zero.
     """
     weighted = Phi * w
     gram, moment = (weighted @ Phi.mT).double(), (weighted @ y.mT).double()
@@ -36,8 +44,10 @@ def ridge_fits(
     D[-1] = CONSTANT_SHARE
     strengths = torch.tensor(ridges, dtype=torch.float64)[:, None, None, None]
     penalty = torch.diag(D) if slope is None else torch.diag(D) + slope
+    if toward is not None:
+        moment = moment - gram @ toward.double()
     fits: torch.Tensor = torch.linalg.solve(gram + strengths * penalty, moment.expand(len(ridges), *moment.shape))
-    return fits.float()
+    return (fits if toward is None else fits + toward).float()
 
 
 def scatter(errors: torch.Tensor, known: torch.Tensor) -> torch.Tensor:

@@ -1,6 +1,7 @@
 """What is learnt about one vehicle: its samples, labels, buffer, networks and feature versions.
 
-A process that trains for several vehicles has one VehicleLearner for each. No bytes, clock or link in this file.
+A process that trains for several vehicles has one VehicleLearner for each; they may share the networks' inner layers
+(offboard.training.fleet). No bytes, clock or link in this file.
 """
 
 from collections import Counter
@@ -149,6 +150,7 @@ class VehicleLearner:
             wire_dtype=self._config.transfer.dtype,
             prior=None if self._memory is None else self._memory.prior,
             contest=self._contest,
+            vehicle=self._config.vehicle_id,
         )
 
     def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:

@@ -321,7 +321,7 @@ class CascadedController:
 
     def _thrust_vector(self, inputs: ControlInputs, u: Vector3) -> tuple[float, Quaternion]:
         """Collective thrust [N] along the present body axis, and the attitude for u, within the limits."""
-        self._limits.step(inputs.saturated, inputs.adapt, float(inputs.position.residual[2]), inputs.dt)
+        self._limits.step(inputs.adapt, float(inputs.position.residual[2]), inputs.dt)
         fx, fy, fz = self._limits.specific_thrust(u, float(self._output.position.adaptive[2]))
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
         commanded = attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)

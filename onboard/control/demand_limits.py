@@ -1,4 +1,4 @@
-"""Limits of the position loop: vertical acceleration and tilt, with lower limits while the motors saturate.
+"""Limits of the position loop: vertical acceleration and tilt.
 
 The limits apply to the demand of the loop. What the thrust lacks (weak motors, a payload) is added on top: the vertical
 part of nu_ad, or the lack of thrust that is measured here, whichever is more.
@@ -7,9 +7,9 @@ The lack is the vertical residual, low-passed: how much more of the vehicle's fa
 the model. On the floor, which carries part of the weight, it is T / m - g, less than the true lack. So a vehicle that
 stays on the floor at its limit is allowed ever more thrust until it lifts off or the motors are at their maximum.
 
-After a loss of thrust the motors have little reserve for attitude control. If the position loop then demands a large
-tilt and a fast climb, it uses up this reserve and the vehicle crashes. So while the mixer reduces thrust, roll or
-pitch, the limits of tilt and climb are low; afterwards they return gradually.
+The limits are the same while the motors saturate. Lower ones then would save thrust, but they step the commanded
+attitude at the moment when there is least torque, and bring vehicles with little thrust into a swing that they do not
+leave (docs/findings.md).
 
 Before the laws adapt, nothing compensates motors that are weaker, or a vehicle that is heavier, than the nominal ones.
 So take-off has a higher climb limit: most such vehicles lift off without delay.
@@ -35,7 +35,7 @@ fades to nothing at 90 degrees."""
 
 
 class DemandLimitsConfig(ConfigRecord):
-    """Limits in normal flight, and while the motors saturate ("short")."""
+    """The limits."""
 
     tilt_max_rad: Annotated[float, Field(gt=0, le=1.2)] = 0.7
     climb_acceleration_max_m_s2: Annotated[float, Field(gt=0, le=20)] = 2.0
@@ -43,12 +43,6 @@ class DemandLimitsConfig(ConfigRecord):
         float, Field(gt=0, le=20, description="climb until the laws begin to adapt")
     ] = 5.0
     sink_acceleration_max_m_s2: Annotated[float, Field(gt=0, le=9)] = 5.0
-    short_tilt_max_rad: Annotated[
-        float, Field(gt=0, le=1.2, description="tilt while the motors saturate, at most tilt_max_rad")
-    ] = 0.15
-    short_climb_max_m_s2: Annotated[float, Field(gt=0, le=20, description="climb while the motors saturate")] = 1.0
-    short_after_s: Annotated[float, Field(gt=0, le=10, description="time constant of lowering the limits")] = 0.05
-    recovered_after_s: Annotated[float, Field(gt=0, le=60, description="time constant of raising them again")] = 1.0
     lack_filter_s: Annotated[
         float, Field(gt=0, le=10, description="s, time constant on the vertical residual that tells what thrust lacks")
     ] = 0.2
@@ -59,31 +53,23 @@ class DemandLimits:
 
     def __init__(self, config: DemandLimitsConfig) -> None:
         self._config = config
-        self._tilts = tan(config.tilt_max_rad), min(tan(config.short_tilt_max_rad), tan(config.tilt_max_rad))
-        climb = config.climb_acceleration_max_m_s2
-        self._climbs = climb, min(config.short_climb_max_m_s2, climb)
+        self._tilt = tan(config.tilt_max_rad)
         self._lifted = False
-        self.shortage = 0.0
-        """From 0, the motors deliver the demand, to 1, they have saturated for some time."""
         self.lack = 0.0
         """What the thrust lacks in vertical acceleration, m/s^2; 0 if it lacks nothing."""
 
-    def step(self, saturated: bool, adapting: bool, residual_z: float, dt: float) -> None:
+    def step(self, adapting: bool, residual_z: float, dt: float) -> None:
         """Update with one tick.
 
-        saturated: whether the mixer reduced the demand. adapting: whether the laws adapted. residual_z: vertical
-        acceleration that the delivered thrust does not explain, m/s^2, positive downwards.
+        adapting: whether the laws adapted. residual_z: vertical acceleration that the delivered thrust does not
+        explain, m/s^2, positive downwards.
         """
         self._lifted = self._lifted or adapting
         self.lack = max(0.0, self.lack + (residual_z - self.lack) * min(dt / self._config.lack_filter_s, 1.0))
-        if saturated:
-            self.shortage += (1.0 - self.shortage) * min(dt / self._config.short_after_s, 1.0)
-        else:
-            self.shortage -= self.shortage * min(dt / self._config.recovered_after_s, 1.0)
 
     def reset(self) -> None:
         """Start over, as at the beginning of a flight."""
-        self.shortage = self.lack = 0.0
+        self.lack = 0.0
         self._lifted = False
 
     def specific_thrust(self, u: Vector3, nu_z: float) -> Vector3:
@@ -92,17 +78,14 @@ class DemandLimits:
         nu_z: vertical component of nu_ad. It is part of u; the vertical limits do not apply to it. Where more than that
         lacks, the limit of climb does not apply to the lack.
         """
-        share = self.shortage
-        if self._lifted:
-            climb = self._climbs[0] + share * (self._climbs[1] - self._climbs[0])
-        else:
-            climb = self._config.take_off_acceleration_max_m_s2
+        config = self._config
+        climb = config.climb_acceleration_max_m_s2 if self._lifted else config.take_off_acceleration_max_m_s2
         climb += max(self.lack - max(nu_z, 0.0), 0.0)
         ux, uy, uz = u
-        uz = min(max(uz + nu_z, -climb), self._config.sink_acceleration_max_m_s2) - nu_z
+        uz = min(max(uz + nu_z, -climb), config.sink_acceleration_max_m_s2) - nu_z
         fx, fy, fz = -ux, -uy, max(GRAVITY - uz, FALL_MIN_M_S2)
         horizontal = (fx * fx + fy * fy) ** 0.5
-        most = fz * (self._tilts[0] + share * (self._tilts[1] - self._tilts[0]))
+        most = fz * self._tilt
         if horizontal > most:
             fx, fy = fx * most / horizontal, fy * most / horizontal
         return fx, fy, fz

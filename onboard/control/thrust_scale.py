@@ -70,6 +70,7 @@ class ThrustScale:
 
     def __init__(self, config: ThrustScaleConfig, airframe: AirframeConfig, period_s: float) -> None:
         self._config, self._mass_kg, self._dt = config, airframe.mass_kg, period_s
+        self._fastest = 1.0 / config.start_time_constant_s
         self._thrust_n = 0.0
         self.value = 1.0
         """k: true specific thrust as a multiple of the nominal one."""
@@ -78,7 +79,7 @@ class ThrustScale:
     def reset(self) -> None:
         """Start over, as at the beginning of a flight."""
         self.value = 1.0
-        self._rate = 1.0 / self._config.start_time_constant_s
+        self._rate = self._fastest
 
     def step(self, specific_force_z: float, delivered_n: float, adapt: bool) -> None:
         """Learn from one tick.
@@ -98,4 +99,7 @@ class ThrustScale:
         innovation = -specific_force_z / GRAVITY - self.value * load
         value = self.value + self._rate * dt * load * innovation
         self.value = min(max(value, config.least), config.greatest)
-        self._rate += dt * (config.time_constant_s**-2 - (self._rate * load) ** 2)
+        rate = self._rate + dt * (config.time_constant_s**-2 - (self._rate * load) ** 2)
+        self._rate = min(
+            max(rate, 0.0), self._fastest
+        )  # whatever the load: an Euler step is stable for small ones only

@@ -130,7 +130,7 @@ class Path:
         # Stored once: a failed isinstance of a pydantic record costs more than the whole path.
         self._figure8 = path if isinstance(path, Figure8) else None
         self._circle = path if isinstance(path, Circle) else None
-        self._lissajous = _drawn(path) if isinstance(path, Lissajous) else None
+        self._lissajous = swings(path) if isinstance(path, Lissajous) else None
         periodic = path if isinstance(path, Figure8 | Circle) else None
         self._omega = 2.0 * pi / periodic.period_s if periodic else 0.0
         self._theta = 2.0 * pi * periodic.start_phase if periodic else 0.0
@@ -259,7 +259,7 @@ class Swing(NamedTuple):
     phase_rad: float
 
 
-def _drawn(path: Lissajous) -> tuple[Swing, Swing]:
+def swings(path: Lissajous) -> tuple[Swing, Swing]:
     """Draw the north and the east motion of a Lissajous path from its seed."""
     rng = np.random.default_rng([path.seed, LISSAJOUS_STREAM])
     ratio = float(rng.uniform(*FREQUENCY_RATIOS[int(rng.integers(2))]))

@@ -78,7 +78,7 @@ def test_dmrac_config_marks_what_nobody_chose(capsys: pytest.CaptureFixture[str]
     assert main(["config", *words, "--set", "features.trained.scales.roll.scale=0.3"]) == 0
     text = capsys.readouterr().out
     lines = [re.sub(r"\s+", " ", line).strip() for line in text.splitlines()]
-    for value in ("learning_rate: 0.003", "rbf_width: 0.6", "dropout: 0.0", "altitude_m: 1.0"):
+    for value in ("learning_rate: 0.005", "rbf_width: 0.6", "dropout: 0.0", "altitude_m: 1.0"):
         assert [line.removeprefix(value).strip() for line in lines if line.startswith(value)][:1] == ["# default"]
     assert all("#" not in line for line in lines if line.startswith("look_ahead_s:")), "the controller's file chose it"
     assert {"momentum: 0.8", "mass_kg: 0.063", "auto_arm: true", "period_ns: 5000000 # default"} <= set(lines)

@@ -96,6 +96,22 @@ def test_several_vehicles_need_their_own_number_and_addresses(
     assert "is used by" in message
 
 
+def test_vehicles_that_share_their_networks_need_the_same_training(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    first = configuration(tmp_path / "first.yaml", 1, 18000)
+    second = configuration(tmp_path / "second.yaml", 2, 18020)
+    for keys, old, new in (
+        ("features.trained.dropout", "dropout: 0.0", "dropout: 0.1"),
+        ("offboard.trainer.batches", "batches: 80", "batches: 40"),
+    ):
+        text = second.read_text(encoding="utf-8")
+        other = tmp_path / "other.yaml"
+        other.write_text(text.replace(old, new), encoding="utf-8")
+        message = refused(capfd, "--config", first, "--also", other, "--out", tmp_path)
+        assert f"other.yaml: {keys}: {new.split()[1]}; allowed is {old.split()[1]}, as in" in message
+
+
 def test_options_for_one_vehicle_are_refused_with_also(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = configuration(tmp_path / "first.yaml", 1, 18000)
     second = configuration(tmp_path / "second.yaml", 2, 18020)

@@ -6,9 +6,10 @@
 S stays symmetric and positive definite in any precision, for any number of steps:
 - Symmetric to the bit: D S D is an elementwise product with a symmetric matrix, and u u', u = g / sqrt(v), has equal
   numbers on both sides of its diagonal, because a product of two floating-point numbers commutes.
-- Positive definite: after a prediction the smallest eigenvalue of S is at least f = min_i (1 - d_i^2) S0_i, and after
-  the correction that follows at least f / (1 + f norm(phi)^2 / R). Rounding of a step changes S by less than that as
-  long as `rounding_share` is below 1 (docs/theory_covariance.md). Nothing accumulates: each prediction restores f.
+- Positive definite: in units of S0, the smallest eigenvalue of S is at least f = min_i (1 - d_i^2) after a prediction,
+  and at least f / (1 + f phi'S0 phi / R) after the correction that follows. Rounding of a step changes S by less than
+  that as long as `rounding_share` is below 1 (docs/theory_covariance.md). Nothing accumulates: each prediction restores
+  f.
 - S <= S0 always, so it does not wind up while nothing is excited.
 
 theta', X' and S are the rows of one array, so that one product evaluates them along phi, and one rank-one update with
@@ -89,10 +90,9 @@ def rounding_share(
 
     For features of at most 1 in magnitude; a bound on the worst case (docs/theory_covariance.md), not an estimate.
     """
-    n, largest = prior_variance.size, float(prior_variance.max())
-    unit = float(np.finfo(dtype).eps) / 2.0
-    floor = float((-np.expm1(-2.0 * rates_1_s * dt) * prior_variance).min())
-    left = floor / (1.0 + floor * n / noise_variance)
-    of_g = n * unit * largest * n**0.5 / noise_variance**0.5
-    rounding = 4.0 * unit * largest + 2.0 * largest**0.5 * of_g + of_g * of_g
-    return float(rounding / left)
+    n, unit = prior_variance.size, float(np.finfo(dtype).eps) / 2.0
+    phi2 = float(prior_variance.sum())  # in units of S0, in which S is at most I
+    floor = float((-np.expm1(-2.0 * rates_1_s * dt)).min())
+    left = floor / (1.0 + floor * phi2 / noise_variance)
+    of_g = n**1.5 * unit * (phi2 / noise_variance) ** 0.5
+    return float((4.0 * unit * n**0.5 + 2.0 * of_g + of_g * of_g) / left)

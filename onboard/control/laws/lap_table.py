@@ -30,7 +30,8 @@ class LapTable:
 
     def bin(self, phase: float) -> int:
         """Index of the bin that holds a lap phase, of any lap."""
-        return int((phase % 1.0) * len(self.values))
+        bins = len(self.values)
+        return min(int((phase % 1.0) * bins), bins - 1)  # -1e-17 % 1.0 is rounded to 1.0
 
     def follow(self, phase: float, dt: float) -> None:
         """Remember the lap phase; while it is negative, the table's share fades at the last known phase."""

@@ -130,13 +130,16 @@ def test_a_value_is_not_drawn_by_the_campaign_and_by_the_case() -> None:
 
 @pytest.mark.parametrize("name", REPORTING)
 def test_what_a_seed_draws_is_the_same_in_all_flights_of_a_shipped_campaign(name: str) -> None:
-    """So all that a campaign compares is flown under the same conditions; the source of an experience too."""
+    """So all that a campaign compares is flown under the same conditions; the source of an experience too.
+
+    Not what a memory is learnt from: other vehicles in other places.
+    """
     config, _ = load_campaign(name)
     paths = {case.name: drawn_paths(config, case.name) for case in config.cases}
     found: dict[tuple[str, int], set[str]] = {}
     for job in unfold(config, "t", 2):
         for path, value in assigned(job).items():
-            if path in paths[job.case]:
+            if path in paths[job.case] and not job.teaches:
                 found.setdefault((path, job.seed), set()).add(json.dumps(value))
     assert all(len(values) == 1 for values in found.values()), found
     by_seed = {path: (found[path, 1000], found[path, 1001]) for path, _ in found}
@@ -155,9 +158,9 @@ def drawn_paths(config: CampaignConfig, case: str) -> set[str]:
 @pytest.mark.parametrize("name", REPORTING)
 def test_a_shipped_campaign_draws_held_out_vehicles_and_another_place_of_the_jet(name: str) -> None:
     config, _ = load_campaign(name)
-    draws = [*config.draws, *(draw for case in config.cases for draw in case.draws)]
+    first = {job.case: job for job in reversed(list(unfold(config, name, 1))) if not job.teaches}
+    draws = [*config.draws, *(draw for case in config.cases if case.name in first for draw in case.draws)]
     assert {draw.vehicle for draw in draws} == {None, "held_out"}
-    first = {job.case: job for job in reversed(list(unfold(config, name, 1)))}
     for job in first.values():
         for item in job.configuration().vehicle.disturbances:
             if isinstance(item, FanJet):
@@ -165,9 +168,9 @@ def test_a_shipped_campaign_draws_held_out_vehicles_and_another_place_of_the_jet
 
 
 WEAK = """
-description: A vehicle too weak for a controller that does not learn its thrust.
+description: A vehicle that cannot lift its weight.
 controllers: [none]
-cases: [{name: weak, scenario: hover, duration_s: 6, set: {vehicle.motors.gain: [0.65, 0.65, 0.65, 0.65]}}]
+cases: [{name: weak, scenario: hover, duration_s: 6, set: {vehicle.motors.gain: [0.4, 0.4, 0.4, 0.4]}}]
 seeds: {count: 1}
 """
 

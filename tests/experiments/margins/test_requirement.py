@@ -44,8 +44,10 @@ def corner(**at: float) -> Corner:
 def test_a_corner_is_the_vehicle_at_shares_of_its_tuning_ranges() -> None:
     here = flight("vehicle.motors.lag_up_s=0.02", f"{DELAY_S}=0.005", "vehicle.body.mass_kg=0.0756")
     there = corner(motors__lag_up_s=0.0, motors__command_delay_s=0.5, body__mass_kg=1.0)
-    assert there.shortfall(flight(), "mambo") == NEEDED.shortfall(here)
-    assert NEEDED.shortfall(here) != NEEDED.shortfall(flight())
+    much = MarginRequirement(gain_margin_db=20.0, phase_margin_deg=60.0, delay_margin_ms=60.0)
+    there = there.model_copy(update={"margins": much})
+    assert there.shortfall(flight(), "mambo") == much.shortfall(here)
+    assert much.shortfall(here) != much.shortfall(flight())
 
 
 def test_a_corner_of_a_value_without_a_range_is_refused() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from experiments.flights.scenario import Choices, resolve
-from experiments.timing.learning_speed import admission_ms, training_round_ms
+from experiments.timing.learning_speed import admission_ms, fleet_round_ms, training_round_ms
 from experiments.timing.step_timing import (
     BLOCKS,
     LOG,
@@ -92,6 +92,7 @@ def test_the_vehicle_is_timed_bare_whole_and_in_a_batch() -> None:
 
 def test_learning_is_timed_on_a_flights_own_samples() -> None:
     assert training_round_ms(resolve("hover", Choices("dmrac")), runs=1) > 0.0
+    assert fleet_round_ms(resolve("hover", Choices("dmrac")), vehicles=2, runs=1) > 0.0
     assert admission_ms(samples=2) > 0.0
     with pytest.raises(RuntimeError, match="hover with pid: nothing to train on"):
         training_round_ms(resolve("hover", Choices("pid", None, None, ("offboard.trainer.minimum_samples=100000",))))

@@ -302,6 +302,19 @@ def test_features_are_taken_by_both_channels_or_by_none() -> None:
     assert np.linalg.norm(column(rows, "position") - (0.0, 0.0, -1.0), axis=1).max() < 0.02
 
 
+def test_features_that_fly_already_are_not_swapped() -> None:
+    """A swap would forget what the law knows: S starts again from the last second."""
+    rig = Rig(shipped_controller("dmrac"), FORCE, TORQUE)
+    rig.fly(1.0)
+    assert rig.controller.offer_features(feature_set()) == ""
+    rig.fly(1.0)
+    before = [(a.features, a.last_layer.state.S.copy()) for a in rig.controller.augmentations]
+    assert rig.controller.offer_features(feature_set()) == ""
+    for augmentation, (features, S) in zip(rig.controller.augmentations, before, strict=True):
+        assert augmentation.features is features
+        np.testing.assert_array_equal(augmentation.last_layer.state.S, S)
+
+
 @pytest.mark.parametrize("name", ["pid", "mrac", "bias", "l1"])
 def test_controllers_without_learnt_features_refuse_them(name: str) -> None:
     assert shipped_controller(name).offer_features(feature_set()) == "not_accepting"

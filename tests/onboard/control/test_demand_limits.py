@@ -25,12 +25,11 @@ def tilt(f: tuple[float, float, float]) -> float:
     return math.atan2(math.hypot(f[0], f[1]), f[2])
 
 
-@given(u=accelerations, nu_z=st.floats(-20, 20), ticks=st.lists(st.booleans(), max_size=50))
-def test_tilt_and_fall_stay_within_the_limits_for_any_demand(u: tuple, nu_z: float, ticks: list[bool]) -> None:
+@given(u=accelerations, nu_z=st.floats(-20, 20), residuals=st.lists(st.floats(-20, 20), max_size=50))
+def test_tilt_and_fall_stay_within_the_limits_for_any_demand(u: tuple, nu_z: float, residuals: list[float]) -> None:
     limits = DemandLimits(CONFIG)
-    for saturated in ticks:
-        limits.step(saturated, True, 0.0, DT)
-        assert 0.0 <= limits.shortage <= 1.0
+    for residual in residuals:
+        limits.step(True, residual, DT)
     f = limits.specific_thrust(u, nu_z)
     assert f[2] >= FALL_MIN_M_S2
     assert tilt(f) <= CONFIG.tilt_max_rad + 1e-9
@@ -44,7 +43,7 @@ def test_a_take_off_may_ask_for_more_until_the_laws_adapt() -> None:
     limits, hard = DemandLimits(CONFIG), (0.0, 0.0, -20.0)
     assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.take_off_acceleration_max_m_s2)
     for adapting in (True, False):  # what it once knew it does not forget
-        limits.step(False, adapting, 0.0, DT)
+        limits.step(adapting, 0.0, DT)
         assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.climb_acceleration_max_m_s2)
     limits.reset()
     assert limits.specific_thrust(hard, 0.0)[2] == pytest.approx(GRAVITY + CONFIG.take_off_acceleration_max_m_s2)
@@ -52,7 +51,7 @@ def test_a_take_off_may_ask_for_more_until_the_laws_adapt() -> None:
 
 def test_nu_ad_comes_on_top_of_the_vertical_limits() -> None:
     climb, limits = CONFIG.climb_acceleration_max_m_s2, DemandLimits(CONFIG)
-    limits.step(False, True, 0.0, DT)
+    limits.step(True, 0.0, DT)
     assert limits.specific_thrust((0.0, 0.0, -100.0), 3.0)[2] == pytest.approx(GRAVITY + climb + 3.0)
 
 
@@ -63,7 +62,7 @@ def test_a_vehicle_whose_thrust_is_weak_lifts_off_with_the_acceleration_that_the
     for _ in range(600):
         most = limits.specific_thrust(HARD, 0.0)[2]
         upwards.append(max(share * most - GRAVITY, 0.0))
-        limits.step(False, False, upwards[-1] * -1.0 - (GRAVITY - most), DT)
+        limits.step(False, upwards[-1] * -1.0 - (GRAVITY - most), DT)
     assert (upwards[0] > 0.5) is (share > 0.75), "the weaker ones stay on the floor at first"
     assert upwards[-1] == pytest.approx(CONFIG.take_off_acceleration_max_m_s2, rel=0.01)
 
@@ -71,11 +70,11 @@ def test_a_vehicle_whose_thrust_is_weak_lifts_off_with_the_acceleration_that_the
 def test_the_lack_of_thrust_counts_once_and_only_while_it_lasts() -> None:
     climb, limits = CONFIG.climb_acceleration_max_m_s2, DemandLimits(CONFIG)
     for _ in range(400):
-        limits.step(False, True, 3.0, DT)
+        limits.step(True, 3.0, DT)
     for nu_z, extra in ((0.0, 3.0), (1.0, 3.0), (3.0, 3.0), (4.0, 4.0), (-1.0, 2.0)):
         assert limits.specific_thrust(HARD, nu_z)[2] == pytest.approx(GRAVITY + climb + extra, abs=1e-3), nu_z
     for _ in range(400):
-        limits.step(False, True, -3.0, DT)
+        limits.step(True, -3.0, DT)
     assert limits.specific_thrust(HARD, -1.0)[2] == pytest.approx(GRAVITY + climb - 1.0), "strong motors: as ever"
 
 
@@ -127,30 +126,12 @@ def test_the_thrust_is_continuous_in_the_attitude_and_never_negative() -> None:
 
 def test_a_residual_that_is_no_number_leaves_no_trace() -> None:
     limits = DemandLimits(CONFIG)
-    limits.step(False, True, math.nan, DT)
+    limits.step(True, math.nan, DT)
     assert limits.lack == 0.0
 
 
-def test_while_the_motors_fall_short_little_is_asked_for_and_the_limits_come_back() -> None:
-    limits, wide, hard = DemandLimits(CONFIG), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0)
-    assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
-    limits.step(True, True, 0.0, DT)  # one tick of noise costs little
-    assert tilt(limits.specific_thrust(wide, 0.0)) > 0.9 * CONFIG.tilt_max_rad
-    for _ in range(100):
-        limits.step(True, True, 0.0, DT)
-    assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.short_tilt_max_rad, rel=1e-2)
-    climb = limits.specific_thrust(hard, 0.0)[2] - GRAVITY
-    assert climb == pytest.approx(CONFIG.short_climb_max_m_s2, rel=1e-2)
-    for _ in range(1000):
-        limits.step(False, True, 0.0, DT)
-    assert tilt(limits.specific_thrust(wide, 0.0)) == pytest.approx(CONFIG.tilt_max_rad, rel=1e-2)
-
-
-def test_short_limits_wider_than_the_others_change_nothing() -> None:
-    limits = DemandLimits(DemandLimitsConfig(short_tilt_max_rad=1.2, short_climb_max_m_s2=20.0))
-    for _ in range(100):
-        limits.step(True, True, 0.0, DT)
-    assert tilt(limits.specific_thrust((20.0, 0.0, 0.0), 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
+def test_the_tilt_is_limited() -> None:
+    assert tilt(DemandLimits(CONFIG).specific_thrust((20.0, 0.0, 0.0), 0.0)) == pytest.approx(CONFIG.tilt_max_rad)
 
 
 SHORT_OF_THRUST = (
@@ -175,21 +156,19 @@ def test_a_vehicle_with_a_quarter_of_thrust_to_spare_takes_off_and_hovers(contro
 
 
 WEAK = (
-    "vehicle.disturbances=[{kind: rotor_chip, rotor: random, thrust_factor: 0.65, onset_s: 7.0},"
-    " {kind: motor_gain, common: 0.95, spread: 0.05}]"
+    "vehicle.motors.gain=[0.70, 0.70, 0.70, 0.70]",
+    "vehicle.body.mass_kg=0.0744",
+    "vehicle.motors.lag_up_s=0.05",
+    "vehicle.motors.command_delay_s=0.01",
+    "vehicle.disturbances.0.origin_ned_m=[0.6, -2.0, -1.0]",
+    "vehicle.disturbances.0.speed_m_s=4",
 )
-WITHOUT = tuple(
-    f"onboard.controller.settings.limits.{key}={value}"
-    for key, value in (("short_tilt_max_rad", 1.2), ("climb_acceleration_max_m_s2", 5), ("short_climb_max_m_s2", 5))
-)
 
 
-def survivors(*assignments: str) -> int:
-    flights = (resolve("rotor_chip", Choices("mrac", seed, 11.0, (WEAK, *assignments))) for seed in range(7))
-    return sum(not fly_lockstep(flight, with_offboard=False).crash_reason for flight in flights)
-
-
-@pytest.mark.full
-def test_they_save_a_vehicle_that_has_little_thrust_to_spare() -> None:
-    """The ablation too: with wide limits all the while, more are lost (2 of these 7 flights, measured)."""
-    assert survivors() >= survivors(*WITHOUT) + 2
+def test_a_vehicle_at_the_limit_of_its_thrust_flies_through_the_jet() -> None:
+    """Its motors saturate for much of the time; the limits do not depend on it."""
+    flight = fly_lockstep(resolve("figure8_wind", Choices("l1", 3, 16.0, WEAK)))
+    assert not flight.crash_reason
+    assert flight.trace.tick["saturated"].mean() > 0.05
+    on_path = flight.trace.on_path
+    assert np.linalg.norm(flight.trace.position_error[on_path], axis=1).max() < 0.5

@@ -1,0 +1,133 @@
+#include "control/features.h"
+
+#include "numerics/elementary.h"
+#include "numerics/small_matrix.h"
+
+/* ChannelFeatures.feature_count */
+int32_t network_feature_count(const Network *network) {
+    return network->width[network->layers - 1] + 1;
+}
+
+/* _Selection.__init__ */
+static void take_selection(Features *self, const FeatureSelection *selection) {
+    self->selection = *selection;
+    for (int i = 0; i < selection->count; i++) {
+        self->inverse[i] = REAL(1.0) / selection->scale[i];
+    }
+}
+
+/* NetworkFeatures.__init__ */
+void features_init_network(Features *self, const FeatureSelection *selection, const Network *network) {
+    self->kind = ADAPTIVE_FEATURES_NETWORK;
+    take_selection(self, selection);
+    self->network = *network;
+    self->feature_count = network_feature_count(network);
+}
+
+/* halton: a number of the sequence (Halton 1960), by its index from 1 and the base of its dimension */
+static real halton(int index, int base) {
+    real value = REAL(0.0), fraction = REAL(1.0);
+    while (index > 0) {
+        fraction /= (real)base;
+        value += fraction * (real)(index % base);
+        index /= base;
+    }
+    return value;
+}
+
+/* RadialFeatures.__init__ */
+void features_init_radial(Features *self, const FeatureSelection *selection, real width) {
+    static const int primes[INPUTS_MAX] = {2,  3,  5,  7,  11, 13, 17, 19, 23, 29, 31,
+                                           37, 41, 43, 47, 53, 59, 61, 67, 71, 73};
+    self->kind = ADAPTIVE_FEATURES_RBF;
+    take_selection(self, selection);
+    self->feature_count = RBF_COUNT + 1;
+    int m = selection->count;
+    real divisor = REAL(2.0) * width * width * (real)m;
+    for (int row = 0; row < RBF_COUNT; row++) {
+        real *exponent = self->exponent + row * (2 * m + 1);
+        real squares = REAL(0.0);
+        for (int i = 0; i < m; i++) {
+            real centre = REAL(2.0) * halton(row + 1, primes[i]) - REAL(1.0);
+            exponent[i] = REAL(2.0) * centre / divisor;
+            exponent[m + i] = REAL(-1.0) / divisor;
+            squares += centre * centre;
+        }
+        exponent[2 * m] = -squares / divisor;
+    }
+}
+
+/* BiasFeatures */
+void features_init_bias(Features *self) {
+    self->kind = ADAPTIVE_FEATURES_BIAS;
+    self->selection.count = 0;
+    self->feature_count = 1;
+}
+
+/* ChannelFeatures.lipschitz_bound */
+real network_lipschitz(const Network *network, int32_t inputs, real *work) {
+    real product = REAL(1.0);
+    const real *layer = network->parameters;
+    for (int l = 0; l < network->layers; l++) {
+        int rows = network->width[l], stride = inputs + 1; /* b stands after each row of W */
+        product *= largest_singular_value(layer, rows, inputs, stride, work);
+        layer += rows * stride;
+        inputs = rows;
+    }
+    return product;
+}
+
+/* _Selection.select: z = (x - offset) / scale, clipped to +-INPUT_LIMIT */
+void features_select(const Features *self, const real signals[SIGNAL_COUNT], real *z) {
+    for (int i = 0; i < self->selection.count; i++) {
+        real scaled = (signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i];
+        z[i] = real_max(real_min(scaled, INPUT_LIMIT), -INPUT_LIMIT);
+    }
+}
+
+/* NetworkFeatures.evaluate: Phi = [tanh(W_L ... tanh(W_1 z + b_1) + b_L); 1] */
+static void evaluate_network(const Features *self, const real *z, real *Phi) {
+    real levels[2][WIDTH_MAX];
+    const Network *network = &self->network;
+    const real *row = network->parameters;
+    const real *below = z;
+    int inputs = self->selection.count;
+    for (int l = 0; l < network->layers; l++) {
+        real *above = l == network->layers - 1 ? Phi : levels[l % 2];
+        for (int i = 0; i < network->width[l]; i++) {
+            above[i] = real_tanh(dot(row, below, inputs) + row[inputs]);
+            row += inputs + 1;
+        }
+        inputs = network->width[l];
+        below = above;
+    }
+    Phi[inputs] = REAL(1.0);
+}
+
+/* RadialFeatures.evaluate: phi_i = exp(-|z - c_i|^2 / (2 width^2 m)); then 1 */
+static void evaluate_radial(const Features *self, const real *z, real *Phi) {
+    int m = self->selection.count;
+    for (int row = 0; row < RBF_COUNT; row++) {
+        const real *exponent = self->exponent + row * (2 * m + 1);
+        real sum = exponent[2 * m];
+        for (int i = 0; i < m; i++) {
+            sum += exponent[i] * z[i] + exponent[m + i] * (z[i] * z[i]);
+        }
+        Phi[row] = real_exp(sum);
+    }
+    Phi[RBF_COUNT] = REAL(1.0);
+}
+
+void features_evaluate(const Features *self, const real *z, real *Phi) {
+    switch (self->kind) {
+        case ADAPTIVE_FEATURES_NETWORK:
+            evaluate_network(self, z, Phi);
+            break;
+        case ADAPTIVE_FEATURES_RBF:
+            evaluate_radial(self, z, Phi);
+            break;
+        case ADAPTIVE_FEATURES_BIAS:
+            Phi[0] = REAL(1.0);
+            break;
+    }
+}

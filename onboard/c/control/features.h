@@ -1,0 +1,70 @@
+/* Features Phi(x, c), the inputs of the last layer: a learnt network, radial basis functions, or the bias alone. The twin
+ * of onboard/control/features.py. The last feature is always the constant 1. */
+#ifndef DMRAC_FEATURES_H
+#define DMRAC_FEATURES_H
+
+#include <stdbool.h>
+
+#include "generated/config.h"
+#include "generated/constants.h"
+
+#define INPUTS_MAX SIGNAL_COUNT
+#define FEATURES_MAX (WIDTH_MAX + 1)
+
+/* Numbers of all inner layers together: W and b. A vehicle with little memory defines it smaller; networks that do not
+ * fit are refused then. */
+#ifndef PARAMETERS_MAX
+#define PARAMETERS_MAX (LAYERS_MAX * WIDTH_MAX * (WIDTH_MAX + 1))
+#endif
+
+/* The inputs of a channel and their scales: z = (x - offset) / scale. */
+typedef struct {
+    int32_t count;
+    int32_t index[INPUTS_MAX]; /* in the signal vector */
+    real offset[INPUTS_MAX];   /* in the input's unit */
+    real scale[INPUTS_MAX];    /* the same, positive */
+} FeatureSelection;
+
+/* Inner layers: for each layer, for each of its outputs, a row of W and then b. */
+typedef struct {
+    int32_t layers;
+    int32_t width[LAYERS_MAX];
+    real parameters[PARAMETERS_MAX];
+} Network;
+
+/* One channel of a trained feature version. */
+typedef struct {
+    FeatureSelection selection;
+    Network network;
+    real last_layer[FEATURES_MAX * 3]; /* theta_n, [k, 3], units of the channel's u */
+} ChannelFeatures;
+
+typedef struct {
+    AdaptiveFeatures kind;
+    int32_t feature_count; /* k, the constant included */
+    FeatureSelection selection;
+    real inverse[INPUTS_MAX]; /* 1 / scale */
+    Network network;
+    real exponent[RBF_COUNT * (2 * INPUTS_MAX + 1)]; /* of the radial functions, linear in [z; z^2; 1] */
+} Features;
+
+/* k of a network. */
+int32_t network_feature_count(const Network *network);
+
+/* Take over a network; `selection` and `network` are copied. */
+void features_init_network(Features *self, const FeatureSelection *selection, const Network *network);
+/* Gaussians on a Halton grid over the unit box. `width` in scaled units, for one input; it grows with sqrt(m). */
+void features_init_radial(Features *self, const FeatureSelection *selection, real width);
+void features_init_bias(Features *self);
+
+/* Lipschitz constant of Phi in the scaled inputs: the product of the layers' spectral norms. `work`: 2 WIDTH_MAX^2
+ * numbers. */
+real network_lipschitz(const Network *network, int32_t inputs, real *work);
+
+/* Scaled inputs z [m] of a signal vector, clipped to +-INPUT_LIMIT. */
+void features_select(const Features *self, const real signals[SIGNAL_COUNT], real *z);
+
+/* Phi [k] of scaled inputs. */
+void features_evaluate(const Features *self, const real *z, real *Phi);
+
+#endif

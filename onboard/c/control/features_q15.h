@@ -1,0 +1,39 @@
+/* Network features in 16-bit whole numbers, for processors without floating-point unit. No numpy twin: it is compared with
+ * the features in `real`.
+ *
+ * Inputs have 13 fractional bits (|z| <= INPUT_LIMIT < 4), tanh 15. Each row of W and b has as many fractional bits as its
+ * largest number allows, at most 15. Sums are 64 bits wide and cannot overflow. tanh is read from a table of 257 points
+ * over [0, 8] with linear interpolation: its error is at most 1.2e-4, and the rounding of a result 3e-5.
+ *
+ * Largest error of a feature, measured (tests/onboard/c/test_features.py): 3e-4 with the networks that a flight starts with,
+ * 1.6e-3 with random ones whose Lipschitz constant is near 200, the largest that a swap accepts by default. Not measured
+ * with trained networks. Not used: no law has been flown with these features, and W and nu_ad are in `real` all the same. */
+#ifndef DMRAC_FEATURES_Q15_H
+#define DMRAC_FEATURES_Q15_H
+
+#include "control/features.h"
+
+#define TANH_POINTS 257
+
+typedef struct {
+    FeatureSelection selection;
+    real inverse[INPUTS_MAX];
+    int32_t layers;
+    int32_t width[LAYERS_MAX];
+    int16_t parameters[PARAMETERS_MAX];  /* rows of W and then b */
+    int8_t bits[LAYERS_MAX * WIDTH_MAX]; /* fractional bits of each row, all layers one after the other */
+} FeaturesQ15;
+
+/* Round the network of `source`. Returns false if it holds a number of 2^15 or more. */
+bool features_q15_init(FeaturesQ15 *self, const Features *source);
+
+/* Scaled inputs [m], rounded, of a signal vector. */
+void features_q15_select(const FeaturesQ15 *self, const real signals[SIGNAL_COUNT], int16_t *z);
+
+/* Phi [k] of scaled inputs, as whole numbers over 2^15; the constant 1 is 32767, so the caller uses 1 for it. */
+void features_q15_evaluate(const FeaturesQ15 *self, const int16_t *z, int16_t *Phi);
+
+/* tanh of a number with 16 fractional bits, with 15 fractional bits. */
+int16_t tanh_q15(int64_t x);
+
+#endif

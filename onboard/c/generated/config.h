@@ -1,0 +1,346 @@
+/* Written by python -m onboard.c.generate. Do not edit. */
+#ifndef DMRAC_CONFIG_H
+#define DMRAC_CONFIG_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "numerics/real.h"
+
+#define CONFIG_IMAGE_BYTES 3668
+
+/* After each member: its place within the packed record, in bytes, and its unit. */
+
+typedef struct {
+    real mass_kg; /* 0 */
+    real inertia_kg_m2[3]; /* 8 */
+    real arm_x_m; /* 32 */
+    real arm_y_m; /* 40 */
+    real yaw_torque_per_thrust_m; /* 48 */
+    real motor_thrust_max_n; /* 56 */
+    real motor_thrust_min_share; /* 64 */
+    real motor_lag_up_s; /* 72 */
+    real motor_lag_down_s; /* 80 */
+    real motor_response_s; /* 88 */
+} AirframeConfig;
+
+typedef struct {
+    bool enabled; /* 0: whether k is estimated and used; if not, it is 1 */
+    real time_constant_s; /* 8: s, of the estimate at hover */
+    real start_time_constant_s; /* 16: s, the same when it begins; at most time_constant_s */
+    real least; /* 24: least k, as a multiple of the nominal thrust */
+    real greatest; /* 32: greatest k */
+    real thrust_min_share; /* 40: thrust below which nothing is learnt, as a share of the weight */
+} ThrustScaleConfig;
+
+typedef struct {
+    real accelerometer_sigma; /* 0: m/s^2 per sample, motors off; grows with vibration */
+    real accelerometer_sigma_max; /* 8: m/s^2, limit of that growth */
+    real vibration_to_sigma; /* 16: 1; accelerometer sigma per vibration level */
+    real vibration_white_max_m_s2; /* 24: m/s^2; above it, poses that disagree mean a wrong velocity */
+    real gyro_sigma; /* 32: rad/s per sample, in flight */
+    real gyro_bias_walk; /* 40: rad/s/sqrt(s) */
+    real accelerometer_bias_walk; /* 48: m/s^2/sqrt(s) */
+    real gyro_delay_s; /* 56: s; age of the rates at their time stamp */
+    int32_t gyro_stuck_samples; /* 64: equal samples of one axis in flight that mean stuck; 0: never */
+    real gyro_stuck_walk; /* 72: rad/s/sqrt(s), error of the rate that replaces it */
+    real gyro_stuck_disturbance_s; /* 80: s, filter of that rate's disturbance */
+    int32_t start_samples; /* 88: still IMU samples needed for the start */
+    real start_rate_max_rad_s; /* 96: rad/s; a faster vehicle is not still */
+    real start_tilt_sigma_rad; /* 104: rad, from accelerometer bias */
+    real start_yaw_sigma_rad; /* 112: rad; without pose the start defines north */
+    real start_gyro_bias_sigma; /* 120: rad/s */
+    real start_accelerometer_bias_sigma; /* 128: m/s^2 */
+    real start_position_sigma_m; /* 136: m; without pose the start defines the origin */
+    real calibration_s; /* 144: s at rest that arming waits for, in steps of 0.5; 0: no calibration */
+    real calibration_force_max_m_s2; /* 152: m/s^2, per axis, of a mean over 0.5 s; a larger change means a movement */
+    real calibration_rate_max_rad_s; /* 160: rad/s, the same for the rates */
+    real calibration_bias_max_rad_s; /* 168: rad/s, per axis; no arming with a larger gyroscope bias */
+    real pose_position_sigma_m; /* 176: m, per axis */
+    real pose_attitude_sigma_rad; /* 184: rad, per axis */
+    real pose_time_sigma_s; /* 192: s, error of the capture time */
+    real pose_gate; /* 200: chi-square limit, 3 degrees of freedom */
+    real pose_turn_time_sigma_s; /* 208: s, the same for the attitude */
+    real pose_time_error_max_s; /* 216: s; an attitude that such an error of the capture time explains is left out */
+    real pose_near_m; /* 224: m; a pose off by less gets less weight, no refusal */
+    real pose_near_rad; /* 232: rad; a pose off by less gets less weight, no refusal */
+    real pose_delay_max_s; /* 240: s; older poses are refused */
+    int32_t pose_reset_count; /* 248: refused poses in a row that agree: state jumps to them */
+    real pose_agree_m; /* 256: m between successive refused poses that agree */
+    real jump_threshold_m; /* 264: m; a larger correction is announced as a jump */
+    real flow_rate_sigma_rad_s; /* 272: rad/s, per axis, of the flow rate */
+    real flow_scale_sigma; /* 280: 1; relative error of the flow velocity */
+    int32_t flow_quality_min; /* 288: flow of lower quality is ignored */
+    real flow_height_min_m; /* 296: m; flow below this height is ignored */
+    real flow_gate; /* 304: chi-square limit, 1 degree of freedom */
+    real range_sigma_m; /* 312: m */
+    real range_floor_m; /* 320: m; least distance of the ultrasonic sensor */
+    real range_margin_m; /* 328: m above that distance, from which readings count */
+    real range_max_m; /* 336: m */
+    real range_half_cone_rad; /* 344: rad; half the beam's opening angle */
+    real range_gate; /* 352: chi-square limit, 1 degree of freedom */
+    real pressure_sigma_pa; /* 360: Pa, of a mean of eight samples */
+    real pressure_drift_pa; /* 368: Pa, drift within a flight */
+    real pressure_gate; /* 376: chi-square limit, 1 degree of freedom */
+    real still_velocity_sigma_m_s; /* 384: m/s on the ground */
+    real still_height_sigma_m; /* 392: m on the ground, without a pose */
+    real unaided_velocity_sigma_m_s; /* 400: m/s; assumed without any aid */
+    real recovery_s; /* 408: s of refused aids after which the uncertainty grows */
+    real aid_fresh_s; /* 416: s; a younger aid counts as present */
+    int32_t covariance_every; /* 424: IMU samples per covariance step */
+    real gap_s; /* 432: s; after a longer IMU gap the uncertainty grows */
+} EstimatorConfig;
+
+typedef enum { SUPERVISOR_ON_POSE_STALE_HOLD, SUPERVISOR_ON_POSE_STALE_CONTINUE } SupervisorOnPoseStale;
+
+typedef struct {
+    real imu_silent_s; /* 0: s; motors off */
+    real pose_stale_s; /* 8: s; an older pose does not count */
+    SupervisorOnPoseStale on_pose_stale; /* 16: hold: stop on flow; continue: fly on while flow and position_sigma_m are good */
+    real position_sigma_max_m; /* 24: m; limit for continue */
+    real velocity_stale_s; /* 32: s; an older flow does not count */
+    real velocity_lost_s; /* 40: s; level and descend */
+    real offboard_silent_s; /* 48: s; a message only */
+    real ground_silent_s; /* 56: s; landing; 0: not needed */
+    real battery_silent_s; /* 64: s; landing; 0: not needed */
+    real battery_low_v; /* 72: V under load; landing */
+    real battery_low_remaining; /* 80: fraction; landing */
+    real battery_low_for_s; /* 88: s for which the battery must be low */
+    real battery_arm_v; /* 96: V; no arming below */
+    real battery_max_v; /* 104: V; no arming above: wrong unit or cell count */
+    real tilt_max_rad; /* 112: rad; motors off */
+    real fence_m; /* 120: m from the origin, horizontally; landing */
+    real ceiling_m; /* 128: m above the floor; landing */
+    real take_off_height_m; /* 136: m above the floor */
+    real take_off_tolerance_m; /* 144: m below that height: take-off is complete */
+    real take_off_max_s; /* 152: s; then landing */
+    real armed_max_s; /* 160: s on the ground with idle motors; then disarmed */
+    real hold_max_s; /* 168: s on flow alone; then landing */
+    real level_max_s; /* 176: s of level descent without progress; then motors off */
+    real landing_max_s; /* 184: s without getting lower; then level descent */
+    real landed_s; /* 192: s after touch-down until the next flight may be prepared */
+    real touch_down_height_m; /* 200: m; below it and slow is touch-down */
+    real touch_down_speed_m_s; /* 208: m/s */
+    real touch_down_thrust; /* 216: of weight; less and slow is touch-down too */
+    real touch_down_for_s; /* 224: s for which touch-down must last */
+    real healthy_for_s; /* 232: s for which all sensors must be good before arming */
+    real back_for_s; /* 240: s for which a lost aid must be back */
+    bool arm_needs_pose; /* 248: no arming without a fresh pose */
+    bool auto_arm; /* 256: simulation only: arm and take off, once, when ready */
+} SupervisorConfig;
+
+typedef struct {
+    real length_m; /* 0: north extent, tip to tip */
+    real width_m; /* 8: east extent */
+    real period_s; /* 16: one lap */
+    real start_phase; /* 24: where on the lap the path begins, share of a lap */
+} Figure8;
+
+typedef struct {
+    real length_m; /* 0: north extent, tip to tip */
+    real width_m; /* 8: east extent */
+    real period_s; /* 16: one lap of the figure-8 with the same RMS speed */
+} Lissajous;
+
+typedef struct {
+    real radius_m; /* 0 */
+    real period_s; /* 8: one lap */
+    real start_phase; /* 16: where on the lap the path begins, share of a lap */
+} Circle;
+#define POINTS_M_MAX 64
+
+typedef struct {
+    int32_t points_m_count; /* 0 */
+    real points_m[POINTS_M_MAX][3]; /* 8 */
+    real speed_m_s; /* 1544: mean speed along a leg */
+    real wait_s; /* 1552: rest at each point */
+} Waypoints;
+
+typedef enum { PATH_HOVER, PATH_FIGURE8, PATH_LISSAJOUS, PATH_CIRCLE, PATH_WAYPOINTS } TrajectoryPathKind;
+
+typedef struct {
+    TrajectoryPathKind kind; /* 0 */
+    Figure8 figure8; /* 8 */
+    Lissajous lissajous; /* 40 */
+    Circle circle; /* 64 */
+    Waypoints waypoints; /* 88 */
+} TrajectoryPath;
+
+typedef struct {
+    TrajectoryPath path; /* 0 */
+    real altitude_m; /* 1648 */
+    real takeoff_s; /* 1656 */
+    real settle_s; /* 1664: hover between take-off and path */
+    real ramp_s; /* 1672: time in which a periodic path reaches its speed */
+    real landing_speed_m_s; /* 1680 */
+    real yaw_rad; /* 1688 */
+} TrajectoryConfig;
+
+typedef struct {
+    TrajectoryConfig trajectory; /* 0 */
+    real land_after_s; /* 1696: path time at which the landing begins */
+    real feed_forward_lead_s; /* 1704: t_ff: lag of the inner loops; below 0 where they lead */
+    real look_ahead_s; /* 1712: t_ahead of the position channel's features */
+    real attitude_look_ahead_s; /* 1720: t_ahead of the attitude channel's */
+    real return_speed_m_s; /* 1728: m/s, back to the path after a jump */
+} GuidanceConfig;
+
+typedef struct {
+    real natural_frequency_rad_s[3]; /* 0 */
+    real damping; /* 24 */
+} ChannelGains;
+
+typedef struct {
+    real gain[3]; /* 0 */
+    real limit; /* 24: bound on each axis of nu_ad, units of u */
+} IntegralConfig;
+
+typedef struct {
+    real predictor_pole_rad_s; /* 0: -A_s of the state predictor */
+    real bandwidth_rad_s; /* 8: of the low-pass filter C(s) */
+    real limit; /* 16: bound on each axis of nu_ad, units of u */
+} L1Config;
+
+typedef struct {
+    real filter_s; /* 0: time constant on x_dot and u_hat alike */
+    real limit; /* 8: bound on each axis of nu_ad, units of u */
+} IndiConfig;
+
+typedef struct {
+    real filter_s; /* 0: time constant on x_dot and u_hat alike */
+    real limit; /* 8: bound on each axis of nu_ad, units of u */
+    int32_t bins; /* 16: of lap phase */
+    real lead_s; /* 24: lag of the loop, by which the table leads */
+    real residual_filter_s; /* 32: time constant on the residual to be stored */
+    real learning; /* 40: least share of a new lap in the table */
+} RepetitiveConfig;
+
+typedef struct {
+    real filter_s; /* 0: time constant on x_dot and u_hat alike */
+    real limit; /* 8: bound on each axis of nu_ad, units of u */
+    int32_t bins; /* 16: of lap phase */
+    real lead_s; /* 24: lag of the loop, by which the table leads */
+    real learning; /* 32: share of the misfit that a lap corrects */
+    real cutoff_hz; /* 40: of the smoothing filter Q */
+} IterativeLearningConfig;
+
+typedef enum { ADAPTIVE_FEATURES_NETWORK, ADAPTIVE_FEATURES_RBF, ADAPTIVE_FEATURES_BIAS } AdaptiveFeatures;
+
+typedef struct {
+    real tracking_gain; /* 0: gamma, 1/s^3: nu_ad gains so much per second and unit of e_1, first axis */
+    real composite_gain; /* 8: lambda, 1/s: nu_ad approaches Delta_hat; 0 = off */
+    real bias_weight; /* 16: kappa: Gamma of the bias against the others */
+    real leak; /* 24: sigma, 1/s: W, the bias apart, drifts back to the trained last layer */
+    real weight_norm_max; /* 32: W_max: radius of the ball W is kept in, units of u */
+    real normalisation_floor; /* 40: eps in eps + Phi'Gamma Phi */
+    real residual_filter_s; /* 48: time constant of Delta_hat */
+} AdaptationConfig;
+
+typedef struct {
+    real tracking_gain; /* 0: 1/s^3: nu_ad gains at most so much per second and unit of e_1 */
+    real composite_gain; /* 8: lambda, 1/s: nu_ad follows the residual no faster than this; 0 = off */
+    real noise; /* 16: sqrt(R): residual of a tick about the model, units of u */
+    real prior; /* 24: p: spread of W about the trained last layer, units of u */
+    real fast_bias; /* 32: sigma_b: stationary spread of b, units of u */
+    real prior_rate; /* 40: s_w, 1/s: W reverts to the trained last layer */
+    real fast_bias_rate; /* 48: s_b, 1/s: b reverts to zero */
+    real weight_norm_max; /* 56: W_max: radius of the balls of theta and of [W - theta; b] */
+    real residual_filter_s; /* 64: time constant of Delta_hat */
+    bool confidence; /* 72: false: ablation, a = 1 */
+    real slope_share; /* 80: largest slope of theta'Phi, as a share of the loop's own gains */
+} KalmanConfig;
+
+typedef enum { LAW_GRADIENT, LAW_KALMAN } AdaptiveLawKind;
+
+typedef struct {
+    AdaptiveLawKind kind; /* 0 */
+    AdaptationConfig gradient; /* 8 */
+    KalmanConfig kalman; /* 64 */
+} AdaptiveLaw;
+
+typedef struct {
+    real memory_weight; /* 0: mu per recent state: pull towards W_bar */
+    int32_t ring_size; /* 8: recent states kept */
+    int32_t ring_period_ticks; /* 16: ticks between two of them */
+    real jump_max; /* 24: largest eps_2 accepted, units of u */
+    real lipschitz_max; /* 32: largest Lipschitz constant of Phi accepted */
+    bool naive; /* 40: ablation: keep W as it is instead of the bumpless swap */
+} SwapConfig;
+
+typedef struct {
+    AdaptiveFeatures features; /* 0 */
+    real rbf_width; /* 8: width of the Gaussians, scaled units per sqrt(input) */
+    AdaptiveLaw law; /* 16 */
+    real error_weight[2]; /* 168 */
+    SwapConfig swap; /* 184 */
+} AdaptiveConfig;
+
+typedef enum { AUGMENTATION_NONE, AUGMENTATION_INTEGRAL, AUGMENTATION_L1, AUGMENTATION_INDI, AUGMENTATION_REPETITIVE, AUGMENTATION_ILC, AUGMENTATION_ADAPTIVE } ChannelSettingsAugmentationKind;
+
+typedef struct {
+    ChannelSettingsAugmentationKind kind; /* 0 */
+    IntegralConfig integral; /* 8 */
+    L1Config l1; /* 40 */
+    IndiConfig indi; /* 64 */
+    RepetitiveConfig repetitive; /* 80 */
+    IterativeLearningConfig ilc; /* 128 */
+    AdaptiveConfig adaptive; /* 176 */
+} ChannelSettingsAugmentation;
+
+typedef struct {
+    ChannelGains gains; /* 0 */
+    ChannelSettingsAugmentation augmentation; /* 32 */
+} ChannelSettings;
+
+typedef struct {
+    real tilt_max_rad; /* 0 */
+    real climb_acceleration_max_m_s2; /* 8 */
+    real take_off_acceleration_max_m_s2; /* 16: climb until the laws begin to adapt */
+    real sink_acceleration_max_m_s2; /* 24 */
+    real lack_filter_s; /* 32: s, time constant on the vertical residual that tells what thrust lacks */
+} DemandLimitsConfig;
+
+typedef struct {
+    ChannelSettings position; /* 0 */
+    ChannelSettings attitude; /* 440 */
+    bool hedging; /* 880: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 888 */
+    DemandLimitsConfig limits; /* 896 */
+    bool prediction; /* 936: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 944: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 952: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 960 */
+} CascadeSettings;
+
+typedef struct {
+    real rate_hz; /* 0: Hz, samples a second */
+    int32_t batch_samples; /* 8: samples a datagram */
+    real budget_bytes_s; /* 16: B/s up in all, UDP and IP included */
+    int32_t kept_samples; /* 24: samples held while waiting */
+    real repeat_from_loss; /* 32: share of offboard's datagrams lost from which batches go twice; 1: never */
+    real repeat_after_s; /* 40: s to the second time; well below offboard's labels.reorder_s */
+} SamplerConfig;
+
+typedef struct {
+    real amplitude_m; /* 0 */
+    real omega_rad_s; /* 8 */
+    real phase_rad; /* 16 */
+} Swing;
+
+typedef struct {
+    int64_t period_ns; /* 0: ns, one tick */
+    AirframeConfig airframe; /* 8 */
+    ThrustScaleConfig thrust_scale; /* 104 */
+    EstimatorConfig estimator; /* 152 */
+    SupervisorConfig supervisor; /* 592 */
+    GuidanceConfig guidance; /* 856 */
+    CascadeSettings controller; /* 2592: of the cascade */
+    SamplerConfig samples; /* 3560 */
+    Swing lissajous[2]; /* 3608: north and east; zero on another path */
+} CoreConfig;
+
+/* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */
+bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out);
+
+#endif

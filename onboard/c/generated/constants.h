@@ -1,0 +1,107 @@
+/* Written by python -m onboard.c.generate. Do not edit. */
+#ifndef DMRAC_CONSTANTS_H
+#define DMRAC_CONSTANTS_H
+
+#include <stdint.h>
+
+#include "numerics/real.h"
+
+#define GRAVITY REAL(9.80665) /* protocol.conventions */
+#define NEVER_NS INT64_C(-1000000000000000000) /* protocol.conventions */
+#define SIGNAL_COUNT 21 /* protocol.signals */
+#define LAYERS_MAX 4 /* protocol.feature_set */
+#define WIDTH_MAX 128 /* protocol.feature_set */
+#define CATCH_UP_MAX 20 /* onboard.control.actuators */
+#define FALL_MIN_M_S2 REAL(2.0) /* onboard.control.demand_limits */
+#define ASTRAY_COSINE_0 REAL(0.96) /* onboard.control.demand_limits */
+#define ASTRAY_COSINE_1 REAL(0.9) /* onboard.control.demand_limits */
+#define UPRIGHT_MIN REAL(0.5) /* onboard.control.demand_limits */
+#define RBF_COUNT 20 /* onboard.control.features */
+#define INPUT_LIMIT REAL(3.0) /* onboard.control.features */
+#define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
+#define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
+#define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define BOUND_RESIDUAL_FILTER_S REAL(0.02) /* onboard.control.tracking_bound */
+#define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
+#define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
+#define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
+#define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
+#define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
+#define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */
+#define PROGRESS_M REAL(0.05) /* onboard.flight.supervisor */
+#define NOT_READY_NS 2000000000 /* onboard.flight.supervisor */
+#define HISTORY_LENGTH 128 /* onboard.estimation.state_history */
+#define POSITION 0 /* onboard.estimation.error_state_filter */
+#define VELOCITY 3 /* onboard.estimation.error_state_filter */
+#define ATTITUDE 6 /* onboard.estimation.error_state_filter */
+#define GYRO_BIAS 9 /* onboard.estimation.error_state_filter */
+#define ACCELEROMETER_BIAS 12 /* onboard.estimation.error_state_filter */
+#define ERROR_SIZE 15 /* onboard.estimation.error_state_filter */
+#define VIBRATION_CORNER REAL(0.2) /* onboard.estimation.imu_conditioning */
+#define VIBRATION_SMOOTHING_S REAL(0.15) /* onboard.estimation.imu_conditioning */
+#define FORCE_ERROR_MAX REAL(3.0) /* onboard.estimation.imu_conditioning */
+#define GYRO_KEPT 64 /* onboard.estimation.stuck_gyro */
+#define PER_REPEAT 3 /* onboard.estimation.stuck_gyro */
+#define REPEATS_ALLOWED 16 /* onboard.estimation.stuck_gyro */
+#define CALIBRATION_BLOCK_S REAL(0.5) /* onboard.estimation.calibration */
+#define CALIBRATION_LEAST_SAMPLES 20 /* onboard.estimation.calibration */
+#define REFUSED_MIN 8 /* onboard.estimation.corrections */
+#define ESTIMATOR_EVENTS_MAX 64 /* onboard.estimation.corrections */
+#define FUTURE_NS 20000000 /* onboard.estimation.pose_fusion */
+#define WRONG_FOR_S REAL(0.02) /* onboard.estimation.pose_fusion */
+#define LARGE_TURN_RAD REAL(0.2) /* onboard.estimation.pose_fusion */
+#define AIR_PA_PER_M REAL(11.6) /* onboard.estimation.estimator */
+#define SLOW_AIDS 8 /* onboard.estimation.estimator */
+#define PRESSURE_TURN 7 /* onboard.estimation.estimator */
+#define COS_TILT_MIN REAL(0.7) /* onboard.estimation.estimator */
+#define RATE_SIGMA REAL(0.3) /* onboard.estimation.estimator */
+#define TURN_SIGMA REAL(0.03) /* onboard.estimation.estimator */
+#define GAP_MAX_S REAL(0.1) /* onboard.estimation.estimator */
+#define THRUST_FILTER_S REAL(0.15) /* onboard.sampling.signal_vector */
+#define SAMPLES_PER_BATCH_MAX 8 /* protocol.messages */
+#define SAMPLE_BYTES 132 /* onboard.sampling.sampler */
+#define NETWORK_BYTES 28 /* onboard.sampling.sampler */
+#define BATCH_OVERHEAD_BYTES 116 /* onboard.sampling.sampler */
+#define BURST_BYTES REAL(2344.0) /* onboard.sampling.sampler */
+#define RING_MAX 200 /* SwapConfig.ring_size */
+#define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
+#define BINS_MAX 2000 /* LapConfig.bins */
+
+typedef enum {
+    REFUSAL_NONE = 0,
+    REFUSAL_UNDECODABLE = 1,
+    REFUSAL_DIGEST = 2,
+    REFUSAL_INPUTS = 3,
+    REFUSAL_NOT_FINITE = 4,
+    REFUSAL_LIPSCHITZ = 5,
+    REFUSAL_WEIGHT_NORM = 6,
+    REFUSAL_SWAP_JUMP = 7,
+    REFUSAL_STALE = 8,
+    REFUSAL_NOT_ACCEPTING = 9
+} Refusal;
+
+typedef enum {
+    SIGNAL_POSITION_N = 0,
+    SIGNAL_POSITION_E = 1,
+    SIGNAL_POSITION_D = 2,
+    SIGNAL_VELOCITY_N = 3,
+    SIGNAL_VELOCITY_E = 4,
+    SIGNAL_VELOCITY_D = 5,
+    SIGNAL_ROLL = 6,
+    SIGNAL_PITCH = 7,
+    SIGNAL_YAW = 8,
+    SIGNAL_RATE_P = 9,
+    SIGNAL_RATE_Q = 10,
+    SIGNAL_RATE_R = 11,
+    SIGNAL_BODY_VELOCITY_X = 12,
+    SIGNAL_BODY_VELOCITY_Y = 13,
+    SIGNAL_BODY_VELOCITY_Z = 14,
+    SIGNAL_MOTOR_THRUST_1 = 15,
+    SIGNAL_MOTOR_THRUST_2 = 16,
+    SIGNAL_MOTOR_THRUST_3 = 17,
+    SIGNAL_MOTOR_THRUST_4 = 18,
+    SIGNAL_BATTERY_VOLTAGE = 19,
+    SIGNAL_VIBRATION = 20
+} Signal;
+
+#endif

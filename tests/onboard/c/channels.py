@@ -1,0 +1,53 @@
+"""Feature channels of both cores, for tests of features, swap and laws."""
+
+from typing import Any
+
+import numpy as np
+
+from onboard.control.features import random_channel
+from protocol.feature_set import ChannelFeatures
+from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
+from tests.onboard.c.parity import view
+
+INPUTS = ("position_n", "velocity_e", "motor_thrust_3", "battery_voltage", "rate_r")
+
+
+def channel(seed: int, widths: tuple[int, ...] = (32, 32, 19), gain: float = 1.0) -> ChannelFeatures:
+    """A channel with random numbers everywhere."""
+    rng = np.random.default_rng(seed)
+    offset, scale = rng.normal(size=len(INPUTS)), rng.uniform(0.1, 2.0, len(INPUTS))
+    start = random_channel(INPUTS, offset, scale, widths, rng)
+    weights = tuple(gain * W for W in start.weights)
+    return ChannelFeatures(INPUTS, offset, scale, weights, start.biases, rng.normal(size=start.last_layer.shape))
+
+
+def signals(seed: int, count: int, size: float = 2.0) -> Any:
+    """[count, SIGNAL_COUNT]."""
+    return np.random.default_rng(seed).normal(scale=size, size=(count, SIGNAL_COUNT))
+
+
+def put_selection(target: Any, inputs: tuple[str, ...], offset: Any, scale: Any) -> None:
+    """Fill a FeatureSelection."""
+    target.count = len(inputs)
+    view(target.index)[: len(inputs)] = [SIGNAL_INDEX[name] for name in inputs]
+    view(target.offset)[: len(inputs)], view(target.scale)[: len(inputs)] = offset, scale
+
+
+def c_channel(core: Any, source: ChannelFeatures) -> Any:
+    """The same channel as C's ChannelFeatures."""
+    target = core.ChannelFeatures()
+    put_selection(target.selection, source.inputs, source.offset, source.scale)
+    target.network.layers = len(source.weights)
+    view(target.network.width)[: len(source.weights)] = [W.shape[0] for W in source.weights]
+    layers = [np.hstack([W, b[:, None]]).reshape(-1) for W, b in zip(source.weights, source.biases, strict=True)]
+    parameters = np.concatenate(layers)
+    view(target.network.parameters)[: len(parameters)] = parameters
+    view(target.last_layer)[: source.last_layer.size] = source.last_layer.reshape(-1)
+    return target
+
+
+def c_network_features(core: Any, source: ChannelFeatures) -> Any:
+    """C's Features of a channel."""
+    given, features = c_channel(core, source), core.Features()
+    core.features_init_network(features, given.selection, given.network)
+    return features

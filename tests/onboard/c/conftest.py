@@ -1,0 +1,26 @@
+"""The C core, built once, in double and in float. Without a C compiler these tests are skipped."""
+
+import pytest
+
+from onboard.c.library import BuildError, Core, Variant, compiler, load
+from tests.onboard.c.parity import SANITIZED
+
+OPTIONS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all") if SANITIZED else ("-O2",)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _needs_a_compiler() -> None:
+    try:
+        compiler()
+    except BuildError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def core(_needs_a_compiler: None) -> Core:
+    return load(Variant("double", OPTIONS))
+
+
+@pytest.fixture(scope="session")
+def core32(_needs_a_compiler: None) -> Core:
+    return load(Variant("float", OPTIONS))
