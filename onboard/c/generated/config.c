@@ -331,12 +331,76 @@ static void read_DemandLimitsConfig(Cursor *from, DemandLimitsConfig *out) {
     out->lack_filter_s = read_real(from);
 }
 
+static void read_RoomConfig(Cursor *from, RoomConfig *out) {
+    out->enabled = read_int(from) != 0;
+    for (int i = 0; i < 2; i++) {
+        out->share[i] = read_real(from);
+    }
+    for (int i = 0; i < 2; i++) {
+        out->least[i] = read_real(from);
+    }
+}
+
+static void read_VersionTestConfig(Cursor *from, VersionTestConfig *out) {
+    out->enabled = read_int(from) != 0;
+    out->reach_s = read_real(from);
+    out->check_s = read_real(from);
+    out->acceleration_m_s2 = read_real(from);
+    out->misfit = read_real(from);
+    for (int i = 0; i < 2; i++) {
+        out->misfit_floor[i] = read_real(from);
+    }
+    for (int i = 0; i < 2; i++) {
+        out->bound_max[i] = read_real(from);
+    }
+    for (int i = 0; i < 2; i++) {
+        out->spread_max[i] = read_real(from);
+    }
+    for (int i = 0; i < 2; i++) {
+        out->path_slope[i] = read_real(from);
+    }
+    for (int i = 0; i < 2; i++) {
+        out->box_slope[i] = read_real(from);
+    }
+}
+
+static void read_WatchConfig(Cursor *from, WatchConfig *out) {
+    out->enabled = read_int(from) != 0;
+    for (int i = 0; i < 2; i++) {
+        out->lag_s[i] = read_real(from);
+    }
+    out->average_s = read_real(from);
+    out->margin = read_real(from);
+    for (int i = 0; i < 2; i++) {
+        out->misfit_floor[i] = read_real(from);
+    }
+    for (int i = 0; i < 2; i++) {
+        out->error_floor[i] = read_real(from);
+    }
+    out->worse_s = read_real(from);
+    for (int i = 0; i < 2; i++) {
+        out->disagreement[i] = read_real(from);
+    }
+    out->proof_s = read_real(from);
+    out->audition_s = read_real(from);
+}
+
+static void read_GuardConfig(Cursor *from, GuardConfig *out) {
+    read_RoomConfig(from, &out->room);
+    read_VersionTestConfig(from, &out->test);
+    read_WatchConfig(from, &out->watch);
+    out->swaps_per_s_max = read_real(from);
+    out->jumps_max = read_real(from);
+    out->strikes_max = (int32_t)read_int(from);
+}
+
 static void read_CascadeSettings(Cursor *from, CascadeSettings *out) {
     read_ChannelSettings(from, &out->position);
     read_ChannelSettings(from, &out->attitude);
     out->hedging = read_int(from) != 0;
     out->position_error_max_m = read_real(from);
     read_DemandLimitsConfig(from, &out->limits);
+    read_GuardConfig(from, &out->guard);
     out->prediction = read_int(from) != 0;
     out->gyro_delay_ticks = read_real(from);
     out->command_rate_filter_s = read_real(from);
@@ -373,7 +437,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xeb, 0xa9, 0x5d, 0x6a, 0x9b, 0x0a, 0x4f, 0x1e};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xa9, 0xae, 0xe3, 0x30, 0x7f, 0xe8, 0x5b, 0xa1};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 3668
+#define CONFIG_IMAGE_BYTES 3964
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -302,15 +302,57 @@ typedef struct {
 } DemandLimitsConfig;
 
 typedef struct {
+    bool enabled; /* 0: false: ablation, nu_ad is bounded by W_max alone */
+    real share[2]; /* 8: of what the loop leaves */
+    real least[2]; /* 24: of the reach, whatever the loop needs */
+} RoomConfig;
+
+typedef struct {
+    bool enabled; /* 0: false: ablation */
+    real reach_s; /* 8: s, the box is what can be reached in this time */
+    real check_s; /* 16: s, between two checks of the map that flies, on its box of then */
+    real acceleration_m_s2; /* 24: m/s^2, by which the path may turn away */
+    real misfit; /* 32: of the map, over the size of the residual */
+    real misfit_floor[2]; /* 40: plus this, units of u */
+    real bound_max[2]; /* 56: norm(theta) norm(Phi), units of u */
+    real spread_max[2]; /* 72: largest change in the box, units of u */
+    real path_slope[2]; /* 88: along the path, share of the gains */
+    real box_slope[2]; /* 104: over the states, share of the gains */
+} VersionTestConfig;
+
+typedef struct {
+    bool enabled; /* 0: false: ablation, no law is taken back in flight */
+    real lag_s[2]; /* 8: s, from nu_cmd to its effect */
+    real average_s; /* 24: s, of the mean squares */
+    real margin; /* 32: worse: so many times the other law's */
+    real misfit_floor[2]; /* 40: plus this, units of u */
+    real error_floor[2]; /* 56: the same for e, units of u */
+    real worse_s; /* 72: s, worse for so long is taken back */
+    real disagreement[2]; /* 80: above this a tick is evidence, units of u */
+    real proof_s; /* 96: s of evidence after which a version is proven */
+    real audition_s; /* 104: s of evidence after which a version may fly at all */
+} WatchConfig;
+
+typedef struct {
+    RoomConfig room; /* 0 */
+    VersionTestConfig test; /* 40 */
+    WatchConfig watch; /* 160 */
+    real swaps_per_s_max; /* 272: 1/s, accepted versions */
+    real jumps_max; /* 280: summed jumps of nu_cmd in a second, over jump_max of the channel */
+    int32_t strikes_max; /* 288: versions taken back, after which no other is accepted */
+} GuardConfig;
+
+typedef struct {
     ChannelSettings position; /* 0 */
     ChannelSettings attitude; /* 440 */
     bool hedging; /* 880: pseudo-control hedging of both reference models */
     real position_error_max_m; /* 888 */
     DemandLimitsConfig limits; /* 896 */
-    bool prediction; /* 936: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 944: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 952: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 960 */
+    GuardConfig guard; /* 936 */
+    bool prediction; /* 1232: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1240: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1248: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1256 */
 } CascadeSettings;
 
 typedef struct {
@@ -336,8 +378,8 @@ typedef struct {
     SupervisorConfig supervisor; /* 592 */
     GuidanceConfig guidance; /* 856 */
     CascadeSettings controller; /* 2592: of the cascade */
-    SamplerConfig samples; /* 3560 */
-    Swing lissajous[2]; /* 3608: north and east; zero on another path */
+    SamplerConfig samples; /* 3856 */
+    Swing lissajous[2]; /* 3904: north and east; zero on another path */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */
