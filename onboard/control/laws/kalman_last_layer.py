@@ -172,6 +172,7 @@ class KalmanLastLayer:
         each_axis = zip(residual, theta, (x, y, z), e.dot(self._PB).tolist(), strict=True)
         innovation = [r - th[0] - X[0] - X[2] - t * ePB for r, th, X, ePB in each_axis]
         if not (0.0 < s < SQUARE_MAX and sum(d * d for d in innovation) < SQUARE_MAX):  # NaN fails too
+            self._X_norm2 = float(np.vdot(state.X_rows, state.X_rows))
             return self.estimate(Phi)
         state.correct(G.dot(UPDATED), innovation, v)
         self._X_norm2 = float(np.vdot(state.X_rows, state.X_rows))

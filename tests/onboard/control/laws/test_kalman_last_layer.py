@@ -148,6 +148,13 @@ def test_the_state_stays_in_its_ball_whatever_comes_in(steps, radius):
             assert one.weight_norm == pytest.approx(float(np.linalg.norm(one.W)), abs=1e-6 * radius)
 
 
+def test_the_norm_is_right_after_a_step_that_was_left_out():
+    """The state decays in every step, a residual that is no number or not."""
+    one, Phi, _ = flown(4)
+    one.step(Phi, np.zeros(6), [np.nan, 0.0, 0.0], 1.0)
+    assert one.weight_norm == pytest.approx(float(np.linalg.norm(one.W)), rel=1e-9)
+
+
 def test_without_the_projection_the_state_leaves_its_ball():
     one = law(weight_norm_max=1.0, composite_gain=1e3)
     one._keep_in_ball = lambda: None
