@@ -59,14 +59,9 @@ def dump_experience(experience: Experience) -> bytes:
     }
     arrays: dict[str, NDArray[Any]] = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        "offset": network.offset,
-        "scale": network.scale,
-        "last_layer": network.last_layer,
-        "last_bias": network.last_bias,
+        **network.named_arrays(),
         "buffer_order": experience.buffer_order,
     }
-    for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
-        arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
     arrays |= {f"moment_{number}": moment for number, moment in enumerate(state.moments)}
     for name, table in (("buffer", experience.buffer), ("newest", experience.newest)):
         arrays |= {f"{name}_{column}": getattr(table, column) for column in COLUMNS}
@@ -103,15 +98,7 @@ def _from_arrays(arrays: dict[str, NDArray[Any]]) -> Experience:
     header = json.loads(arrays["header"].tobytes())
     if header["format"] != FORMAT:
         raise ValueError(f"format {header['format']}")
-    layers = range(header["layers"])
-    network = NetworkState(
-        arrays["offset"],
-        arrays["scale"],
-        tuple(arrays[f"weights_{layer}"] for layer in layers),
-        tuple(arrays[f"biases_{layer}"] for layer in layers),
-        arrays["last_layer"],
-        arrays["last_bias"],
-    )
+    network = NetworkState.from_named_arrays(arrays, header["layers"])
     moments = tuple(arrays[f"moment_{number}"] for number in range(header["moments"]))
     versions = tuple(decode_feature_set(arrays[f"version_{number}"].tobytes()) for number in range(header["versions"]))
     tables = [SampleTable(*(arrays[f"{name}_{column}"] for column in COLUMNS)) for name in ("buffer", "newest")]

@@ -43,17 +43,11 @@ _UNREADABLE: Final = (
 
 def dump_memory(memory: Memory) -> bytes:
     """The bytes of a memory's file."""
-    network = memory.prior.network
     arrays: dict[str, NDArray[Any]] = {
-        "offset": network.offset,
-        "scale": network.scale,
-        "last_layer": network.last_layer,
-        "last_bias": network.last_bias,
+        **memory.prior.network.named_arrays(),
         "variance": memory.prior.variance,
         "noise": memory.prior.noise,
     }
-    for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
-        arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
     for number, condition in enumerate(memory.conditions):
         arrays |= {f"condition_{number}_{column}": getattr(condition.samples, column) for column in CONDITION_COLUMNS}
     header = {
@@ -126,15 +120,7 @@ def _header(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 def _from_arrays(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Memory:
     """The memory of a header and its arrays. Raises ValueError and the like for what does not fit."""
     features = fill(TrainedFeatures, header["features"], HEADER, at="features.")
-    layers = range(len(features.hidden) + 1)
-    network = NetworkState(
-        arrays["offset"],
-        arrays["scale"],
-        tuple(arrays[f"weights_{layer}"] for layer in layers),
-        tuple(arrays[f"biases_{layer}"] for layer in layers),
-        arrays["last_layer"],
-        arrays["last_bias"],
-    )
+    network = NetworkState.from_named_arrays(arrays, len(features.hidden) + 1)
     _check_network(network, initial_state(features, np.random.default_rng(0)))
     conditions = tuple(_condition(number, about, arrays) for number, about in enumerate(header["conditions"]))
     channels = network.offset.shape[0]

@@ -8,6 +8,7 @@ from offboard.data.buffer import VALIDATION, SampleTable
 from offboard.training.gate import Evidence
 from offboard.training.network import Array32, InputPlan, largest_singular_values, phi
 from protocol.conventions import Array
+from protocol.feature_codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 
@@ -29,6 +30,11 @@ def evidence_of(job: "TrainingJob", candidate: FeatureSet, numpy_difference: flo
             float(largest_singular_values(W[None])[0]) for channel in candidate.channels for W in channel.weights
         ),
     )
+
+
+def as_sent(job: "TrainingJob", features: FeatureSet) -> FeatureSet:
+    """The features with their parameters rounded as for sending."""
+    return decode_feature_set(encode_for_wire(features, job.wire_dtype))
 
 
 def held_out(job: "TrainingJob", split: int) -> SampleTable:

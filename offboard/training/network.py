@@ -4,9 +4,10 @@ Phi(x) = [tanh(W_L ... tanh(W_1 z + b_1) ... + b_L); 1] with z = (x - offset) / 
 layer widths, so that one batched product computes them all; a channel with fewer inputs is padded with zeros.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ Array32 = NDArray[np.float32]
 
 SPECTRAL_SLACK: Final = 0.999
 """Factor on the bound in the exact projection, so that rounding to float32 cannot lift a norm above the bound."""
+
+_SINGLE: Final = ("offset", "scale", "last_layer", "last_bias")
+"""Arrays of a NetworkState that are one for all layers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +42,20 @@ class NetworkState:
     """theta, [C, k - 1, 3], in units of u."""
     last_bias: Array32
     """theta_0, the row of theta for the constant feature, [C, 1, 3]."""
+
+    def named_arrays(self) -> dict[str, Array32]:
+        """All arrays by name, for a file; those of a layer have its number in their name."""
+        arrays = {name: getattr(self, name) for name in _SINGLE}
+        for layer, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weights_{layer}": W, f"biases_{layer}": b}
+        return arrays
+
+    @staticmethod
+    def from_named_arrays(arrays: Mapping[str, Any], layers: int) -> "NetworkState":
+        """The networks with so many inner layers from `named_arrays`. Raises KeyError if one is missing."""
+        single = {name: arrays[name] for name in _SINGLE}
+        weights, biases = (tuple(arrays[f"{name}_{at}"] for at in range(layers)) for name in ("weights", "biases"))
+        return NetworkState(weights=weights, biases=biases, **single)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,10 +14,9 @@ import numpy as np
 
 from offboard.data.buffer import TRAINING, SampleTable
 from offboard.memory.memory import INDEPENDENT_S, Prior, posterior_mean
-from offboard.training.evidence import evidence_of
+from offboard.training.evidence import as_sent, evidence_of
+from offboard.training.mixture import draw_probability, of_split
 from offboard.training.network import InputPlan, feature_set, phi
-from protocol.conventions import Array
-from protocol.feature_codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import CHANNELS
 
@@ -80,7 +79,7 @@ def with_contest(job: "TrainingJob", result: "TrainingResult") -> "TrainingResul
         return result
     known = job.buffer.joined(job.newest)
     contest = job.contest.continued(job.newest)
-    refitted = _as_flown(refit(job, prior), job)
+    refitted = as_sent(job, refit(job, prior))
     trained = result.candidate
     leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
     candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
@@ -123,11 +122,13 @@ def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
     plan = InputPlan.of(job.network_config)
     parent = 0 if job.flying is None else job.flying.version
     start = feature_set(prior.network, plan, job.version, parent, job.samples_seen)
-    newest, buffer = (table.take(table.split == TRAINING) for table in (job.newest, job.buffer))
+    newest, buffer = of_split(job.newest, TRAINING), of_split(job.buffer, TRAINING)
     samples = newest.joined(buffer)
     if samples.rows == 0:
         return start
-    weights = _weights(newest, buffer, job.buffer_config.newest_fraction, job.buffer_config.newest_scale)
+    # Their sum is the number of independent labels.
+    independent = np.unique(samples.time_ns // round(INDEPENDENT_S * 1e9)).size
+    weights = independent * draw_probability(job.buffer_config, newest, buffer)
     fitted: list[ChannelFeatures | None] = [None, None]
     for row, (at, channel) in enumerate(zip(plan.channels, start.channels, strict=True)):
         known = ~np.isnan(samples.labels[:, at, 0])
@@ -139,18 +140,6 @@ def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
     return replace(start, position=fitted[0], attitude=fitted[1])
 
 
-def _weights(newest: SampleTable, buffer: SampleTable, newest_fraction: float, newest_scale: float) -> Array:
-    """Weight of each sample, newest first then buffer, [n]; their sum is the number of independent labels."""
-    times_ns = np.concatenate([newest.time_ns, buffer.time_ns])
-    independent = np.unique(times_ns // round(INDEPENDENT_S * 1e9)).size
-    share = newest_fraction if newest.rows and buffer.rows else float(newest.rows > 0)
-    fading = np.exp(-np.arange(newest.rows)[::-1] / newest_scale)
-    of_newest = share * fading / max(float(fading.sum()), 1e-12)
-    of_buffer = np.full(buffer.rows, (1.0 - share) / max(buffer.rows, 1))
-    weights: Array = independent * np.concatenate([of_newest, of_buffer])
-    return weights
-
-
 def _scatter(features: FeatureSet, samples: SampleTable) -> list[float]:
     """Sum of squared errors about their mean, of both channels; 0 for a channel without features."""
     found = [0.0, 0.0]
@@ -160,8 +149,3 @@ def _scatter(features: FeatureSet, samples: SampleTable) -> list[float]:
             errors = samples.labels[known, at] - phi(channel, samples.signals[known]) @ channel.last_layer
             found[at] = float(np.square(errors - errors.mean(axis=0)).sum())
     return found
-
-
-def _as_flown(features: FeatureSet, job: "TrainingJob") -> FeatureSet:
-    """The features with their parameters rounded as for sending."""
-    return decode_feature_set(encode_for_wire(features, job.wire_dtype))

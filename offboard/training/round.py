@@ -17,10 +17,11 @@ import torch
 from offboard.data.buffer import TRAINING, SampleTable
 from offboard.training.gradient import FLOAT, LossGradient, Optimiser, Views, parameters_of
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
+from offboard.training.mixture import of_split
 from offboard.training.network import InputPlan, NetworkState, scales_from_data
 from offboard.training.slope_prior import slope_gram
 from offboard.training.spectral_bound import SpectralBound
-from offboard.training.vehicle_part import VehiclePart, of_split
+from offboard.training.vehicle_part import VehiclePart
 from protocol.conventions import Array
 
 ROWS_MINIMUM: Final = 8

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 
 from offboard.data.buffer import TEST, TRAINING, VALIDATION, SampleTable
-from offboard.training.evidence import evidence_of, held_out
+from offboard.training.evidence import as_sent, evidence_of, held_out
 from offboard.training.gradient import FLOAT, Views, layer_outputs, predictions
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
+from offboard.training.mixture import draw_probability, of_split
 from offboard.training.network import InputPlan, NetworkState, feature_set, phi
 from offboard.training.refit import ridge_fits, scatter
 from protocol.conventions import Array
-from protocol.feature_codec import decode_feature_set, encode_for_wire
 from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 
@@ -69,7 +69,7 @@ class VehiclePart:
         self._plan = InputPlan.of(job.network_config)
         self._network, self._own = network, own
         newest, buffer = of_split(job.newest, TRAINING), of_split(job.buffer, TRAINING)
-        self._draw = _draw_probability(job, newest, buffer)
+        self._draw = torch.from_numpy(draw_probability(job.buffer_config, newest, buffer))
         self.training: Final = self._samples(newest.joined(buffer))
         self._label_scale = self._scale_of_labels()
         self.training.y.div_(self._label_scale)
@@ -183,7 +183,7 @@ class VehiclePart:
         job = self.job
         parent = 0 if job.flying is None else job.flying.version
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
-        candidate = decode_feature_set(encode_for_wire(trained, job.wire_dtype))
+        candidate = as_sent(job, trained)
         evidence = evidence_of(job, candidate, self._numpy_difference(trained))
         return TrainingResult(state, candidate, evidence, losses, self.rows)
 
@@ -206,18 +206,3 @@ class VehiclePart:
             for row, channel in enumerate(trained.channels)
         ]
         return float(max(differences))
-
-
-def _draw_probability(job: TrainingJob, newest: SampleTable, buffer: SampleTable) -> torch.Tensor:
-    """Probability with which a mini-batch draws each row, [n]: the newest (later ones more often), then the buffer."""
-    config = job.buffer_config
-    share = config.newest_fraction if newest.rows and buffer.rows else float(newest.rows > 0)
-    fading = np.exp(-np.arange(newest.rows)[::-1] / config.newest_scale)
-    of_newest = share * fading / max(float(fading.sum()), 1e-12)
-    of_buffer = np.full(buffer.rows, (1.0 - share) / max(buffer.rows, 1))
-    return torch.from_numpy(np.concatenate([of_newest, of_buffer]))
-
-
-def of_split(table: SampleTable, split: int) -> SampleTable:
-    """The samples of a split."""
-    return table.take(table.split == split)
