@@ -73,7 +73,7 @@ def training_records(
     """The TRAINING record of a round, and an EPOCH record for each of its epochs."""
     evidence, losses, rounds = result.evidence, result.epoch_losses, result.state.rounds
     held_out = evidence.time_ns.shape[0]
-    channels = (result.candidate.position, result.candidate.attitude)
+    channels = result.candidate.by_channel
     training = np.concatenate(
         [
             [rounds, sent_version, flying_version, verdict],

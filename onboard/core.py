@@ -183,7 +183,6 @@ class OnboardCore:
             battery_v=self._battery.voltage_v,
             motors=motors,
             motor_thrusts_n=delivered.thrusts_n,
-            thrust_scale=self._actuators.scale,
         )
         self._tracking_error_m = dist(state.position.tolist(), target.path.position)
         self._ticks += 1

@@ -38,7 +38,7 @@ def encode_feature_set(features: FeatureSet, dtype: FloatName) -> bytes:
         If a parameter is too large for `dtype`, or the bytes exceed FEATURE_SET_MAX_BYTES.
     """
     float_size = 2 if dtype == "float16" else 4
-    channels = [_pack_channel(channel, float_size) for channel in (features.position, features.attitude)]
+    channels = [_pack_channel(channel, float_size) for channel in features.by_channel]
     data: bytes = msgpack.packb((FORMAT, float_size, features.version, features.parent, features.samples, *channels))
     if len(data) > FEATURE_SET_MAX_BYTES:
         raise ValueError(f"feature set of {len(data)} bytes, allowed are {FEATURE_SET_MAX_BYTES}")

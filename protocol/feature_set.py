@@ -98,6 +98,11 @@ class FeatureSet:
             raise ValueError("a feature set without any channel")
 
     @property
+    def by_channel(self) -> tuple[ChannelFeatures | None, ChannelFeatures | None]:
+        """Position and attitude channel; None for one that it does not cover."""
+        return self.position, self.attitude
+
+    @property
     def channels(self) -> list[ChannelFeatures]:
         """The channels that it covers, position first."""
-        return [channel for channel in (self.position, self.attitude) if channel is not None]
+        return [channel for channel in self.by_channel if channel is not None]

@@ -120,7 +120,7 @@ def feature_maps(flight: LearntFlight, channel: int) -> dict[str, Features]:
 
 
 def _of(features: FeatureSet, channel: int) -> ChannelFeatures:
-    one = (features.position, features.attitude)[channel]
+    one = features.by_channel[channel]
     if one is None:
         raise ConfigError(f"the flight has no features of the {CHANNELS[channel]} channel")
     return one

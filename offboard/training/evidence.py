@@ -50,7 +50,7 @@ def squared_errors(features: FeatureSet | None, signals: Array32, labels: Array)
     NaN where the channel has no label.
     """
     errors = labels.copy()
-    for at, channel in enumerate((features.position, features.attitude) if features is not None else ()):
+    for at, channel in enumerate(features.by_channel if features is not None else ()):
         if channel is not None and signals.shape[0]:
             errors[:, at] -= phi(channel, signals) @ channel.last_layer
     squared: Array = np.square(errors).sum(axis=2)

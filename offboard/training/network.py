@@ -171,7 +171,7 @@ def state_of(features: FeatureSet, config: TrainedFeatures) -> NetworkState:
     """
     plan = InputPlan.of(config)
     state = initial_state(config, np.random.default_rng(0))
-    found = [(features.position, features.attitude)[at] for at in plan.channels]
+    found = [features.by_channel[at] for at in plan.channels]
     for row, channel in enumerate(found):
         m = len(plan.names[row])
         if channel is None or channel.inputs != plan.names[row]:

@@ -97,7 +97,7 @@ def _without_losses(job: "TrainingJob", candidate: FeatureSet) -> FeatureSet:
     if job.flying is None:
         return candidate
     evidence, channels = evidence_of(job, candidate, 0.0), list[ChannelFeatures | None]()
-    for at, (new, flying) in enumerate(zip(_both(candidate), _both(job.flying), strict=True)):
+    for at, (new, flying) in enumerate(zip(candidate.by_channel, job.flying.by_channel, strict=True)):
         gains = evidence.flying_errors[:, at] - evidence.candidate_errors[:, at]
         gains = gains[np.isfinite(gains)]
         keeps = flying is not None and not (gains.size and gains.mean() > 0.0)
@@ -105,13 +105,9 @@ def _without_losses(job: "TrainingJob", candidate: FeatureSet) -> FeatureSet:
     return replace(candidate, position=channels[0], attitude=channels[1])
 
 
-def _both(features: FeatureSet) -> tuple[ChannelFeatures | None, ChannelFeatures | None]:
-    return features.position, features.attitude
-
-
 def _leading(contest: Contest, at: int, refitted: FeatureSet, trained: FeatureSet) -> ChannelFeatures | None:
     entrant = trained if contest.trained_leads[at] else refitted
-    return _both(entrant)[at]
+    return entrant.by_channel[at]
 
 
 def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
@@ -143,7 +139,7 @@ def refit(job: "TrainingJob", prior: Prior) -> FeatureSet:
 def _scatter(features: FeatureSet, samples: SampleTable) -> list[float]:
     """Sum of squared errors about their mean, of both channels; 0 for a channel without features."""
     found = [0.0, 0.0]
-    for at, channel in enumerate(_both(features)):
+    for at, channel in enumerate(features.by_channel):
         known = ~np.isnan(samples.labels[:, at, 0])
         if channel is not None and known.any():
             errors = samples.labels[known, at] - phi(channel, samples.signals[known]) @ channel.last_layer

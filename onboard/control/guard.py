@@ -41,11 +41,10 @@ from onboard.control.laws.law import Augmentation, ChannelState
 from onboard.control.records import ChannelTelemetry, ControlInputs
 from onboard.control.reference_model import ChannelGains
 from onboard.control.room import Room, RoomConfig
-from onboard.control.slope import LoopGains
 from onboard.control.version_test import VersionTest, VersionTestConfig
 from onboard.control.watch import ChannelWatch, WatchConfig
 from protocol.conventions import Array
-from protocol.feature_set import ChannelFeatures, FeatureSet
+from protocol.feature_set import FeatureSet
 from protocol.geometry import Vector3, vector
 from protocol.signals import CHANNELS
 
@@ -99,7 +98,7 @@ class Kept(NamedTuple):
 def content_of(features: FeatureSet) -> bytes:
     """Digest of what a version would fly: the same for the same content under another number."""
     digest = hashlib.blake2b(digest_size=16)
-    for channel in (features.position, features.attitude):
+    for channel in features.by_channel:
         for array in () if channel is None else (channel.offset, channel.scale, *channel.parameters):
             digest.update(np.ascontiguousarray(array).tobytes())
         digest.update(b"|")
@@ -123,10 +122,7 @@ class Guard:
             i: one for i, one in enumerate(augmentations) if isinstance(one, AdaptiveAugmentation) and one.learns
         }
         self._watches = {i: self._watch(i, one, gains[i]) for i, one in self._learners.items()}
-        self._tests = {
-            i: VersionTest(config.test, i, LoopGains.of("attitude" if i else "position", *gains))
-            for i in self._learners
-        }
+        self._tests = {i: VersionTest(config.test, i, one.loop_gains) for i, one in self._learners.items()}
         self.level = Level.MAP
         self.version = 0
         self.limited = [0, 0]
@@ -275,7 +271,7 @@ class Guard:
 
     def offer(self, features: FeatureSet) -> str:
         """Test a version and swap to it, in both channels or none; returns "" or the refusal."""
-        if not any(self._channel_of(features, i) is not None for i in self._learners):
+        if not any(features.by_channel[i] is not None for i in self._learners):
             return "not_accepting"
         content = content_of(features)
         if content in self._refused:
@@ -295,14 +291,10 @@ class Guard:
         self._enter(Level.BIAS if audition else Level.MAP)
         return ""
 
-    @staticmethod
-    def _channel_of(features: FeatureSet, channel: int) -> ChannelFeatures | None:
-        return features.attitude if channel else features.position
-
     def _plans(self, features: FeatureSet) -> tuple[list[Plan], str]:
         plans: list[Plan] = []
         for i, learner in self._learners.items():
-            channel = self._channel_of(features, i)
+            channel = features.by_channel[i]
             if channel is None or learner.flies(channel):
                 continue  # a swap would forget S
             new, plan = learner.plan(channel)

@@ -85,7 +85,6 @@ def write_tick(
     battery_v: float,
     motors: Sequence[float],
     motor_thrusts_n: Array,
-    thrust_scale: float,
 ) -> None:
     """Write one tick into `row`, in the order of TICK.
 
@@ -94,7 +93,6 @@ def write_tick(
     saturated: the motors cannot deliver what the controller demands in this tick.
     motors: [4], commanded, as shares of the maximum thrust.
     motor_thrusts_n: [4], N, by the actuator model.
-    thrust_scale: with which the actuator model and the mixer worked.
     """
     state, target = inputs.state, inputs.target
     row[:POSITION_AT] = (
@@ -110,7 +108,7 @@ def write_tick(
         state.vibration,
         state.position_sigma_m,
         control.thrust_n,
-        thrust_scale,
+        inputs.thrust[1],
         control.law,
         *state.position.tolist(),
         *state.velocity.tolist(),

@@ -82,7 +82,7 @@ class AdaptiveAugmentation:
         loop_gains: LoopGains,
     ) -> None:
         """inputs: what the start features and the radial basis functions see; the bias alone sees nothing."""
-        self._config, self._loop_gains = config, loop_gains
+        self._config, self.loop_gains = config, loop_gains
         A_rm = gains.closed_loop_matrix()
         Q = np.diag(np.repeat(config.error_weight, 3))
         P = lyapunov_p(A_rm, Q)
@@ -205,7 +205,7 @@ class AdaptiveAugmentation:
             since = (self._ticks - 1) % self._ring_period
             times = self._dt, self._ring_period * self._dt, since * self._dt
             return new, plan_posterior_swap(
-                config.swap, law, self.features, new, channel, self._loop_gains, self._recent, self._signals, times
+                config.swap, law, self.features, new, channel, self.loop_gains, self._recent, self._signals, times
             )
         recent, limit = self._recent.columns(self._signals), config.law.weight_norm_max
         return new, plan_swap(config.swap, self.features, law.W, new, channel.last_layer, limit, recent)
