@@ -220,7 +220,9 @@ static void read_ChannelGains(Cursor *from, ChannelGains *out) {
     for (int i = 0; i < 3; i++) {
         out->natural_frequency_rad_s[i] = read_real(from);
     }
-    out->damping = read_real(from);
+    for (int i = 0; i < 3; i++) {
+        out->damping[i] = read_real(from);
+    }
 }
 
 static void read_IntegralConfig(Cursor *from, IntegralConfig *out) {
@@ -437,7 +439,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xa9, 0xae, 0xe3, 0x30, 0x7f, 0xe8, 0x5b, 0xa1};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x1d, 0xaa, 0xce, 0xb5, 0xd2, 0x3c, 0xd5, 0xcf};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }
