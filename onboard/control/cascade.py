@@ -132,7 +132,11 @@ class CascadedController:
         self.bounds = TrackingBounds(settings.position.gains, settings.attitude.gains)
         """Live bounds on the tracking errors; they change no command."""
         self._output = ControlOutput()
-        self._channels = (self._channel(self._output.position), self._channel(self._output.attitude))
+        position, attitude = self.augmentations
+        self._channels = (
+            self._channel(self._output.position, position),
+            self._channel(self._output.attitude, attitude),
+        )
         self._command: Vector3 = (0.0, 0.0, 0.0)
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -141,9 +145,10 @@ class CascadedController:
         self._resets_seen = 0
         self._running = False
 
-    def _channel(self, telemetry: ChannelTelemetry) -> ChannelState:
+    def _channel(self, telemetry: ChannelTelemetry, augmentation: Augmentation) -> ChannelState:
         """A channel whose model error is the array that the telemetry reports."""
-        return ChannelState(model_error=telemetry.error, signals=np.zeros((SIGNAL_COUNT, 2)))
+        states = 3 if isinstance(augmentation, AdaptiveAugmentation) and augmentation.reads_path else 2
+        return ChannelState(model_error=telemetry.error, signals=np.zeros((SIGNAL_COUNT, states)))
 
     # --- the interface -------------------------------------------------------------------------------------------
 
@@ -228,25 +233,30 @@ class CascadedController:
         error[3], error[4], error[5] = target_vn - vn, target_ve - ve, target_vd - vd
 
     def _look_ahead(self, inputs: ControlInputs) -> None:
-        """x_ahead = x + (x_d(t + t_ahead) - x_d(t)), each channel with the t_ahead of its own lag."""
-        position, attitude = self._channels
-        self._see_ahead(inputs, inputs.target.ahead, position.signals)
-        self._see_ahead(inputs, inputs.target.attitude_ahead, attitude.signals)
+        """The states of both channels, each with the t_ahead of its own lag."""
+        each_channel = zip(self._channels, (inputs.target.ahead, inputs.target.attitude_ahead), strict=True)
+        for channel, there in each_channel:
+            channel.signals[:, :] = inputs.signals[:, None]
+            if channel.signals.shape[1] == 3:
+                self._set_motion(channel.signals[:, 1], there.position, there.velocity, inputs)
+                now = inputs.target.now
+                self._set_motion(channel.signals[:, 2], now.position, now.velocity, inputs)
+            else:
+                self._see_ahead(inputs, there, channel.signals[:, 1])
 
-    def _see_ahead(self, inputs: ControlInputs, there: PathPoint, signals: Array) -> None:
-        """Fill `signals` [SIGNAL_COUNT, 2]: at the present, and with the motion of the target until `there` added."""
+    def _see_ahead(self, inputs: ControlInputs, there: PathPoint, column: Array) -> None:
+        """x_ahead = x + (x_d(t + t_ahead) - x_d(t)), into the signals `column` [SIGNAL_COUNT]."""
         (now, now_rate, _), (ahead, ahead_rate, _) = inputs.target.now, there
-        signals[:, :] = inputs.signals[:, None]
-        column = signals[:, 1]
         north, east, down = inputs.state.position.tolist()
-        column[POSITION_N] = north + ahead[0] - now[0]
-        column[POSITION_N + 1] = east + ahead[1] - now[1]
-        column[POSITION_N + 2] = down + ahead[2] - now[2]
         vn, ve, vd = inputs.state.velocity.tolist()
-        vn += ahead_rate[0] - now_rate[0]
-        ve += ahead_rate[1] - now_rate[1]
-        vd += ahead_rate[2] - now_rate[2]
-        column[VELOCITY_N], column[VELOCITY_N + 1], column[VELOCITY_N + 2] = vn, ve, vd
+        position = north + ahead[0] - now[0], east + ahead[1] - now[1], down + ahead[2] - now[2]
+        velocity = vn + ahead_rate[0] - now_rate[0], ve + ahead_rate[1] - now_rate[1], vd + ahead_rate[2] - now_rate[2]
+        self._set_motion(column, position, velocity, inputs)
+
+    def _set_motion(self, column: Array, position: Vector3, velocity: Vector3, inputs: ControlInputs) -> None:
+        """Position and velocity (world NED) in the signals `column` [SIGNAL_COUNT], at the present attitude."""
+        column[POSITION_N], column[POSITION_N + 1], column[POSITION_N + 2] = position
+        vn, ve, vd = column[VELOCITY_N], column[VELOCITY_N + 1], column[VELOCITY_N + 2] = velocity
         (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = inputs.state.rotation.tolist()
         column[BODY_VELOCITY_X] = r00 * vn + r10 * ve + r20 * vd
         column[BODY_VELOCITY_X + 1] = r01 * vn + r11 * ve + r21 * vd

@@ -13,8 +13,8 @@ so with the joint covariance of y and of [W; b] now,
 
 This is the filter of the law, run over these states from its prior, but for the mean reversion of W within the second.
 Then b takes up what is left of the jump of nu at the present state, so that nu is continuous there to rounding. eps_2,
-the largest change of nu over the recent states, the present one and the one ahead, is measured before anything changes.
-A swap that would make nu_cmd, at the state ahead, jump by more than `jump_max` is refused. At a state of the past
+the largest change of nu over the recent states and the present one, and of nu_cmd, is measured before anything changes.
+A swap that would make nu_cmd jump by more than `jump_max` is refused. At a state of the past
 second a large change is no jump: the vehicle is not there, and there the new map was fitted to what was measured. A
 theta that is too steep for the loop is flattened first (onboard.control.slope).
 """
@@ -56,10 +56,10 @@ def plan_posterior_swap(
 
     Parameters
     ----------
-    now: [SIGNAL_COUNT, 2], the present state and the one ahead.
+    now: [SIGNAL_COUNT, 3], the present state, the path ahead, and the path now.
     times: s, a tick, between two recent states, and from the newest one to the present.
     """
-    k, limit = channel.feature_count, law.config.weight_norm_max
+    k, limit, learns = channel.feature_count, law.config.weight_norm_max, law.config.composite_gain > 0.0
     signals, y = recent.in_order()
     states = np.hstack([signals, now])
     prior = prior_variance(law.config, k)
@@ -71,12 +71,15 @@ def plan_posterior_swap(
     theta, _ = bounded_theta(channel, gains, law.config.slope_share, states, Phi_bar)
     if config.naive and law.theta.shape == theta.shape:
         X, S = np.vstack([law.W - theta, law.b]), law.state.S.copy()
-    elif law.config.composite_gain == 0.0:  # a law that is off flies the trained map
+    elif not learns:  # a law that is off flies the trained map
         X, S = np.zeros((k + 1, 3)), np.diag(prior)
     else:
-        X, S = posterior(law, prior, Phi_bar[:, :-2], y - Phi_bar[:, :-2].T @ theta, times)
-    change = evaluate(law.config, theta, X, S, Phi_bar) - law.estimate(Phi)
-    if not config.naive and law.config.composite_gain > 0.0:
+        X, S = posterior(law, prior, Phi_bar[:, :-3], y - Phi_bar[:, :-3].T @ theta, times)
+    flying, new_nu = law.at(Phi), evaluate(law.config, theta, X, S, Phi_bar)
+    if learns:
+        new_nu[:, -2] += new_nu[:, -3] - new_nu[:, -1]  # the gap is closed
+    change = (new_nu - flying)[:, :-1]
+    if learns and not config.naive:
         X[-1] -= change[:, -2]
         change -= change[:, [-2]]
     jumps = np.sqrt((change * change).sum(axis=0))

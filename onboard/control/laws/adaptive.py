@@ -95,14 +95,19 @@ class AdaptiveAugmentation:
         )
         self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
-        self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
+        self._signals: Array = np.zeros((SIGNAL_COUNT, 3 if self.reads_path else 2))
         self._ticks, self._dt = 0, 0.0
         self._Delta_hat: Vector3 = (0.0, 0.0, 0.0)
         self._eps_1_squared = 0.0
         self._eps_2 = 0.0
 
+    @property
+    def reads_path(self) -> bool:
+        """Whether the map is read on the path ahead, and not at x_ahead."""
+        return isinstance(self.last_layer, KalmanLastLayer)
+
     def step(self, channel: ChannelState, telemetry: ChannelTelemetry) -> Array:
-        """Update W with Phi(x); returns nu_ad = W'Phi(x_ahead), [3]."""
+        """Update W with Phi(x); returns nu_cmd, [3]."""
         dt = channel.dt
         self._signals = channel.signals
         Phi = self.features.evaluate(self.features.select(channel.signals))
@@ -124,7 +129,7 @@ class AdaptiveAugmentation:
         self._Delta_hat = vector(D + share * (r - D) for D, r in zip(self._Delta_hat, residual, strict=True))
 
     def _report(self, nu: Array, dt: float, telemetry: ChannelTelemetry) -> None:
-        """eps_1: mean of norm(nu(x) - Delta_hat); eps_3: norm(nu(x_ahead) - nu(x))."""
+        """eps_1: mean of norm(nu(x) - Delta_hat); eps_3: norm(nu_cmd - nu(x))."""
         now, ahead = nu.T.tolist()
         misfit2 = sum((nu_i - D) ** 2 for nu_i, D in zip(now, self._Delta_hat, strict=True))
         self._eps_1_squared += min(dt / EPS_1_MEMORY_S, 1.0) * (misfit2 - self._eps_1_squared)
@@ -135,8 +140,10 @@ class AdaptiveAugmentation:
         telemetry.eps_3 = sqrt(sum((there - here) ** 2 for there, here in zip(ahead, now, strict=True)))
 
     def reset(self) -> None:
-        """Reset the filter. W and the features stay."""
+        """Reset the filters. W and the features stay."""
         self._Delta_hat = (0.0, 0.0, 0.0)
+        if isinstance(self.last_layer, KalmanLastLayer):
+            self.last_layer.close_gap()
 
     @property
     def learns(self) -> bool:
@@ -189,6 +196,7 @@ class AdaptiveAugmentation:
         W[-1] += np.array(nu) - law.estimate(Phi)[:, 0]
         if isinstance(law, KalmanLastLayer):
             law.adopt(learnt.theta, W, law.state.S.copy())
+            law.close_gap(Phi)
         else:
             law.replace(W, learnt.theta)
         self._eps_2 = 0.0
@@ -216,6 +224,7 @@ class AdaptiveAugmentation:
         if isinstance(self.last_layer, KalmanLastLayer):
             assert isinstance(plan, PosteriorPlan)
             self.last_layer.adopt(plan.theta, plan.X, plan.S)
+            self.last_layer.close_gap(features.evaluate(features.select(self._signals)))
         else:
             self.last_layer.replace(plan.W, plan.theta)
         self._eps_2 = plan.jump

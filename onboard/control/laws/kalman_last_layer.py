@@ -2,8 +2,9 @@
 
     Delta = W'Phi + b + v,    v ~ (0, R) in each tick
     W_dot = -s_w (W - theta) + noise,    b_dot = -s_b b + noise          stationary: S0 = diag(p^2, ..., sigma_b^2)
-    nu     = W'Phi + b                                                   at the present state
-    nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b                       at the state ahead
+    nu     = W'Phi + b                                                   at the present state x
+    nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b + gap                 a: on the path, t_ahead from now
+    gap   += s / (R_t + s) (W'Phi - W'Phi_p - gap) - s_b dt gap          p: on the path, now
 
 theta is the trained last layer, the prior of W. A tick first predicts (W, b and S decay to theta, 0 and S0), then
 corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
@@ -15,8 +16,12 @@ corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
 - R_t bounds the bandwidth of the loop: nu follows the residual at no more than lambda, whatever S0, R and Phi are. It
   is the noise with which that rate is optimal.
 - [W - theta; b] stays in a ball, by projection in the metric of S^-1.
+- The map is read on the path, so it is no feedback. gap is what it says at x beside the path, behind the filter by
+  which the law itself takes up a misfit (s_b by the share that b has in it). A slope m of the map in the deviation x - x_p comes into nu_cmd by the gap
+  with that filter, and into b by the residual, with the same filter and the other sign. So it cancels, whatever m is:
+  the loop has the margins of the bias alone. Where the map is right, x is answered as by the map itself, that late.
 - Confidence: c(x) = 1 - Phi'S Phi / Phi'S0 Phi is the share of the prior's variance that is explained at x. a =
-  c(x_ahead) / c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi + b instead of
+  c(x_a) / c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi_a + b instead of
   extrapolating. At the present state nothing has to fade: the residual corrects nu there, at the full lambda where S is
   large.
 
@@ -38,8 +43,8 @@ from protocol.geometry import Vector3
 
 PROJECTION_STEPS: Final = 8
 """Newton steps of the projection."""
-UPDATED: Final = np.array([1.0, 0.0, 1.0])
-"""phi = [Phi; 1], of the three columns."""
+UPDATED: Final = np.array([1.0, 0.0, 0.0, 1.0])
+"""phi = [Phi; 1], of the four columns."""
 
 
 class KalmanConfig(ConfigRecord):
@@ -86,11 +91,12 @@ class KalmanLastLayer:
         rates[-1] = config.fast_bias_rate
         self.state = KalmanState(np.vstack([theta, np.zeros(3)]), prior_variance(config, k), rates)
         self._theta_norm2 = float(np.vdot(theta, theta))
-        self._columns: Array = np.zeros((k + 1, 3))
-        """[Phi(x); 0], [Phi(x_ahead); 0], [0; 1]."""
-        self._columns[-1, 2] = 1.0
-        self._Phi = self._columns[:-1, :2]
+        self._columns: Array = np.zeros((k + 1, 4))
+        """[Phi; 0], [Phi_a; 0], [Phi_p; 0], [0; 1]."""
+        self._columns[-1, 3] = 1.0
+        self._Phi = self._columns[:-1, :3]
         self._X_norm2 = 0.0
+        self._gap = [0.0, 0.0, 0.0]
 
     # --- what others see -------------------------------------------------------------------------------------------
 
@@ -134,13 +140,29 @@ class KalmanLastLayer:
         self._keep_in_ball()
 
     def estimate(self, Phi: Array) -> Array:
-        """nu [3, 2] at the present state and ahead, whose features are the columns of Phi [k, 2]."""
-        return evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
+        """nu and nu_cmd, [3, 2]. Phi [k, 3]: features at the present state, on the path ahead, and on the path now."""
+        return self.at(Phi)[:, :2]
+
+    def at(self, Phi: Array) -> Array:
+        """nu [3, n] at the features Phi [k, n]. The last three are those of `estimate`: the second of them has nu_cmd."""
+        nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
+        nu[:, -2] += self._gap
+        return nu
+
+    def close_gap(self, Phi: Array | None = None) -> None:
+        """The deviation from the path counts in full: after a swap. Phi as in `estimate`; None: there is none.
+
+        A law that is off takes up no misfit, so there the map is read on the path alone.
+        """
+        self._gap = [0.0, 0.0, 0.0]
+        if Phi is not None and self.config.composite_gain > 0.0:
+            nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
+            self._gap = (nu[:, 0] - nu[:, 2]).tolist()
 
     # --- the law ---------------------------------------------------------------------------------------------------
 
     def learn(self, Phi: Array, channel: ChannelState, Delta_hat: Vector3) -> Array:
-        """One tick of the law; returns nu [3, 2] at the two columns of Phi [k, 2], the present state and the one ahead.
+        """One tick of the law; returns nu and nu_cmd, [3, 2]. Phi as in `estimate`.
 
         The filter takes the unfiltered residual: R describes its noise.
         """
@@ -148,7 +170,7 @@ class KalmanLastLayer:
         return self.step(Phi, channel.model_error, channel.residual.tolist(), channel.dt)
 
     def step(self, Phi: Array, e: Array, residual: list[float], dt: float) -> Array:
-        """Predict, correct, project; returns nu [3, 2] at the two columns of Phi [k, 2].
+        """Predict, correct, project; returns nu and nu_cmd, [3, 2]. Phi as in `estimate`.
 
         Parameters
         ----------
@@ -163,14 +185,15 @@ class KalmanLastLayer:
         self._Phi[:] = Phi
         product = state.along(columns)
         G = product[6:]
-        # Quadratic forms of S along Phi (h, here), Phi ahead (a) and the bias (b).
-        (hh, _, _), (ah, aa, _), (bh, ba, bb) = columns.T.dot(G).tolist()
+        # Quadratic forms of S along Phi (h, here), Phi ahead (a), Phi on the path now (p) and the bias (b).
+        (hh, _, _, _), (ah, aa, _, _), (ph, _, _, _), (bh, ba, bp, bb) = columns.T.dot(G).tolist()
         s = hh + 2.0 * bh + bb
         v = max(self._noise_variance, s / (config.composite_gain * dt)) + s
         *theta, x, y, z = product[:6].tolist()
-        t = self._tracking(s / v, dt)
+        share = s / v
+        t = self._tracking(share, dt)
         each_axis = zip(residual, theta, (x, y, z), e.dot(self._PB).tolist(), strict=True)
-        innovation = [r - th[0] - X[0] - X[2] - t * ePB for r, th, X, ePB in each_axis]
+        innovation = [r - th[0] - X[0] - X[3] - t * ePB for r, th, X, ePB in each_axis]
         if not (0.0 < s < SQUARE_MAX and sum(d * d for d in innovation) < SQUARE_MAX):  # NaN fails too
             self._X_norm2 = float(np.vdot(state.X_rows, state.X_rows))
             return self.estimate(Phi)
@@ -180,16 +203,17 @@ class KalmanLastLayer:
             self._keep_in_ball()
             return self.estimate(Phi)
         # What the correction changed along each column, without another product.
-        here, ahead, bias = (hh + bh) / v, (ah + ba) / v, (bh + bb) / v
+        here, ahead, path, bias = (hh + bh) / v, (ah + ba) / v, (ph + bp) / v, (bh + bb) / v
         a = 1.0
         if config.confidence:
-            (of_here, _, _), (_, of_ahead, _), _ = columns.T.dot(columns).tolist()
+            of_here, of_ahead = np.square(columns[:, :2]).sum(axis=0).tolist()
             p2 = self._prior_variance
             a = fade(1.0 - (hh - here * here * v) / (p2 * of_here), 1.0 - (aa - ahead * ahead * v) / (p2 * of_ahead))
-        nu = []
-        for th, X, d in zip(theta, (x, y, z), innovation, strict=True):
-            b = X[2] + bias * d
-            nu.append((th[0] + X[0] + here * d + b, th[1] + a * (X[1] + ahead * d) + b))
+        nu, gap, keep = [], self._gap, 1.0 - config.fast_bias_rate * dt * (bh + bb) / s
+        for i, (th, X, d) in enumerate(zip(theta, (x, y, z), innovation, strict=True)):
+            b, map_here = X[3] + bias * d, th[0] + X[0] + here * d
+            gap[i] = keep * gap[i] + share * (map_here - th[2] - X[2] - path * d - keep * gap[i])
+            nu.append((map_here + b, th[1] + a * (X[1] + ahead * d) + b + gap[i]))
         return np.array(nu)
 
     def _tracking(self, share: float, dt: float) -> float:
@@ -215,10 +239,10 @@ def prior_variance(config: KalmanConfig, feature_count: int) -> Array:
 
 
 def evaluate(config: KalmanConfig, theta: Array, X: Array, S: Array, Phi: Array) -> Array:
-    """nu [3, n] at the features Phi [k, n]; the last two are the present state and the one ahead, where it fades."""
+    """nu [3, n] at the features Phi [k, n]. The last three are those of the law: the second of them, ahead, fades."""
     of_X = X[:-1].T @ Phi
     if config.confidence:
-        of_X[:, -1] *= fade(*confidence(S, prior_variance(config, theta.shape[0]), Phi[:, -2:]).tolist())
+        of_X[:, -2] *= fade(*confidence(S, prior_variance(config, theta.shape[0]), Phi[:, -3:-1]).tolist())
     nu: Array = theta.T @ Phi + of_X + X[-1][:, None]
     return nu
 

@@ -36,7 +36,7 @@ def flying(swap_config, seconds=2.0, **over):
     augmentation = AdaptiveAugmentation(
         settings_, GAINS, inputs, "position", np.random.default_rng(0), LoopGains.of("position", GAINS, GAINS)
     )
-    state = ChannelState(dt=DT, adapt=True, signals=np.zeros((SIGNAL_COUNT, 2)))
+    state = ChannelState(dt=DT, adapt=True, signals=np.zeros((SIGNAL_COUNT, 3)))
     rng = np.random.default_rng(1)
     for tick in range(round(seconds / DT)):
         for column, t in enumerate((tick * DT, tick * DT + 0.17)):

@@ -38,7 +38,7 @@ def law(k=K, **over):
 
 
 def features(rng, k=K):
-    Phi = np.tanh(rng.normal(size=(k, 2)))
+    Phi = np.tanh(rng.normal(size=(k, 3)))
     Phi[-1] = 1.0
     return Phi
 
@@ -139,7 +139,7 @@ def test_the_state_stays_in_its_ball_whatever_comes_in(steps, radius):
     one = law(4, tracking_gain=1e4, composite_gain=1e3, noise=1e-3, prior=10.0, weight_norm_max=radius)
     with np.errstate(all="ignore"):
         for first, second, residual, phi in steps:
-            Phi = np.array([[phi, phi], [-phi, 0.5], [0.3, 0.3], [1.0, 1.0]])
+            Phi = np.array([[phi, phi, 0.1], [-phi, 0.5, phi], [0.3, 0.3, 0.3], [1.0, 1.0, 1.0]])
             one.step(Phi, np.array([*first, *second]), list(residual), DT)
             X = one.state.X_rows
             assert np.isfinite(X).all()
@@ -229,7 +229,7 @@ def along_the_line(**over):
     one.replace(theta, theta)
     for tick in range(6000):
         place = 1.0 - np.cos(tick * DT)
-        one.step(bumps([place, place]), np.zeros(6), [1.0 + np.sin(3.0 * place)] * 3, DT)
+        one.step(bumps([place, place, place]), np.zeros(6), [1.0 + np.sin(3.0 * place)] * 3, DT)
     return one
 
 
@@ -238,10 +238,10 @@ def test_far_from_data_the_map_fades_to_its_prior():
     one = along_the_line()
     known, unknown, prior = [], [], one.theta.T @ bumps([1.0]) + one.b[:, None]
     for place in (0.5, 1.0, 1.5):
-        nu = one.estimate(bumps([1.0, place]))[:, 1]
+        nu = one.estimate(bumps([1.0, place, 1.0]))[:, 1]
         known.append(np.abs(nu - (1.0 + np.sin(3.0 * place))).max())
     for place in (3.5, 4.5, 5.5):
-        nu = one.estimate(bumps([1.8, place]))[:, 1]
+        nu = one.estimate(bumps([1.8, place, 1.8]))[:, 1]
         unknown.append(np.abs(nu - prior[:, 0]).max())
     assert max(known) < 0.15
     assert max(unknown) < 0.25 * np.abs(one.W.T @ bumps([4.5]) + one.b[:, None] - prior).max() + 0.02
@@ -252,7 +252,7 @@ def test_without_confidence_what_was_learnt_here_is_taken_there():
     """The slow constant has learnt the mean of the known region; without a prior's say it is believed everywhere."""
     faded, plain = along_the_line(), along_the_line(confidence=False)
     prior = (faded.theta.T @ bumps([1.0]) + faded.b[:, None])[:, 0]
-    there = bumps([1.8, 4.5])
+    there = bumps([1.8, 4.5, 1.8])
     assert np.abs(plain.estimate(there)[:, 1] - prior).max() > 2.0 * np.abs(faded.estimate(there)[:, 1] - prior).max()
 
 
@@ -265,11 +265,49 @@ def test_at_the_present_state_nothing_fades():
 @given(st.integers(0, 2**32 - 1))
 def test_confidence_is_a_share_and_the_fade_as_well(seed):
     one, _, rng = flown(seed, ticks=30)
-    c = confidence(one.state.S, one.state.prior_variance, features(rng))
+    c = confidence(one.state.S, one.state.prior_variance, features(rng)[:, :2])
     assert (c >= -1e-9).all()
     assert (c <= 1.0).all()
     assert 0.0 <= fade(*c.tolist()) <= 1.0
-    assert evaluate(one.config, one.theta, one.state.X_rows.T, one.state.S, features(rng)).shape == (3, 2)
+    assert evaluate(one.config, one.theta, one.state.X_rows.T, one.state.S, features(rng)).shape == (3, 3)
+
+
+# --- the map is no feedback -------------------------------------------------------------------------------------------
+
+
+def swing(slope, ticks=2000, read="as built"):
+    """Positions [ticks] of a double integrator that is pushed at the start, with a map nu = slope x that is all wrong.
+
+    The path stands at x = 0. There is no disturbance, so the bias has to take up what the map says.
+    """
+    one = law(2, tracking_gain=0.0, prior=1e-3, fast_bias=3.0, noise=0.3)
+    theta = np.zeros((2, 3))
+    theta[0] = slope
+    one.replace(theta, theta)
+    x, v, xs, k1, k2 = 0.0, 0.3, [], 10.0, 4.0
+    for _ in range(ticks):
+        ahead, path = {"as built": (0.0, 0.0), "path": (0.0, x), "vehicle": (x, x)}[read]
+        Phi = np.array([[x, ahead, path], [1.0, 1.0, 1.0]])
+        nu = one.step(Phi, np.zeros(6), [0.0, 0.0, 0.0], DT)[0, 1]
+        v += DT * (-k1 * x - k2 * v - nu)
+        x += DT * v
+        xs.append(x)
+    return np.array(xs)
+
+
+@pytest.mark.parametrize("slope", [-60.0, -10.0, 10.0, 60.0])
+def test_a_wrong_slope_of_the_map_does_not_change_the_loop(slope):
+    """Six times the stiffness of the loop, with either sign."""
+    plain, steep = swing(0.0), swing(slope)
+    assert np.abs(steep - plain).max() < 0.02 * np.abs(plain).max()
+
+
+@pytest.mark.parametrize("slope", [-60.0, 60.0])
+@pytest.mark.parametrize("read", ["path", "vehicle"])
+def test_without_the_filter_of_the_gap_it_does(slope, read):
+    """Ablations: the map on the path alone, and the map at the vehicle alone."""
+    plain = swing(0.0)
+    assert np.abs(swing(slope, read=read) - plain).max() > 0.3 * np.abs(plain).max()
 
 
 # --- configuration ---------------------------------------------------------------------------------------------------

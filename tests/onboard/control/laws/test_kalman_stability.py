@@ -67,7 +67,7 @@ class Plant:
     def step(self):
         Phi, X_star = self.Phi(), self.star()[0]
         Delta = (self.theta + X_star[:-1]).T @ Phi + X_star[-1]
-        nu = self.law.step(np.stack([Phi, Phi], axis=1), self.e, Delta.tolist(), STEP)[:, 0]
+        nu = self.law.step(np.stack([Phi, Phi, Phi], axis=1), self.e, Delta.tolist(), STEP)[:, 0]
         self.e = self.e + STEP * (self.A_rm @ self.e + self.B @ (nu - Delta))
         self.time += STEP
 
@@ -137,7 +137,7 @@ def wing_rock(law_config, seconds=40.0, drift=0.0):
         errors.append(x_rm - x)
         Phi = np.append(np.exp(-((x - centres) ** 2).sum(axis=1)), 1.0)
         delta = wing_rock_delta(*x) * (1.0 + drift * np.sin(0.9 * step * dt))
-        nu = last.step(np.stack([Phi, Phi], axis=1), errors[-1], [delta, 0.0, 0.0], dt)[0, 0]
+        nu = last.step(np.stack([Phi, Phi, Phi], axis=1), errors[-1], [delta, 0.0, 0.0], dt)[0, 0]
         u = k1 * (r - x[0]) - k2 * x[1] - nu
         x = x + dt * np.array([x[1], u + delta])
         x_rm = x_rm + dt * (A_rm @ x_rm + np.array([0.0, k1 * r]))
