@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 3964
+#define CONFIG_IMAGE_BYTES 3980
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -249,6 +249,7 @@ typedef struct {
     real residual_filter_s; /* 64: time constant of Delta_hat */
     bool confidence; /* 72: false: ablation, a = 1 */
     real slope_share; /* 80: largest slope of theta'Phi, as a share of the loop's own gains */
+    real flight_slope_share; /* 88: the same of W'Phi in flight, over all inputs; large: ablation */
 } KalmanConfig;
 
 typedef enum { LAW_GRADIENT, LAW_KALMAN } AdaptiveLawKind;
@@ -272,8 +273,8 @@ typedef struct {
     AdaptiveFeatures features; /* 0 */
     real rbf_width; /* 8: width of the Gaussians, scaled units per sqrt(input) */
     AdaptiveLaw law; /* 16 */
-    real error_weight[2]; /* 168 */
-    SwapConfig swap; /* 184 */
+    real error_weight[2]; /* 176 */
+    SwapConfig swap; /* 192 */
 } AdaptiveConfig;
 
 typedef enum { AUGMENTATION_NONE, AUGMENTATION_INTEGRAL, AUGMENTATION_L1, AUGMENTATION_INDI, AUGMENTATION_REPETITIVE, AUGMENTATION_ILC, AUGMENTATION_ADAPTIVE } ChannelSettingsAugmentationKind;
@@ -344,15 +345,15 @@ typedef struct {
 
 typedef struct {
     ChannelSettings position; /* 0 */
-    ChannelSettings attitude; /* 440 */
-    bool hedging; /* 880: pseudo-control hedging of both reference models */
-    real position_error_max_m; /* 888 */
-    DemandLimitsConfig limits; /* 896 */
-    GuardConfig guard; /* 936 */
-    bool prediction; /* 1232: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1240: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1248: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1256 */
+    ChannelSettings attitude; /* 448 */
+    bool hedging; /* 896: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 904 */
+    DemandLimitsConfig limits; /* 912 */
+    GuardConfig guard; /* 952 */
+    bool prediction; /* 1248: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1256: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1264: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1272 */
 } CascadeSettings;
 
 typedef struct {
@@ -378,8 +379,8 @@ typedef struct {
     SupervisorConfig supervisor; /* 592 */
     GuidanceConfig guidance; /* 856 */
     CascadeSettings controller; /* 2592: of the cascade */
-    SamplerConfig samples; /* 3856 */
-    Swing lissajous[2]; /* 3904: north and east; zero on another path */
+    SamplerConfig samples; /* 3872 */
+    Swing lissajous[2]; /* 3920: north and east; zero on another path */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -17,6 +17,7 @@ from onboard.control.features import BiasFeatures, Features, NetworkFeatures, Ra
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
+from onboard.control.laws.slope_bound import SlopeBound
 from onboard.control.posterior_swap import PosteriorPlan, plan_posterior_swap
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
@@ -86,13 +87,14 @@ class AdaptiveAugmentation:
         A_rm = gains.closed_loop_matrix()
         Q = np.diag(np.repeat(config.error_weight, 3))
         P = lyapunov_p(A_rm, Q)
-        self.features: Features = _start_features(config, inputs, channel, rng)
-        PB, k = tracking_weights(P, gains.natural_frequency_rad_s), self.features.feature_count
+        features = _start_features(config, inputs, channel, rng)
+        PB, k = tracking_weights(P, gains.natural_frequency_rad_s), features.feature_count
         self.tracking_weights = PB
         """[6, 3], of e in the tracking term."""
         self.last_layer: LastLayer | KalmanLastLayer = (
             KalmanLastLayer(config.law, k, PB) if isinstance(config.law, KalmanConfig) else LastLayer(config.law, k, PB)
         )
+        self._use(features)
         self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 2))
@@ -108,6 +110,9 @@ class AdaptiveAugmentation:
         Phi = self.features.evaluate(self.features.select(channel.signals))
         if channel.adapt:
             self._filter_residual(channel.residual.tolist(), dt)
+            if self._slope_bound is not None:
+                assert isinstance(self.last_layer, KalmanLastLayer)
+                self._slope_bound.step(self.features, self.last_layer.state)
             nu = self.last_layer.learn(Phi, channel, self._Delta_hat)
             if self._ticks % self._ring_period == 0:
                 self._recent.push(channel.signals[:, 0], self._Delta_hat)
@@ -117,6 +122,13 @@ class AdaptiveAugmentation:
         self._dt = dt
         self._report(nu, dt, telemetry)
         return nu[:, 1]
+
+    def _use(self, features: Features) -> None:
+        """Fly these features."""
+        self.features, law = features, self.last_layer.config
+        self._slope_bound = None
+        if isinstance(law, KalmanConfig) and law.composite_gain > 0.0:
+            self._slope_bound = SlopeBound(features.inputs, self.loop_gains, law.flight_slope_share)
 
     def _filter_residual(self, residual: list[float], dt: float) -> None:
         """Delta_hat_dot = (r - Delta_hat) / T, exact for a residual r that is constant over dt."""
@@ -178,7 +190,8 @@ class AdaptiveAugmentation:
 
     def restore(self, learnt: Learnt, nu: Vector3) -> None:
         """Fly these features and this W again; the bias takes up what is missing to nu at the present state."""
-        law, self.features = self.last_layer, learnt.features
+        self._use(learnt.features)
+        law = self.last_layer
         W = learnt.W.copy()
         if isinstance(law, KalmanLastLayer):
             assert learnt.S is not None
@@ -212,7 +225,7 @@ class AdaptiveAugmentation:
 
     def commit(self, features: Features, plan: SwapPlan) -> None:
         """Carry out a plan that was not refused."""
-        self.features = features
+        self._use(features)
         if isinstance(self.last_layer, KalmanLastLayer):
             assert isinstance(plan, PosteriorPlan)
             self.last_layer.adopt(plan.theta, plan.X, plan.S)

@@ -30,14 +30,12 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from onboard.control.laws.kalman_state import KalmanState
+from onboard.control.laws.kalman_state import KalmanState, multiplier
 from onboard.control.laws.last_layer import SQUARE_MAX, tracking_rate_weight
 from onboard.control.laws.law import ChannelState
 from protocol.conventions import Array
 from protocol.geometry import Vector3
 
-PROJECTION_STEPS: Final = 8
-"""Newton steps of the projection."""
 UPDATED: Final = np.array([1.0, 0.0, 1.0])
 """phi = [Phi; 1], of the three columns."""
 
@@ -64,6 +62,9 @@ class KalmanConfig(ConfigRecord):
     confidence: Annotated[bool, Field(description="false: ablation, a = 1")] = True
     slope_share: Annotated[
         float, Field(gt=0, le=10, description="largest slope of theta'Phi, as a share of the loop's own gains")
+    ] = 0.5
+    flight_slope_share: Annotated[
+        float, Field(gt=0, le=1e6, description="the same of W'Phi in flight, over all inputs; large: ablation")
     ] = 0.5
 
 
@@ -239,17 +240,12 @@ def project(X_rows: Array, S: Array, radius: float) -> Array:
     """X' [3, n] projected onto the ball norm(X) <= radius in the metric of S^-1, so that V never grows by it.
 
     The nearest X in that metric is (I + mu S)^-1 X with the mu >= 0 that makes its norm the radius. In the axes of S
-    each component shrinks by 1 / (1 + mu s_j); mu by Newton's method on 1 / norm, which is nearly linear in mu.
+    each component shrinks by 1 / (1 + mu s_j).
     """
     if not float(np.vdot(X_rows, X_rows)) > radius * radius:
         return X_rows
     s, axes = np.linalg.eigh(S)
     along = X_rows @ axes
-    squares, mu = (along * along).sum(axis=0), 0.0
-    for _ in range(PROJECTION_STEPS):
-        left = 1.0 / (1.0 + mu * s)
-        norm2 = float((squares * left**2).sum())
-        slope = float((squares * s * left**3).sum()) / norm2**1.5  # of 1 / norm
-        mu += (1.0 / radius - norm2**-0.5) / slope
+    mu = multiplier((along * along).sum(axis=0), s, radius)
     projected: Array = (along / (1.0 + mu * s)) @ axes.T
     return projected
