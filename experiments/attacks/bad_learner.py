@@ -17,7 +17,7 @@ from offboard.links.pose_relay import PoseRelay
 from offboard.training.job import TrainingResult
 from onboard.control.cascade import CascadeSettings
 from onboard.control.features import NetworkFeatures
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits
 from onboard.control.version_test import VersionTest
 from protocol.config import TransferConfig
 from protocol.conventions import Array
@@ -71,8 +71,12 @@ Case = Callable[[View], Channels | None]
 def _tests(config: FlightConfig) -> tuple[VersionTest, VersionTest]:
     settings = fill(CascadeSettings, {**config.onboard.controller.settings, "features": config.features}, "attack")
     gains = settings.position.gains, settings.attitude.gains
-    position, attitude = LoopGains.of("position", *gains), LoopGains.of("attitude", *gains)
-    return VersionTest(settings.guard.test, 0, position), VersionTest(settings.guard.test, 1, attitude)
+
+    def test(index: int, channel: ChannelName) -> VersionTest:
+        shares = getattr(settings, channel).augmentation.slope_shares
+        return VersionTest(settings.guard.test, index, SlopeLimits.of(channel, *gains, shares))
+
+    return test(0, "position"), test(1, "attitude")
 
 
 class BadLearner:

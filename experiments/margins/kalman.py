@@ -6,6 +6,13 @@ With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b,
     nu / r = F (1 + t E') / (1 + F (1 + t E')),    E' = (w_1 + w_2 s) / (s^2 + k_2 s + k_1)
 
 where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
+
+**A map with a slope.** With m the map's slope in x, constant, H = nu / r and the path at rest, nu takes up what the map
+says: nu = H r + (1 - H) m x. The map is read on the path, and the gap m x passes a filter G of its own:
+
+    nu_cmd = H r + (G - H) m x,    G = k / (s + k + s_b k_b / k),    k = k_w + k_b.
+
+So only the rest G - H of the slope is feedback, which the tracking term leaves: t E' is in H and not in G.
 """
 
 from typing import Any, Final
@@ -45,6 +52,14 @@ def settled_filter(
     k_w, k_b = settled_gains(law, dt)
     F = _loop(law, error_weight, gains, axis, s, k_w, k_b)
     return F / (1.0 + F)
+
+
+def slope_fed_back(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
+    """G - H at the largest gain of the law: the share of the map's slope that is feedback of the loop."""
+    k = law.composite_gain
+    of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
+    gap = k / (s + k + law.fast_bias_rate * of_b / (of_W + of_b))
+    return gap - fastest_filter(law, error_weight, gains, axis, s)
 
 
 def settled_gains(law: KalmanConfig, dt: float) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.laws.repetitive import Repetitive, RepetitiveConfig
 from onboard.control.records import ChannelTelemetry, ControlInputs, ControlOutput
 from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains, PositionReferenceModel
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits
 from onboard.control.tracking_bound import TrackingBounds
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
@@ -92,8 +92,8 @@ def _augmentation(settings: CascadeSettings, channel: ChannelName, rng: np.rando
     config = one.augmentation
     match config:
         case AdaptiveConfig():
-            loop_gains = LoopGains.of(channel, settings.position.gains, settings.attitude.gains)
-            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng, loop_gains)
+            limits = SlopeLimits.of(channel, settings.position.gains, settings.attitude.gains, config.slope_shares)
+            return AdaptiveAugmentation(config, one.gains, settings.features.untrained, channel, rng, limits)
         case IntegralConfig():
             return Integral(config)
         case L1Config():

@@ -8,6 +8,7 @@ state are evaluated together, as two columns, which costs little more than one.
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures
@@ -18,12 +19,17 @@ INPUT_LIMIT = 3.0
 """Scaled inputs are clipped to +- this value, so that the features do not extrapolate."""
 
 
+Indices = NDArray[np.intp]
+
+
 class Features(Protocol):
     """Phi of one channel."""
 
     feature_count: int
     lipschitz: float
     """Lipschitz constant of Phi in the scaled inputs."""
+    inputs: tuple[str, ...]
+    """Names of the signals that it sees."""
 
     def select(self, signals: Array) -> Array:
         """Scaled inputs z of signal vectors: [SIGNAL_COUNT] or [SIGNAL_COUNT, n] to [m] or [m, n]."""
@@ -31,11 +37,18 @@ class Features(Protocol):
     def evaluate(self, z: Array) -> Array:
         """Phi of scaled inputs: [m, n] to [k, n]."""
 
+    def slope(self, column: int, inputs: Indices) -> Array:
+        """dPhi/dx [k - 1, n], without the constant, over n of the inputs, in their units, at a column last evaluated.
+
+        Zero in an input that is clipped.
+        """
+
 
 class _Selection:
     """Selects the inputs from the signal vector and scales them to about unit size."""
 
     def __init__(self, inputs: tuple[str, ...], offset: Array, scale: Array) -> None:
+        self.inputs = inputs
         self._indices = np.array(input_indices(inputs), dtype=np.intp)
         self._offset = offset
         self._inverse = 1.0 / scale
@@ -59,6 +72,13 @@ class _Selection:
         shape = (len(self._indices), columns)
         offset, inverse = (np.repeat(vector[:, None], columns, axis=1) for vector in (self._offset, self._inverse))
         return offset, inverse, np.full(shape, INPUT_LIMIT), np.full(shape, -INPUT_LIMIT)
+
+    def _slope_of_first(self, first: Array, z: list[float], inputs: Indices) -> Array:
+        """first / scale [h, n], of first [h, m] in scaled inputs; zero where z [n] is clipped."""
+        slope: Array = first.take(inputs, axis=1) * self._inverse.take(inputs)
+        if max(z) >= INPUT_LIMIT or min(z) <= -INPUT_LIMIT:
+            slope *= np.abs(z) < INPUT_LIMIT
+        return slope
 
 
 class NetworkFeatures(_Selection):
@@ -95,6 +115,17 @@ class NetworkFeatures(_Selection):
             np.tanh(above, out=above)
         return self._Phi.copy()
 
+    def slope(self, column: int, inputs: Indices) -> Array:
+        """dPhi/dx = D_L W_L ... D_1 W_1 dz/dx with D_i = diag(1 - h_i^2), h_i the outputs of layer i."""
+        z, (first, *inner) = self._inputs[:, column].take(inputs).tolist(), self.channel.weights
+        J = self._slope_of_first(first, z, inputs)
+        for W, (_, _, above) in zip((None, *inner), self._passes, strict=True):
+            h = above[:, column]
+            if W is not None:
+                J = np.dot(W, J)
+            J *= (1.0 - h * h)[:, None]
+        return J
+
 
 class RadialFeatures(_Selection):
     """Gaussian radial basis functions on a fixed low-discrepancy grid over the unit box, then the constant 1."""
@@ -109,6 +140,8 @@ class RadialFeatures(_Selection):
         # The exponent is linear in [z; z^2; 1].
         parts = (2.0 * centres, -np.ones((count, m)), -(centres**2).sum(axis=1)[:, None])
         self._exponent = np.hstack(parts) / (2.0 * width * width * m)
+        self._curvature = 1.0 / (width * width * m)
+        self._centres = centres
         self._rows = (2 * m + 1, count + 1)
         self._prepare(2)
         self.feature_count = count + 1
@@ -127,6 +160,12 @@ class RadialFeatures(_Selection):
         np.exp(exponents, out=exponents)
         return self._Phi.copy()
 
+    def slope(self, column: int, inputs: Indices) -> Array:
+        """dphi_i/dx = (c_i - z)' / (width^2 m) phi_i dz/dx."""
+        z = self._work[: len(self.inputs), column]
+        towards = self._curvature * self._Phi[:-1, column, None] * (self._centres - z)
+        return self._slope_of_first(towards, z.take(inputs).tolist(), inputs)
+
     def _prepare(self, columns: int) -> None:
         """Allocate the arrays for this number of columns: [z; z^2; 1] and Phi."""
         self._work, self._Phi = (np.ones((rows, columns)) for rows in self._rows)
@@ -137,6 +176,7 @@ class BiasFeatures:
 
     feature_count = 1
     lipschitz = 0.0
+    inputs: tuple[str, ...] = ()
 
     def select(self, signals: Array) -> Array:
         """Returns no inputs: [0] or [0, n]."""
@@ -145,6 +185,11 @@ class BiasFeatures:
     def evaluate(self, z: Array) -> Array:
         """Phi = 1."""
         return np.ones((1, z.shape[1]))
+
+    def slope(self, column: int, inputs: Indices) -> Array:
+        """Returns no slope: [0, n]."""
+        del column
+        return np.zeros((0, inputs.size))
 
 
 def halton(count: int, dimensions: int) -> Array:

@@ -122,7 +122,7 @@ class Guard:
             i: one for i, one in enumerate(augmentations) if isinstance(one, AdaptiveAugmentation) and one.learns
         }
         self._watches = {i: self._watch(i, one, gains[i]) for i, one in self._learners.items()}
-        self._tests = {i: VersionTest(config.test, i, one.loop_gains) for i, one in self._learners.items()}
+        self._tests = {i: VersionTest(config.test, i, one.slope_limits) for i, one in self._learners.items()}
         self.level = Level.MAP
         self.version = 0
         self.limited = [0, 0]

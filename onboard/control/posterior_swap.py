@@ -26,7 +26,7 @@ import numpy as np
 from onboard.control.feature_swap import RecentStates, SwapConfig, SwapPlan
 from onboard.control.features import Features
 from onboard.control.laws.kalman_last_layer import KalmanLastLayer, evaluate, prior_variance
-from onboard.control.slope import LoopGains, bounded_theta
+from onboard.control.slope import SlopeLimits, bounded_theta
 from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures
 
@@ -47,7 +47,7 @@ def plan_posterior_swap(
     old: Features,
     new: Features,
     channel: ChannelFeatures,
-    gains: LoopGains,
+    limits: SlopeLimits,
     recent: RecentStates,
     now: Array,
     times: tuple[float, float, float],
@@ -68,7 +68,7 @@ def plan_posterior_swap(
     if float(np.linalg.norm(channel.last_layer)) > limit:
         return _refused("weight_norm", channel.last_layer)
     Phi, Phi_bar = old.evaluate(old.select(states)), new.evaluate(new.select(states))
-    theta, _ = bounded_theta(channel, gains, law.config.slope_share, states, Phi_bar)
+    theta, _ = bounded_theta(channel, limits, states, Phi_bar)
     if config.naive and law.theta.shape == theta.shape:
         X, S = np.vstack([law.W - theta, law.b]), law.state.S.copy()
     elif not learns:  # a law that is off flies the trained map

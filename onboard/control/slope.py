@@ -1,7 +1,7 @@
-"""The slope of a map theta'Phi, and its bound by the loop's own gains.
+"""The slope of a map theta'Phi, and its limits by the loop's own gains.
 
 A map over the state is feedback: nu = theta'Phi(p, v, ...) adds d nu/dp to the stiffness of the loop and d nu/dv to its
-damping, with either sign. So the slope of each axis is compared with what the loop itself has there:
+damping, with either sign. So the slope of each axis is limited to a share of what the loop itself has there:
 
 | channel | input | gain of the loop |
 |---|---|---|
@@ -11,13 +11,19 @@ damping, with either sign. So the slope of each axis is compared with what the l
 
 The last line: nu tilts the vehicle by nu / K_1, and g turns the tilt into acceleration. An input of another kind (motor
 thrusts, battery) is not bounded: what nu does to it is not in the loop's gains.
+
+Law (2a) reads position and velocity on the path (onboard.control.laws.kalman_last_layer). There only a rest of the
+slope is fed back, and a map may be several times as steep as the loop is stiff
+(`test_the_margins_of_dmrac_hold_with_the_steepest_map_that_is_accepted`): the edge of a jet of air is.
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
+from pydantic import Field
 
+from configs.loader import ConfigRecord
 from onboard.control.features import INPUT_LIMIT
 from onboard.control.reference_model import ChannelGains
 from protocol.conventions import GRAVITY, Array
@@ -32,23 +38,36 @@ ANGLES: Final = ("roll", "pitch", "yaw")
 RATES: Final = ("rate_p", "rate_q", "rate_r")
 
 
+Share = Annotated[float, Field(gt=0, le=1e6)]
+
+
+class SlopeShares(ConfigRecord):
+    """Largest slope of a map, as a share of the loop's own gain. Large: ablation."""
+
+    place: Annotated[Share, Field(description="over the position")] = 5.0
+    motion: Annotated[Share, Field(description="over the velocity, also in body axes")] = 1.0
+    turn: Annotated[Share, Field(description="over attitude and body rates, which are read at the vehicle")] = 0.3
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopGains:
-    """What one axis of a channel's demand changes with the state, by the loop itself, per kind of input."""
+class SlopeLimits:
+    """The largest slope of a map, per kind of input."""
 
     groups: tuple[tuple[tuple[str, ...], Array], ...]
-    """Names of the inputs of a kind, and the gain of each axis, [3], units of u per unit of the input."""
+    """Names of the inputs of a kind, and the limit of each axis, [3], units of u per unit of the input."""
 
     @staticmethod
-    def of(channel: ChannelName, position: ChannelGains, attitude: ChannelGains) -> "LoopGains":
-        """The table at the head of this file."""
+    def of(channel: ChannelName, position: ChannelGains, attitude: ChannelGains, shares: SlopeShares) -> "SlopeLimits":
+        """The shares of the table at the head of this file."""
         stiffness, rate = position.stiffness(), position.rate_gain()
-        if channel == "position":
-            return LoopGains(((PLACE, stiffness), (MOTION, rate), (BODY_MOTION, rate)))
-        turn, turn_rate = attitude.stiffness(), attitude.rate_gain()
-        # Roll moves the vehicle east and pitch north; yaw gets the gains of the vertical axis.
-        place, motion = turn * stiffness[[1, 0, 2]] / GRAVITY, turn * rate[[1, 0, 2]] / GRAVITY
-        return LoopGains(((ANGLES, turn), (RATES, turn_rate), (PLACE, place), (MOTION, motion), (BODY_MOTION, motion)))
+        angles: tuple[tuple[tuple[str, ...], Array], ...] = ()
+        if channel == "attitude":
+            turn = attitude.stiffness()
+            angles = (ANGLES, shares.turn * turn), (RATES, shares.turn * attitude.rate_gain())
+            # Roll moves the vehicle east and pitch north; yaw gets the gains of the vertical axis.
+            stiffness, rate = turn * stiffness[[1, 0, 2]] / GRAVITY, turn * rate[[1, 0, 2]] / GRAVITY
+        motion = shares.motion * rate
+        return SlopeLimits((*angles, (PLACE, shares.place * stiffness), (MOTION, motion), (BODY_MOTION, motion)))
 
 
 def slopes(channel: ChannelFeatures, theta: Array, signals: Array) -> Array:
@@ -68,8 +87,8 @@ def slopes(channel: ChannelFeatures, theta: Array, signals: Array) -> Array:
     return result
 
 
-def largest_shares(channel: ChannelFeatures, theta: Array, gains: LoopGains, signals: Array) -> Array:
-    """[3]: of each axis, the largest slope over the states and the kinds of input, as a share of the loop's gain.
+def largest_shares(channel: ChannelFeatures, theta: Array, limits: SlopeLimits, signals: Array) -> Array:
+    """[3]: of each axis, the largest slope over the states and the kinds of input, as a share of its limit.
 
     The slope over the inputs of a kind is the norm of its row, so that what couples the axes counts as well.
     """
@@ -77,17 +96,15 @@ def largest_shares(channel: ChannelFeatures, theta: Array, gains: LoopGains, sig
     if signals.shape[1] == 0:
         return found
     slope = slopes(channel, theta, signals)
-    for names, gain in gains.groups:
+    for names, limit in limits.groups:
         columns = [channel.inputs.index(name) for name in names if name in channel.inputs]
         if columns:
-            found = np.maximum(found, np.linalg.norm(slope[:, :, columns], axis=2).max(axis=0) / gain)
+            found = np.maximum(found, np.linalg.norm(slope[:, :, columns], axis=2).max(axis=0) / limit)
     return found
 
 
-def bounded_theta(
-    channel: ChannelFeatures, gains: LoopGains, share_max: float, signals: Array, Phi: Array
-) -> tuple[Array, Array]:
-    """theta [k, 3] with the slope of every axis at these states within its share, and the shares before, [3].
+def bounded_theta(channel: ChannelFeatures, limits: SlopeLimits, signals: Array, Phi: Array) -> tuple[Array, Array]:
+    """theta [k, 3] with the slope of every axis at these states within its limit, and the shares before, [3].
 
     An axis with too steep a map is flattened about its mean over the states: its rows but that of the constant are
     scaled, and the constant takes up the change of the mean.
@@ -97,8 +114,8 @@ def bounded_theta(
     Phi: [k, n], features of the same states.
     """
     theta = channel.last_layer
-    shares = largest_shares(channel, theta, gains, signals)
-    factor = np.minimum(1.0, share_max / np.maximum(shares, 1e-12))
+    shares = largest_shares(channel, theta, limits, signals)
+    factor = 1.0 / np.maximum(shares, 1.0)
     if (factor == 1.0).all():
         return theta, shares
     flat = theta.copy()

@@ -7,10 +7,10 @@ The path ahead is a line through it, with points so close that no cliff lies bet
   residual itself. A map that does not know what has just been measured is not believed about what comes.
 - **bound**: norm(theta) norm(Phi), row of the constant apart, bounds how much the map can vary anywhere in the world.
 - **spread**: the largest change of theta'Phi from here to a state of the box.
-- **slope along the path**: change from point to point over the distance, as a share of what the loop has there (a steep
-  map is feedback: onboard.control.slope, which owns the loop's gains). By differences, so that a cliff counts that is
+- **slope along the path**: change from point to point over the distance, as a share of its limit (a steep map is
+  feedback: onboard.control.slope, which owns the limits). By differences, so that a cliff counts that is
   narrower than the points are apart.
-- **slope over the box and the last second**, the derivative, the same share of the loop's gains.
+- **slope over the box and the last second**, the derivative, as a share of its limit.
 
 theta of law (2a), whose nu_cmd fades to it where nothing was measured; W of law (2).
 """
@@ -22,7 +22,7 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.features import Features, NetworkFeatures, halton
-from onboard.control.slope import PLACE, LoopGains, largest_shares
+from onboard.control.slope import PLACE, SlopeLimits, largest_shares
 from protocol.conventions import Array
 from protocol.signals import SIGNAL_INDEX
 
@@ -50,8 +50,8 @@ class VersionTestConfig(ConfigRecord):
     misfit_floor: Annotated[tuple[Size, Size], Field(description="plus this, units of u")] = (2.0, 40.0)
     bound_max: Annotated[tuple[Size, Size], Field(description="norm(theta) norm(Phi), units of u")] = (30.0, 350.0)
     spread_max: Annotated[tuple[Size, Size], Field(description="largest change in the box, units of u")] = (10.0, 160.0)
-    path_slope: Annotated[tuple[Size, Size], Field(description="along the path, share of the gains")] = (1.0, 1.0)
-    box_slope: Annotated[tuple[Size, Size], Field(description="over the states, share of the gains")] = (2.0, 2.0)
+    path_slope: Annotated[tuple[Size, Size], Field(description="along the path, share of its limit")] = (1.0, 1.0)
+    box_slope: Annotated[tuple[Size, Size], Field(description="over the states, share of its limit")] = (2.0, 2.0)
 
 
 def ahead(config: VersionTestConfig, now: Array) -> tuple[Array, Array]:
@@ -75,11 +75,11 @@ def ahead(config: VersionTestConfig, now: Array) -> tuple[Array, Array]:
 class VersionTest:
     """The test of one channel's maps."""
 
-    def __init__(self, config: VersionTestConfig, channel: int, gains: LoopGains) -> None:
-        self._config, self._gains = config, gains
+    def __init__(self, config: VersionTestConfig, channel: int, limits: SlopeLimits) -> None:
+        self._config, self._slope_limits = config, limits
         self._limits = config.bound_max[channel], config.spread_max[channel]
         self._slopes = config.path_slope[channel], config.box_slope[channel]
-        self._place_gain = next(gain for names, gain in gains.groups if names == PLACE)
+        self._place_limit = next(limit for names, limit in limits.groups if names == PLACE)
         self._misfit_floor = config.misfit_floor[channel]
         self.found: tuple[float, ...] = (0.0,) * 5
         """Bound, spread, slope along the path, slope over the box, misfit over what is allowed, of the last test."""
@@ -97,7 +97,9 @@ class VersionTest:
         size = float(np.linalg.norm(theta[:-1], axis=0).max()) * (theta.shape[0] - 1) ** 0.5
         over = 0.0
         if isinstance(features, NetworkFeatures):
-            over = float(largest_shares(features.channel, theta, self._gains, np.hstack([path, box, recent])).max())
+            over = float(
+                largest_shares(features.channel, theta, self._slope_limits, np.hstack([path, box, recent])).max()
+            )
         misfit = self._misfit(features, theta, recent, residuals)
         self.found = size, spread, along, over, misfit
         if misfit > 1.0:
@@ -122,10 +124,10 @@ class VersionTest:
         return sizes[0] / (self._config.misfit * sizes[1] + self._misfit_floor)
 
     def _reach(self, features: Features, theta: Array, path: Array, states: Array) -> tuple[float, float]:
-        """The largest change from here, and the largest slope along the path as a share of the loop's gain."""
+        """The largest change from here, and the largest slope along the path as a share of its limit."""
         n = path.shape[1]
         nu = theta.T @ features.evaluate(features.select(np.hstack([path, states])))
         spread = float(np.abs(nu - nu[:, :1]).max())
         apart = float(np.linalg.norm(path[PLACES, 1] - path[PLACES, 0]))
         steps = np.abs(np.diff(nu[:, :n], axis=1)).max(axis=1) / apart
-        return spread, float((steps / self._place_gain).max())
+        return spread, float((steps / self._place_limit).max())

@@ -271,6 +271,12 @@ static void read_AdaptationConfig(Cursor *from, AdaptationConfig *out) {
     out->residual_filter_s = read_real(from);
 }
 
+static void read_SlopeShares(Cursor *from, SlopeShares *out) {
+    out->place = read_real(from);
+    out->motion = read_real(from);
+    out->turn = read_real(from);
+}
+
 static void read_KalmanConfig(Cursor *from, KalmanConfig *out) {
     out->tracking_gain = read_real(from);
     out->composite_gain = read_real(from);
@@ -282,7 +288,7 @@ static void read_KalmanConfig(Cursor *from, KalmanConfig *out) {
     out->weight_norm_max = read_real(from);
     out->residual_filter_s = read_real(from);
     out->confidence = read_int(from) != 0;
-    out->slope_share = read_real(from);
+    read_SlopeShares(from, &out->slope);
 }
 
 static void read_AdaptiveLaw(Cursor *from, AdaptiveLaw *out) {
@@ -439,7 +445,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x1d, 0xaa, 0xce, 0xb5, 0xd2, 0x3c, 0xd5, 0xcf};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xb0, 0x1b, 0xb7, 0xb9, 0x5f, 0xac, 0xde, 0xe0};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 3996
+#define CONFIG_IMAGE_BYTES 4028
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -238,6 +238,12 @@ typedef struct {
 } AdaptationConfig;
 
 typedef struct {
+    real place; /* 0: over the position */
+    real motion; /* 8: over the velocity, also in body axes */
+    real turn; /* 16: over attitude and body rates, which are read at the vehicle */
+} SlopeShares;
+
+typedef struct {
     real tracking_gain; /* 0: 1/s^3: nu_ad gains at most so much per second and unit of e_1 */
     real composite_gain; /* 8: lambda, 1/s: nu_ad follows the residual no faster than this; 0 = off */
     real noise; /* 16: sqrt(R): residual of a tick about the model, units of u */
@@ -248,7 +254,7 @@ typedef struct {
     real weight_norm_max; /* 56: W_max: radius of the balls of theta and of [W - theta; b] */
     real residual_filter_s; /* 64: time constant of Delta_hat */
     bool confidence; /* 72: false: ablation, a = 1 */
-    real slope_share; /* 80: largest slope of theta'Phi, as a share of the loop's own gains */
+    SlopeShares slope; /* 80 */
 } KalmanConfig;
 
 typedef enum { LAW_GRADIENT, LAW_KALMAN } AdaptiveLawKind;
@@ -272,8 +278,8 @@ typedef struct {
     AdaptiveFeatures features; /* 0 */
     real rbf_width; /* 8: width of the Gaussians, scaled units per sqrt(input) */
     AdaptiveLaw law; /* 16 */
-    real error_weight[2]; /* 168 */
-    SwapConfig swap; /* 184 */
+    real error_weight[2]; /* 184 */
+    SwapConfig swap; /* 200 */
 } AdaptiveConfig;
 
 typedef enum { AUGMENTATION_NONE, AUGMENTATION_INTEGRAL, AUGMENTATION_L1, AUGMENTATION_INDI, AUGMENTATION_REPETITIVE, AUGMENTATION_ILC, AUGMENTATION_ADAPTIVE } ChannelSettingsAugmentationKind;
@@ -316,8 +322,8 @@ typedef struct {
     real misfit_floor[2]; /* 40: plus this, units of u */
     real bound_max[2]; /* 56: norm(theta) norm(Phi), units of u */
     real spread_max[2]; /* 72: largest change in the box, units of u */
-    real path_slope[2]; /* 88: along the path, share of the gains */
-    real box_slope[2]; /* 104: over the states, share of the gains */
+    real path_slope[2]; /* 88: along the path, share of its limit */
+    real box_slope[2]; /* 104: over the states, share of its limit */
 } VersionTestConfig;
 
 typedef struct {
@@ -344,15 +350,15 @@ typedef struct {
 
 typedef struct {
     ChannelSettings position; /* 0 */
-    ChannelSettings attitude; /* 456 */
-    bool hedging; /* 912: pseudo-control hedging of both reference models */
-    real position_error_max_m; /* 920 */
-    DemandLimitsConfig limits; /* 928 */
-    GuardConfig guard; /* 968 */
-    bool prediction; /* 1264: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1272: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1280: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1288 */
+    ChannelSettings attitude; /* 472 */
+    bool hedging; /* 944: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 952 */
+    DemandLimitsConfig limits; /* 960 */
+    GuardConfig guard; /* 1000 */
+    bool prediction; /* 1296: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1304: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1312: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1320 */
 } CascadeSettings;
 
 typedef struct {
@@ -378,8 +384,8 @@ typedef struct {
     SupervisorConfig supervisor; /* 592 */
     GuidanceConfig guidance; /* 856 */
     CascadeSettings controller; /* 2592: of the cascade */
-    SamplerConfig samples; /* 3888 */
-    Swing lissajous[2]; /* 3936: north and east; zero on another path */
+    SamplerConfig samples; /* 3920 */
+    Swing lissajous[2]; /* 3968: north and east; zero on another path */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -17,10 +17,11 @@ from onboard.control.features import BiasFeatures, Features, NetworkFeatures, Ra
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
+from onboard.control.laws.slope_bound import SlopeBound
 from onboard.control.posterior_swap import PosteriorPlan, plan_posterior_swap
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.conventions import Array
 from protocol.feature_config import ChannelName, FeatureInputs
 from protocol.feature_set import ChannelFeatures
@@ -41,6 +42,11 @@ class AdaptiveConfig(ConfigRecord):
     error_weight: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 0.1)
     """Diagonal of Q: for the first and the second half of e."""
     swap: SwapConfig
+
+    @property
+    def slope_shares(self) -> SlopeShares:
+        """Largest slope of a trained map. Law (2) reads its map at the vehicle: the loop's own gain."""
+        return self.law.slope if isinstance(self.law, KalmanConfig) else SlopeShares(place=1.0, motion=1.0, turn=1.0)
 
 
 def _start_features(
@@ -79,20 +85,21 @@ class AdaptiveAugmentation:
         inputs: FeatureInputs,
         channel: ChannelName,
         rng: np.random.Generator,
-        loop_gains: LoopGains,
+        slope_limits: SlopeLimits,
     ) -> None:
         """inputs: what the start features and the radial basis functions see; the bias alone sees nothing."""
-        self._config, self.loop_gains = config, loop_gains
+        self._config, self.slope_limits = config, slope_limits
         A_rm = gains.closed_loop_matrix()
         Q = np.diag(np.repeat(config.error_weight, 3))
         P = lyapunov_p(A_rm, Q)
-        self.features: Features = _start_features(config, inputs, channel, rng)
-        PB, k = tracking_weights(P, gains.natural_frequency_rad_s), self.features.feature_count
+        features = _start_features(config, inputs, channel, rng)
+        PB, k = tracking_weights(P, gains.natural_frequency_rad_s), features.feature_count
         self.tracking_weights = PB
         """[6, 3], of e in the tracking term."""
         self.last_layer: LastLayer | KalmanLastLayer = (
             KalmanLastLayer(config.law, k, PB) if isinstance(config.law, KalmanConfig) else LastLayer(config.law, k, PB)
         )
+        self._use(features)
         self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
         self._signals: Array = np.zeros((SIGNAL_COUNT, 3 if self.reads_path else 2))
@@ -113,6 +120,9 @@ class AdaptiveAugmentation:
         Phi = self.features.evaluate(self.features.select(channel.signals))
         if channel.adapt:
             self._filter_residual(channel.residual.tolist(), dt)
+            if self._slope_bound is not None:
+                assert isinstance(self.last_layer, KalmanLastLayer)
+                self._slope_bound.step(self.features, self.last_layer.state)
             nu = self.last_layer.learn(Phi, channel, self._Delta_hat)
             if self._ticks % self._ring_period == 0:
                 self._recent.push(channel.signals[:, 0], self._Delta_hat)
@@ -122,6 +132,13 @@ class AdaptiveAugmentation:
         self._dt = dt
         self._report(nu, dt, telemetry)
         return nu[:, 1]
+
+    def _use(self, features: Features) -> None:
+        """Fly these features."""
+        self.features, law = features, self.last_layer.config
+        self._slope_bound = None
+        if isinstance(law, KalmanConfig) and law.composite_gain > 0.0:
+            self._slope_bound = SlopeBound(features.inputs, self.slope_limits)
 
     def _filter_residual(self, residual: list[float], dt: float) -> None:
         """Delta_hat_dot = (r - Delta_hat) / T, exact for a residual r that is constant over dt."""
@@ -185,7 +202,8 @@ class AdaptiveAugmentation:
 
     def restore(self, learnt: Learnt, nu: Vector3) -> None:
         """Fly these features and this W again; the bias takes up what is missing to nu at the present state."""
-        law, self.features = self.last_layer, learnt.features
+        self._use(learnt.features)
+        law = self.last_layer
         W = learnt.W.copy()
         if isinstance(law, KalmanLastLayer):
             assert learnt.S is not None
@@ -213,14 +231,14 @@ class AdaptiveAugmentation:
             since = (self._ticks - 1) % self._ring_period
             times = self._dt, self._ring_period * self._dt, since * self._dt
             return new, plan_posterior_swap(
-                config.swap, law, self.features, new, channel, self.loop_gains, self._recent, self._signals, times
+                config.swap, law, self.features, new, channel, self.slope_limits, self._recent, self._signals, times
             )
         recent, limit = self._recent.columns(self._signals), config.law.weight_norm_max
         return new, plan_swap(config.swap, self.features, law.W, new, channel.last_layer, limit, recent)
 
     def commit(self, features: Features, plan: SwapPlan) -> None:
         """Carry out a plan that was not refused."""
-        self.features = features
+        self._use(features)
         if isinstance(self.last_layer, KalmanLastLayer):
             assert isinstance(plan, PosteriorPlan)
             self.last_layer.adopt(plan.theta, plan.X, plan.S)

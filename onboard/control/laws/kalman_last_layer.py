@@ -17,9 +17,10 @@ corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
   is the noise with which that rate is optimal.
 - [W - theta; b] stays in a ball, by projection in the metric of S^-1.
 - The map is read on the path, so it is no feedback. gap is what it says at x beside the path, behind the filter by
-  which the law itself takes up a misfit (s_b by the share that b has in it). A slope m of the map in the deviation x - x_p comes into nu_cmd by the gap
-  with that filter, and into b by the residual, with the same filter and the other sign. So it cancels, whatever m is:
-  the loop has the margins of the bias alone. Where the map is right, x is answered as by the map itself, that late.
+  which the law itself takes up a misfit (s_b by the share that b has in it). A slope m of the map in x - x_p comes into
+  nu_cmd by the gap with that filter, and into b by the residual with the same filter and the other sign. So it cancels,
+  whatever m is, but for the tracking term (experiments/margins/kalman.py): the loop has about the margins of the bias
+  alone. Where the map is right, x is answered as by the map itself, that late.
 - Confidence: c(x) = 1 - Phi'S Phi / Phi'S0 Phi is the share of the prior's variance that is explained at x. a =
   c(x_a) / c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi_a + b instead of
   extrapolating. At the present state nothing has to fade: the residual corrects nu there, at the full lambda where S is
@@ -35,14 +36,13 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
-from onboard.control.laws.kalman_state import KalmanState
+from onboard.control.laws.kalman_state import KalmanState, multiplier
 from onboard.control.laws.last_layer import SQUARE_MAX, tracking_rate_weight
 from onboard.control.laws.law import ChannelState
+from onboard.control.slope import SlopeShares
 from protocol.conventions import Array
 from protocol.geometry import Vector3
 
-PROJECTION_STEPS: Final = 8
-"""Newton steps of the projection."""
 UPDATED: Final = np.array([1.0, 0.0, 0.0, 1.0])
 """phi = [Phi; 1], of the four columns."""
 
@@ -67,9 +67,7 @@ class KalmanConfig(ConfigRecord):
     ]
     residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant of Delta_hat")] = 0.02
     confidence: Annotated[bool, Field(description="false: ablation, a = 1")] = True
-    slope_share: Annotated[
-        float, Field(gt=0, le=10, description="largest slope of theta'Phi, as a share of the loop's own gains")
-    ] = 0.5
+    slope: SlopeShares = SlopeShares()
 
 
 class KalmanLastLayer:
@@ -144,7 +142,7 @@ class KalmanLastLayer:
         return self.at(Phi)[:, :2]
 
     def at(self, Phi: Array) -> Array:
-        """nu [3, n] at the features Phi [k, n]. The last three are those of `estimate`: the second of them has nu_cmd."""
+        """nu [3, n] at the features Phi [k, n]. The last three are those of `estimate`: the second is nu_cmd."""
         nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
         nu[:, -2] += self._gap
         return nu
@@ -263,17 +261,12 @@ def project(X_rows: Array, S: Array, radius: float) -> Array:
     """X' [3, n] projected onto the ball norm(X) <= radius in the metric of S^-1, so that V never grows by it.
 
     The nearest X in that metric is (I + mu S)^-1 X with the mu >= 0 that makes its norm the radius. In the axes of S
-    each component shrinks by 1 / (1 + mu s_j); mu by Newton's method on 1 / norm, which is nearly linear in mu.
+    each component shrinks by 1 / (1 + mu s_j).
     """
     if not float(np.vdot(X_rows, X_rows)) > radius * radius:
         return X_rows
     s, axes = np.linalg.eigh(S)
     along = X_rows @ axes
-    squares, mu = (along * along).sum(axis=0), 0.0
-    for _ in range(PROJECTION_STEPS):
-        left = 1.0 / (1.0 + mu * s)
-        norm2 = float((squares * left**2).sum())
-        slope = float((squares * s * left**3).sum()) / norm2**1.5  # of 1 / norm
-        mu += (1.0 / radius - norm2**-0.5) / slope
+    mu = multiplier((along * along).sum(axis=0), s, radius)
     projected: Array = (along / (1.0 + mu * s)) @ axes.T
     return projected

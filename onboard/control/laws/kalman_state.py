@@ -17,10 +17,16 @@ theta', X' and S are the rows of one array, so that one product evaluates them a
 """
 
 from math import exp, expm1
+from typing import Final
 
 import numpy as np
 
 from protocol.conventions import Array
+
+MULTIPLIER_STEPS: Final = 8
+"""Newton steps of `multiplier`, at most."""
+MULTIPLIER_TOLERANCE: Final = 1e-9
+"""Relative, of its square of the norm."""
 
 
 class KalmanState:
@@ -81,6 +87,23 @@ class KalmanState:
         left[0, 0], left[1, 0], left[2, 0] = -x * root, -y * root, -z * root
         np.dot(left, self._u_row, out=self._change)
         np.subtract(self._moving, self._change, out=self._moving)
+
+
+def multiplier(squares: Array, s: Array, radius: float) -> float:
+    """mu >= 0 with sum_j squares_j / (1 + mu s_j)^2 = radius^2, for squares [n] that sum up to more, and s [n] >= 0.
+
+    Newton's method on 1 / norm, which is concave and nearly linear in mu: it comes from below and stays there.
+    """
+    mu, weighted = 0.0, squares * s
+    for _ in range(MULTIPLIER_STEPS):
+        left = 1.0 / (1.0 + mu * s)
+        left2 = left * left
+        norm2 = float(squares.dot(left2))
+        if norm2 <= (1.0 + MULTIPLIER_TOLERANCE) * radius * radius:
+            break
+        slope = float(weighted.dot(left2 * left)) / norm2**1.5  # of 1 / norm
+        mu += (1.0 / radius - norm2**-0.5) / slope
+    return mu
 
 
 def rounding_share(

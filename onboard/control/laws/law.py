@@ -38,8 +38,11 @@ class ChannelState:
     lap_s: float = 0.0
     """Duration of a lap, s."""
     signals: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """[SIGNAL_COUNT, 2]: signals at the present, and predicted for t_ahead later. [SIGNAL_COUNT, 3] for a law that reads
-    its map on the path: at the present, on the path t_ahead from now, and on the path now."""
+    """[SIGNAL_COUNT, 2]: signals at the present, and predicted for t_ahead later.
+
+    [SIGNAL_COUNT, 3] for a law that reads its map on the path: at the present, on the path t_ahead from now, and on the
+    path now.
+    """
 
 
 class Augmentation(Protocol):

@@ -19,7 +19,7 @@ from onboard.control.laws.law import ChannelState
 from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.signals import SIGNAL_COUNT
 from tests.onboard.c.channels import c_channel, c_network_features, channel
 from tests.onboard.c.parity import SETTINGS, array, call, configured, same, vectors, view
@@ -165,7 +165,10 @@ def adaptive_config(kind: str, **swap: Any) -> AdaptiveConfig:
 
 
 def both(core: Core, config: AdaptiveConfig, seed: int) -> tuple[Any, AdaptiveAugmentation]:
-    rng, loop_gains = np.random.default_rng(seed), LoopGains.of("position", GAINS, GAINS)
+    rng, loop_gains = (
+        np.random.default_rng(seed),
+        SlopeLimits.of("position", GAINS, GAINS, SlopeShares(place=1.0, motion=1.0, turn=1.0)),
+    )
     theirs = AdaptiveAugmentation(config, GAINS, FEATURES.untrained, "position", rng, loop_gains)
     ours = core.Adaptive()
     if config.features == "network":

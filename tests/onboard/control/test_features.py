@@ -152,3 +152,53 @@ def test_random_features_start_without_memory():
     assert start.feature_count == 20
     again = random_channel(INPUTS, np.zeros(5), np.ones(5), (32, 32, 19), np.random.default_rng(0))
     np.testing.assert_array_equal(start.weights[1], again.weights[1])
+
+
+def differences(features, signals, rows, step=1e-6):
+    """dPhi/dx [k - 1, n] at the second column of the signals, by central differences."""
+    columns = []
+    for row in rows:
+        moved = np.repeat(signals[:, 1:], 2, axis=1)
+        moved[row] += [-step, step]
+        Phi = features.evaluate(features.select(moved))
+        columns.append((Phi[:-1, 1] - Phi[:-1, 0]) / (2.0 * step))
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("kind", ["network", "one layer", "radial"])
+@pytest.mark.parametrize("chosen", [[0, 1, 4], [3], [0, 1, 2, 3, 4]])
+def test_the_slope_of_features_equals_differences(kind, chosen):
+    rng = np.random.default_rng(5)
+    source = channel(2, (19,) if kind == "one layer" else (32, 32, 19))
+    features = NetworkFeatures(source)
+    if kind == "radial":
+        features = RadialFeatures(INPUTS, source.offset, source.scale, 0.6)
+    rows = [SIGNAL_INDEX[name] for name in INPUTS]
+    signals = np.zeros((SIGNAL_COUNT, 2))
+    signals[rows] = source.offset[:, None] + source.scale[:, None] * rng.uniform(-1.0, 1.0, (5, 2))
+    expected = differences(features, signals, [rows[i] for i in chosen])
+    features.evaluate(features.select(signals))
+    found = features.slope(1, np.array(chosen))
+    assert found.shape == (features.feature_count - 1, len(chosen))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["network", "radial"])
+def test_a_clipped_input_has_no_slope_and_leaves_that_of_the_others(kind):
+    source = channel(3)
+    features = NetworkFeatures(source)
+    if kind == "radial":
+        features = RadialFeatures(INPUTS, source.offset, source.scale, 2.0)
+    z = np.full((5, 2), 0.3)
+    features.evaluate(z)
+    inside = features.slope(0, np.arange(5))
+    z[1], z[2] = INPUT_LIMIT, -INPUT_LIMIT
+    features.evaluate(z)
+    clipped = features.slope(0, np.arange(5))
+    assert np.abs(inside).max(axis=0).min() > 0.0
+    np.testing.assert_array_equal(clipped[:, [1, 2]], 0.0)
+    assert np.abs(clipped[:, [0, 3, 4]]).max(axis=0).min() > 0.0
+
+
+def test_the_bias_alone_has_no_slope():
+    assert BiasFeatures().slope(1, np.array([], dtype=np.intp)).shape == (0, 0)

@@ -10,7 +10,7 @@ from onboard.control.features import NetworkFeatures, random_channel
 from onboard.control.guard import Guard, GuardConfig, Level, content_of
 from onboard.control.laws.law import ChannelState
 from onboard.control.room import Room, RoomConfig
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits, SlopeShares
 from onboard.control.version_test import VersionTest, VersionTestConfig
 from onboard.control.watch import ChannelWatch, WatchConfig
 from protocol.conventions import GRAVITY
@@ -106,7 +106,11 @@ def cliff(at, sharp, height):
     ],
 )
 def test_a_cliff_ahead_is_found_wherever_the_points_lie(at, sharp, height, refusal):
-    test = VersionTest(VersionTestConfig(), 0, LoopGains.of("position", POSITION, ATTITUDE))
+    test = VersionTest(
+        VersionTestConfig(),
+        0,
+        SlopeLimits.of("position", POSITION, ATTITUDE, SlopeShares(place=1.0, motion=1.0, turn=1.0)),
+    )
     now = np.zeros(SIGNAL_COUNT)
     now[SIGNAL_INDEX["velocity_n"]] = 1.0
     channel = cliff(at, sharp, height)
@@ -116,7 +120,11 @@ def test_a_cliff_ahead_is_found_wherever_the_points_lie(at, sharp, height, refus
 
 @pytest.mark.parametrize(("nu", "residual", "refusal"), [(4.0, 4.0, ""), (-4.0, 4.0, "misfit"), (9.0, 0.0, "misfit")])
 def test_a_map_that_contradicts_the_last_second_is_refused(nu, residual, refusal):
-    test = VersionTest(VersionTestConfig(), 0, LoopGains.of("position", POSITION, ATTITUDE))
+    test = VersionTest(
+        VersionTestConfig(),
+        0,
+        SlopeLimits.of("position", POSITION, ATTITUDE, SlopeShares(place=1.0, motion=1.0, turn=1.0)),
+    )
     channel, now = cliff(0.0, 0.0, 0.0), np.zeros(SIGNAL_COUNT)
     theta = np.array([[0.0] * 3, [nu, 0.0, 0.0]])
     recent, measured = np.zeros((SIGNAL_COUNT, 8)), np.full((8, 3), [residual, 0.0, 0.0])
@@ -124,7 +132,11 @@ def test_a_map_that_contradicts_the_last_second_is_refused(nu, residual, refusal
 
 
 def test_the_map_that_flies_is_checked_on_what_is_ahead_by_then():
-    test = VersionTest(VersionTestConfig(), 0, LoopGains.of("position", POSITION, ATTITUDE))
+    test = VersionTest(
+        VersionTestConfig(),
+        0,
+        SlopeLimits.of("position", POSITION, ATTITUDE, SlopeShares(place=1.0, motion=1.0, turn=1.0)),
+    )
     channel, now = cliff(2.0, 190.0, 9.0), np.zeros(SIGNAL_COUNT)
     now[SIGNAL_INDEX["velocity_n"]] = 1.0
     features = NetworkFeatures(channel)

@@ -16,7 +16,7 @@ from onboard.control.laws.law import ChannelState
 from onboard.control.posterior_swap import posterior
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.feature_config import FeatureInputs, SignalScale
 from protocol.signals import SIGNAL_COUNT
 from tests.onboard.control.laws.test_kalman_last_layer import config, law
@@ -28,13 +28,16 @@ GAINS = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
 
 def flying(swap_config, seconds=2.0, **over):
     """An augmentation that has adapted along a path, its channel, and nu at the last tick."""
-    settings_ = AdaptiveConfig(
-        kind="adaptive", features="network", law=config(slope_share=10.0, **over), swap=swap_config
-    )
+    settings_ = AdaptiveConfig(kind="adaptive", features="network", law=config(**over), swap=swap_config)
     scales = {name: SignalScale(offset=0.0, scale=1.0) for name in INPUTS}
     inputs = FeatureInputs(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
     augmentation = AdaptiveAugmentation(
-        settings_, GAINS, inputs, "position", np.random.default_rng(0), LoopGains.of("position", GAINS, GAINS)
+        settings_,
+        GAINS,
+        inputs,
+        "position",
+        np.random.default_rng(0),
+        SlopeLimits.of("position", GAINS, GAINS, SlopeShares(place=1.0, motion=1.0, turn=1.0)),
     )
     state = ChannelState(dt=DT, adapt=True, signals=np.zeros((SIGNAL_COUNT, 3)))
     rng = np.random.default_rng(1)
