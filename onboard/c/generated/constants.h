@@ -25,6 +25,7 @@
 #define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
+#define WATCH_STRIDE 4 /* onboard.control.watch */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
 #define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
 #define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */
