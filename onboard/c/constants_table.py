@@ -18,6 +18,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.conventions": ("GRAVITY", "NEVER_NS"),
     "protocol.signals": ("SIGNAL_COUNT",),
     "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
+    "protocol.feature_codec": ("FEATURE_SET_MAX_BYTES", "FORMAT=FEATURE_SET_FORMAT", "_NAME_MAX_BYTES"),
     "onboard.control.actuators": ("CATCH_UP_MAX",),
     "onboard.control.demand_limits": ("FALL_MIN_M_S2", "ASTRAY_COSINE", "UPRIGHT_MIN"),
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
@@ -85,6 +86,8 @@ def literal(value: Any) -> str:
     """The value in C."""
     if isinstance(value, float):
         return f"REAL({value!r})"
+    if isinstance(value, str):
+        return f'"{value}"'
     return f"INT64_C({value})" if abs(value) >= 2**31 else f"({value})" if value < 0 else str(value)
 
 

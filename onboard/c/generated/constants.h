@@ -11,6 +11,9 @@
 #define SIGNAL_COUNT 21 /* protocol.signals */
 #define LAYERS_MAX 4 /* protocol.feature_set */
 #define WIDTH_MAX 128 /* protocol.feature_set */
+#define FEATURE_SET_MAX_BYTES 70400 /* protocol.feature_codec */
+#define FEATURE_SET_FORMAT 1 /* protocol.feature_codec */
+#define NAME_MAX_BYTES 32 /* protocol.feature_codec */
 #define CATCH_UP_MAX 20 /* onboard.control.actuators */
 #define FALL_MIN_M_S2 REAL(2.0) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_0 REAL(0.96) /* onboard.control.demand_limits */
@@ -67,6 +70,7 @@
 #define RING_MAX 200 /* SwapConfig.ring_size */
 #define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
 #define BINS_MAX 2000 /* LapConfig.bins */
+#define SIGNAL_NAMES "position_n", "position_e", "position_d", "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "yaw", "rate_p", "rate_q", "rate_r", "body_velocity_x", "body_velocity_y", "body_velocity_z", "motor_thrust_1", "motor_thrust_2", "motor_thrust_3", "motor_thrust_4", "battery_voltage", "vibration" /* protocol.signals */
 
 typedef enum {
     REFUSAL_NONE = 0,
