@@ -46,7 +46,11 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
         *("AIR_PA_PER_M", "SLOW_AIDS", "PRESSURE_TURN", "COS_TILT_MIN", "RATE_SIGMA", "TURN_SIGMA", "GAP_MAX_S"),
     ),
     "onboard.sampling.signal_vector": ("THRUST_FILTER_S",),
-    "protocol.messages": ("SAMPLES_PER_BATCH_MAX",),
+    "protocol.messages": (
+        *("DATAGRAM_MAX_BYTES", "SAMPLES_PER_BATCH_MAX", "CHUNK_DATA_MAX_BYTES", "CHUNK_COUNT_MAX", "DIGEST_BYTES"),
+        *("LAYOUT_BYTES", "ABSOLUTE_VALUE_MAX", "COUNTER_MAX"),
+    ),
+    "protocol.authentication": ("MAC_BYTES", "KEY_MIN_BYTES", "KEY_MAX_BYTES"),
     "onboard.sampling.sampler": ("SAMPLE_BYTES", "NETWORK_BYTES", "BATCH_OVERHEAD_BYTES", "_BURST_BYTES"),
 }
 """Module, and names there; `OLD=NEW` gives it another name in C. A tuple becomes NAME_0, NAME_1 and so on."""

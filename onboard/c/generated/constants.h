@@ -62,7 +62,17 @@
 #define TURN_SIGMA REAL(0.03) /* onboard.estimation.estimator */
 #define GAP_MAX_S REAL(0.1) /* onboard.estimation.estimator */
 #define THRUST_FILTER_S REAL(0.15) /* onboard.sampling.signal_vector */
+#define DATAGRAM_MAX_BYTES 1200 /* protocol.messages */
 #define SAMPLES_PER_BATCH_MAX 8 /* protocol.messages */
+#define CHUNK_DATA_MAX_BYTES 1100 /* protocol.messages */
+#define CHUNK_COUNT_MAX 64 /* protocol.messages */
+#define DIGEST_BYTES 16 /* protocol.messages */
+#define LAYOUT_BYTES 8 /* protocol.messages */
+#define ABSOLUTE_VALUE_MAX REAL(1000000.0) /* protocol.messages */
+#define COUNTER_MAX INT64_C(9223372036854775807) /* protocol.messages */
+#define MAC_BYTES 16 /* protocol.authentication */
+#define KEY_MIN_BYTES 16 /* protocol.authentication */
+#define KEY_MAX_BYTES 64 /* protocol.authentication */
 #define SAMPLE_BYTES 132 /* onboard.sampling.sampler */
 #define NETWORK_BYTES 28 /* onboard.sampling.sampler */
 #define BATCH_OVERHEAD_BYTES 116 /* onboard.sampling.sampler */
