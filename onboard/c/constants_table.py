@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from onboard.control.feature_swap import SwapConfig
 from onboard.control.laws.lap_table import LapConfig
-from onboard.flight.modes import TRANSITIONS, Command, Event, FlightMode
+from onboard.flight.modes import AIRBORNE, RESTING, SPINNING, TRANSITIONS, Command, Event, FlightMode
 from onboard.sampling.sampler import SamplerConfig
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_NAMES
@@ -20,6 +20,10 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
     "protocol.feature_codec": ("FEATURE_SET_MAX_BYTES", "FORMAT=FEATURE_SET_FORMAT", "_NAME_MAX_BYTES"),
     "onboard.control.actuators": ("CATCH_UP_MAX",),
+    "onboard.core": ("ADAPT_HEIGHT_M", "VELOCITY_AID_MAX_S"),
+    "onboard.control.cascade": (
+        *("YAW_ERROR_MAX_RAD", "COMMAND_JUMP_RAD", "MODEL_ERROR_MAX_RAD", "MODEL_GAP_MAX_S"),
+    ),
     "onboard.control.demand_limits": ("FALL_MIN_M_S2", "ASTRAY_COSINE", "UPRIGHT_MIN"),
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
@@ -46,6 +50,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
         *("AIR_PA_PER_M", "SLOW_AIDS", "PRESSURE_TURN", "COS_TILT_MIN", "RATE_SIGMA", "TURN_SIGMA", "GAP_MAX_S"),
     ),
     "onboard.sampling.signal_vector": ("THRUST_FILTER_S",),
+    "onboard.record.tick": ("POSITION_AT=TICK_POSITION_AT", "ATTITUDE_AT=TICK_ATTITUDE_AT"),
     "protocol.messages": (
         *("DATAGRAM_MAX_BYTES", "SAMPLES_PER_BATCH_MAX", "CHUNK_DATA_MAX_BYTES", "CHUNK_COUNT_MAX", "DIGEST_BYTES"),
         *("LAYOUT_BYTES", "ABSOLUTE_VALUE_MAX", "COUNTER_MAX"),
@@ -56,6 +61,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
 """Module, and names there; `OLD=NEW` gives it another name in C. A tuple becomes NAME_0, NAME_1 and so on."""
 ENUMERATIONS: Final[dict[str, type[Enum]]] = {"MODE": FlightMode, "EVENT": Event, "COMMAND": Command}
 """Prefix of the members in C, and the enumeration."""
+MODE_SETS: Final = {"SPINNING": SPINNING, "RESTING": RESTING, "AIRBORNE": AIRBORNE}
 
 
 LIMITS: Final[dict[str, tuple[type[BaseModel], str]]] = {
@@ -105,6 +111,12 @@ def mode_enumerations() -> Iterator[tuple[str, list[str]]]:
     """The same for modes, events and commands."""
     for prefix, one in ENUMERATIONS.items():
         yield one.__name__, [f"{prefix}_{member.name}" for member in one]
+
+
+def mode_sets() -> Iterator[tuple[str, list[str]]]:
+    """Name in C of each set of modes, and its members."""
+    for name, modes in MODE_SETS.items():
+        yield f"MODES_{name}", [f"MODE_{mode.name}" for mode in sorted(modes)]
 
 
 def transitions() -> Iterator[tuple[str, list[tuple[str, str]]]]:

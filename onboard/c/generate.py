@@ -27,7 +27,7 @@ from onboard.c.config_table import (
     table,
     walk,
 )
-from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, transitions
+from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, mode_sets, transitions
 from protocol.signals import SIGNAL_NAMES
 
 FOLDER: Final = Path(__file__).resolve().parent
@@ -133,6 +133,8 @@ def _modes_header() -> str:
     lines = ["#include <stdbool.h>\n#include <stdint.h>\n"]
     lines += [f"#define {members[0].split('_')[0]}_COUNT {len(members)}" for name, members in kinds if name == "Event"]
     lines += [_numbered(name, members) for name, members in kinds]
+    lines.append("\n/* Sets of modes: bit `mode` is set for each of them. */")
+    lines += [f"#define {name} ({' | '.join(f'1U << {one}' for one in members)})" for name, members in mode_sets()]
     return _guarded("modes", "\n".join([*lines, _TRANSITION]))
 
 

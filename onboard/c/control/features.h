@@ -39,6 +39,15 @@ typedef struct {
     real last_layer[FEATURES_MAX * 3]; /* theta_n, [k, 3], units of the channel's u */
 } ChannelFeatures;
 
+/* A trained feature version: the twin of protocol/feature_set.py FeatureSet. */
+typedef struct {
+    int64_t version;
+    int64_t parent;
+    int64_t samples;
+    bool covers[2]; /* which of `channels` it has: position, attitude */
+    ChannelFeatures channels[2];
+} FeatureSet;
+
 typedef struct {
     AdaptiveFeatures kind;
     int32_t feature_count; /* k, the constant included */

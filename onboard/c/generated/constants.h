@@ -15,6 +15,12 @@
 #define FEATURE_SET_FORMAT 1 /* protocol.feature_codec */
 #define NAME_MAX_BYTES 32 /* protocol.feature_codec */
 #define CATCH_UP_MAX 20 /* onboard.control.actuators */
+#define ADAPT_HEIGHT_M REAL(0.2) /* onboard.core */
+#define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.core */
+#define YAW_ERROR_MAX_RAD REAL(0.5) /* onboard.control.cascade */
+#define COMMAND_JUMP_RAD REAL(0.2) /* onboard.control.cascade */
+#define MODEL_ERROR_MAX_RAD REAL(0.6) /* onboard.control.cascade */
+#define MODEL_GAP_MAX_S REAL(0.02) /* onboard.control.cascade */
 #define FALL_MIN_M_S2 REAL(2.0) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_0 REAL(0.96) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_1 REAL(0.9) /* onboard.control.demand_limits */
@@ -62,6 +68,8 @@
 #define TURN_SIGMA REAL(0.03) /* onboard.estimation.estimator */
 #define GAP_MAX_S REAL(0.1) /* onboard.estimation.estimator */
 #define THRUST_FILTER_S REAL(0.15) /* onboard.sampling.signal_vector */
+#define TICK_POSITION_AT 54 /* onboard.record.tick */
+#define TICK_ATTITUDE_AT 83 /* onboard.record.tick */
 #define DATAGRAM_MAX_BYTES 1200 /* protocol.messages */
 #define SAMPLES_PER_BATCH_MAX 8 /* protocol.messages */
 #define CHUNK_DATA_MAX_BYTES 1100 /* protocol.messages */
