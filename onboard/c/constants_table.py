@@ -21,9 +21,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.feature_codec": ("FEATURE_SET_MAX_BYTES", "FORMAT=FEATURE_SET_FORMAT", "_NAME_MAX_BYTES"),
     "onboard.control.actuators": ("CATCH_UP_MAX",),
     "onboard.core": ("ADAPT_HEIGHT_M", "VELOCITY_AID_MAX_S"),
-    "onboard.control.cascade": (
-        *("YAW_ERROR_MAX_RAD", "COMMAND_JUMP_RAD", "MODEL_ERROR_MAX_RAD", "MODEL_GAP_MAX_S"),
-    ),
+    "onboard.control.cascade": (*("YAW_ERROR_MAX_RAD", "COMMAND_JUMP_RAD", "MODEL_ERROR_MAX_RAD", "MODEL_GAP_MAX_S"),),
     "onboard.control.demand_limits": ("FALL_MIN_M_S2", "ASTRAY_COSINE", "UPRIGHT_MIN"),
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),

@@ -200,7 +200,7 @@ static Refusal unpack_channel(MsgpackReader *reader, uint64_t float_size, bool *
 }
 
 /* Check all (`out` NULL), or read what has been checked. */
-static Refusal unpack(const uint8_t *data, size_t size, FeatureSet *out) {
+static Refusal unpack(const uint8_t *data, size_t size, int64_t version, FeatureSet *out) {
     MsgpackReader reader;
     MsgpackItem all, number[NUMBERS];
     msgpack_start(&reader, data, size, SIGNAL_COUNT, NAME_MAX_BYTES);
@@ -219,26 +219,26 @@ static Refusal unpack(const uint8_t *data, size_t size, FeatureSet *out) {
     }
     bool covers[2];
     for (int i = 0; i < 2; i++) {
-        Refusal refusal = unpack_channel(&reader, number[1].number, covers + i, out ? out->by_channel + i : NULL);
+        Refusal refusal = unpack_channel(&reader, number[1].number, covers + i, out ? out->channels + i : NULL);
         if (refusal != REFUSAL_NONE) {
             return refusal;
         }
     }
-    if (number[2].negative || number[3].negative || number[4].negative || number[2].number > UINT32_MAX ||
+    if (number[2].negative || number[3].negative || number[4].negative || number[2].number != (uint64_t)version ||
         number[3].number > UINT32_MAX || !(covers[0] || covers[1])) {
         return REFUSAL_UNDECODABLE;
     }
     if (out != NULL) {
-        out->version = (uint32_t)number[2].number;
-        out->parent = (uint32_t)number[3].number;
-        out->samples = number[4].number;
+        out->version = (int64_t)number[2].number;
+        out->parent = (int64_t)number[3].number;
+        out->samples = number[4].number < INT64_MAX ? (int64_t)number[4].number : INT64_MAX;
         memcpy(out->covers, covers, sizeof covers);
     }
     return REFUSAL_NONE;
 }
 
-/* decode_feature_set */
-Refusal decode_feature_set(const uint8_t *data, size_t size, FeatureSet *out) {
-    Refusal refusal = unpack(data, size, NULL);
-    return refusal == REFUSAL_NONE ? unpack(data, size, out) : refusal;
+/* decode_feature_set, and FeatureReceiver._verified */
+Refusal decode_feature_set(const uint8_t *data, size_t size, int64_t version, FeatureSet *out) {
+    Refusal refusal = unpack(data, size, version, NULL);
+    return refusal == REFUSAL_NONE ? unpack(data, size, version, out) : refusal;
 }
