@@ -43,7 +43,7 @@ NOT_YET: Final = (
 UNREAD_YET: Final = frozenset(
     {
         "KalmanConfig",
-        *("GuardConfig", "VersionTestConfig", "WatchConfig.proof_s", "WatchConfig.audition_s"),
+        *("GuardConfig", "VersionTestConfig.check_s", "WatchConfig.proof_s", "WatchConfig.audition_s"),
         "CascadeSettings.guard",
     }
 )

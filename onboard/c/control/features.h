@@ -57,6 +57,9 @@ typedef struct {
     real exponent[RBF_COUNT * (2 * INPUTS_MAX + 1)]; /* of the radial functions, linear in [z; z^2; 1] */
 } Features;
 
+/* A number of the Halton sequence (Halton 1960) in [0, 1): by its index, from 1, and its dimension, 0 to INPUTS_MAX - 1. */
+real halton(int index, int dimension);
+
 /* k of a network. */
 int32_t network_feature_count(const Network *network);
 

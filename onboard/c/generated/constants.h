@@ -34,6 +34,10 @@
 #define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
+#define BOX_POINTS 32 /* onboard.control.version_test */
+#define BOX_AXES 15 /* onboard.control.version_test */
+#define PATH_POINTS 16 /* onboard.control.version_test */
+#define STEP_MIN_M REAL(0.03) /* onboard.control.version_test */
 #define WATCH_STRIDE 4 /* onboard.control.watch */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
 #define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
