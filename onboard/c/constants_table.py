@@ -26,6 +26,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
     "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
+    "onboard.control.laws.kalman_last_layer": ("PROJECTION_STEPS",),
     "onboard.control.tracking_bound": (
         "RESIDUAL_FILTER_S=BOUND_RESIDUAL_FILTER_S",
         *("ESTIMATE_SIGMAS", "SPREAD", "OVERSHOOT"),

@@ -57,10 +57,6 @@ static void outputs(const real *W, const real *Phi, int32_t k, int32_t n, real *
     }
 }
 
-static real norm(const real *values, int count) {
-    return real_sqrt(dot(values, values, count));
-}
-
 /* resemblance */
 real resemblance(const real *Phi, const real *Phi_bar, int32_t k, int32_t n) {
     int count = (k - 1) * n;

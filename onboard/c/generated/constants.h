@@ -30,6 +30,7 @@
 #define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
 #define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
 #define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define PROJECTION_STEPS 8 /* onboard.control.laws.kalman_last_layer */
 #define BOUND_RESIDUAL_FILTER_S REAL(0.02) /* onboard.control.tracking_bound */
 #define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
