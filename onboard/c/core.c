@@ -211,7 +211,7 @@ static void record(const Core *self, const ControlInputs *control_inputs, const 
 }
 
 /* OnboardCore.tick */
-void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
+void core_tick(Core *self, const CoreInputs *inputs, const FeatureSet *features, CoreOutput *output) {
     const VehicleState *state = &self->estimator.state;
     int64_t now_ns = inputs->now_ns, skipped = inputs->missed_ticks - self->missed_ticks;
     int32_t missed = (int32_t)(skipped < CATCH_UP_MAX ? skipped : CATCH_UP_MAX);
@@ -237,7 +237,7 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
     };
     measure(self, missed, &control_inputs);
     thrust_scale_step(&self->thrust_scale, state->specific_force[2], control_inputs.thrust_n, control_inputs.adapt);
-    reception_swap(&self->reception, &self->controller, inputs->features, now_ns, &output->features);
+    reception_swap(&self->reception, &self->controller, features, now_ns, &output->features);
     control(self, &control_inputs, mode);
     mix(self, mode);
     memcpy(output->motors, self->command, sizeof output->motors);

@@ -20,14 +20,13 @@
 
 /* What the surroundings know in a tick. */
 typedef struct {
-    int64_t now_ns;             /* onboard's monotonic clock, which never goes back */
-    int64_t missed_ticks;       /* that the loop has skipped since its start; the last command was held meanwhile */
-    int32_t preflight;          /* why the vehicle must not be armed, a number of the caller's; 0 if it may be */
-    int64_t offboard_ns;        /* arrival of the newest datagram of offboard, and of the ground station; NEVER_NS */
-    int64_t ground_ns;
-    real link_loss;             /* share of the datagrams that the link to offboard loses */
-    bool offboard_restarted;    /* a new session of offboard: its versions may count from 1 again */
-    const FeatureSet *features; /* a complete version that has arrived; null if there is none */
+    int64_t now_ns;          /* onboard's monotonic clock, which never goes back */
+    int64_t missed_ticks;    /* that the loop has skipped since its start; the last command was held meanwhile */
+    int32_t preflight;       /* why the vehicle must not be armed, a number of the caller's; 0 if it may be */
+    int64_t offboard_ns;     /* arrival of the newest datagram of offboard; NEVER_NS if there was none */
+    int64_t ground_ns;       /* the same of the ground station */
+    real link_loss;          /* share of the datagrams that the link to offboard loses */
+    bool offboard_restarted; /* a new session of offboard: its versions may count from 1 again */
 } CoreInputs;
 
 /* What a tick sends and records. Events stand in the order in which they happened. */
@@ -87,7 +86,8 @@ void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t a
 /* A command of the pilot, or of the process around the core; `refusal` says why it is refused, or that it is not. */
 void core_command(Core *self, Command command, int64_t now_ns, ArmingRefusal *refusal);
 
-void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output);
+/* One tick. `features`: a complete version that has arrived since the last tick; null if there is none. */
+void core_tick(Core *self, const CoreInputs *inputs, const FeatureSet *features, CoreOutput *output);
 
 /* Take a datagram to offboard that is not a sample batch from the byte budget. */
 void core_charge(Core *self, int32_t datagram_bytes, int64_t now_ns);
