@@ -44,7 +44,7 @@ UNREAD_YET: Final = frozenset(
     {
         *(f"CoreConfig.{name}" for name in ("period_ns", "controller", "guidance", "supervisor", "samples")),
         *(f"CoreConfig.{name}" for name in ("estimator", "lissajous", "thrust_scale")),
-        *("CascadeSettings", "ChannelSettings", "KalmanConfig"),
+        *("CascadeSettings", "ChannelSettings"),
         *("GuardConfig", "VersionTestConfig", "WatchConfig"),
         *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),
         "AdaptiveConfig.rbf_width",
