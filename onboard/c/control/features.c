@@ -1,5 +1,7 @@
 #include "control/features.h"
 
+#include <string.h>
+
 #include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
 
@@ -22,6 +24,7 @@ void features_init_network(Features *self, const FeatureSelection *selection, co
     take_selection(self, selection);
     self->network = *network;
     self->feature_count = network_feature_count(network);
+    memset(self->last_layer, 0, sizeof self->last_layer);
 }
 
 /* halton */
@@ -130,5 +133,16 @@ void features_evaluate(const Features *self, const real *z, real *Phi) {
         case ADAPTIVE_FEATURES_BIAS:
             Phi[0] = REAL(1.0);
             break;
+    }
+}
+
+void features_of_states(const Features *self, const real *states, int32_t n, real *Phi) {
+    real z[INPUTS_MAX], column[FEATURES_MAX];
+    for (int i = 0; i < n; i++) {
+        features_select(self, states + i * SIGNAL_COUNT, z);
+        features_evaluate(self, z, column);
+        for (int j = 0; j < self->feature_count; j++) {
+            Phi[j * n + i] = column[j];
+        }
     }
 }

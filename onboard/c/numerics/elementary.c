@@ -144,6 +144,10 @@ real real_max(real a, real b) {
     return b > a ? b : a;
 }
 
+real real_largest(real a, real b) {
+    return b > a || b != b ? b : a;
+}
+
 real real_clip(real x, real low, real high) {
     return real_min(real_max(x, low), high);
 }

@@ -47,6 +47,9 @@ real real_abs(real x);
 real real_min(real a, real b);
 real real_max(real a, real b);
 
+/* The larger of two, as numpy's maximum: NaN if one of them is. */
+real real_largest(real a, real b);
+
 /* min(max(x, low), high). */
 real real_clip(real x, real low, real high);
 
