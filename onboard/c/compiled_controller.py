@@ -32,7 +32,7 @@ class CompiledController:
     def last_layers(self) -> tuple[Array | None, Array | None]:
         """W [k, 3] of the position and the attitude channel; None for a channel without."""
         position, attitude = (
-            self._matrix(law.adaptive.last_layer) if self._core.augmentation_has_features(law) else None
+            self._last_layer(law.adaptive) if self._core.augmentation_has_features(law) else None
             for law in self._cascade.augmentations
         )
         return position, attitude
@@ -42,13 +42,18 @@ class CompiledController:
         for law, W in zip(self._cascade.augmentations, last_layers, strict=True):
             if W is None or not self._core.augmentation_has_features(law):
                 continue
-            layer = law.adaptive.last_layer
-            if W.shape != (layer.feature_count, 3):
-                raise ValueError(f"last layer of shape {W.shape}, this controller's is {(layer.feature_count, 3)}")
-            values = np.ascontiguousarray(W, dtype=view(layer.W).dtype).reshape(-1)
-            self._core.last_layer_replace(layer, values, values, layer.feature_count)
+            present = self._last_layer(law.adaptive)
+            if W.shape != present.shape:
+                raise ValueError(f"last layer of shape {W.shape}, this controller's is {present.shape}")
+            self._core.adaptive_start_from(law.adaptive, np.ascontiguousarray(W, dtype=_real(law.adaptive)).reshape(-1))
 
-    @staticmethod
-    def _matrix(layer: Any) -> Array:
-        W: Array = view(layer.W)[: 3 * layer.feature_count].reshape(-1, 3).astype(np.float64)
-        return W
+    def _last_layer(self, adaptive: Any) -> Array:
+        """W [k, 3] of an Adaptive."""
+        W = np.empty((adaptive.features.feature_count, 3), dtype=_real(adaptive))
+        self._core.adaptive_W(adaptive, W)
+        return W.astype(np.float64)
+
+
+def _real(adaptive: Any) -> Any:
+    """numpy's type of the numbers in C."""
+    return view(adaptive.Delta_hat).dtype

@@ -12,7 +12,14 @@ from configs.loader import ConfigError
 from onboard.c.compiled_controller import CompiledController
 from onboard.c.config_table import TableError, image
 from onboard.c.estimator_summary import calibration, counts, mean_scores
-from onboard.c.event_text import calibration_text, estimator_text, refusal_text, supervisor_text
+from onboard.c.event_text import (
+    calibration_text,
+    estimator_text,
+    fall_text,
+    refusal_text,
+    supervisor_text,
+    version_text,
+)
 from onboard.c.feature_arrays import put_feature_set, put_start_features, view
 from onboard.c.library import DEFAULT, BuildError, Variant, load
 from onboard.config import OnboardConfig
@@ -31,7 +38,7 @@ from protocol.conventions import NEVER_NS
 from protocol.feature_set import FeatureSet
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, RangeReading
-from protocol.messages import REFUSALS, FeatureChunk, SampleBatch
+from protocol.messages import FeatureChunk, SampleBatch
 from protocol.session import session_start_ns
 from protocol.transfer import FeatureReceiver
 
@@ -207,7 +214,11 @@ class CompiledCore:
         for _, text in shown:
             self._ground_link.send_text(text)
         if result.features.offered:
-            output.events.append((now_ns, _version_text(result.features)))
+            output.events.append((now_ns, version_text(result.features)))
+        for fall in result.features.falls[: result.features.fall_count]:
+            text = fall_text(fall)
+            output.events.append((now_ns, text))
+            self._ground_link.send_text(text)
 
     def _report(self, output: OnboardOutput, mode: FlightMode, now_ns: int) -> None:
         """Status, time sync and telemetry, each at its own period."""
@@ -295,8 +306,7 @@ def _built(config: OnboardConfig, variant: Variant) -> tuple[Any, Any]:
     if not library.config_decode(packed, packed.size, decoded):
         raise ConfigError("--core c: the packed configuration is not of the core's layout: build it again")
     put_start_features(start, config)
-    if not library.core_init(core, decoded, start):
-        raise ConfigError("--core c: a law of this controller is not written in C yet: use --core numpy")
+    library.core_init(core, decoded, start)
     return library, core
 
 
@@ -309,13 +319,6 @@ def _batch(batch: Any) -> SampleBatch:
     )
     head = batch.first_index, batch.time_ns, batch.period_ns, batch.feature_version
     return SampleBatch(*head, signals, delivered, adaptive)
-
-
-def _version_text(outcome: Any) -> str:
-    """The event of a version (onboard.control.feature_reception)."""
-    if outcome.refusal:
-        return f"features {outcome.version} refused: {REFUSALS[outcome.refusal]}"
-    return f"features {outcome.version} in use, parent {outcome.parent}, {outcome.samples} samples"
 
 
 class _Reasons:

@@ -18,6 +18,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.conventions": ("GRAVITY", "NEVER_NS"),
     "protocol.signals": ("SIGNAL_COUNT",),
     "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
+    "protocol.feature_codec": ("FEATURE_SET_MAX_BYTES", "FORMAT=FEATURE_SET_FORMAT", "_NAME_MAX_BYTES"),
     "onboard.control.actuators": ("CATCH_UP_MAX",),
     "onboard.core": ("ADAPT_HEIGHT_M", "VELOCITY_AID_MAX_S"),
     "onboard.control.cascade": (*("YAW_ERROR_MAX_RAD", "COMMAND_JUMP_RAD", "MODEL_ERROR_MAX_RAD", "MODEL_GAP_MAX_S"),),
@@ -25,10 +26,13 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
     "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
+    "onboard.control.laws.kalman_last_layer": ("PROJECTION_STEPS",),
     "onboard.control.tracking_bound": (
         "RESIDUAL_FILTER_S=BOUND_RESIDUAL_FILTER_S",
         *("ESTIMATE_SIGMAS", "SPREAD", "OVERSHOOT"),
     ),
+    "onboard.control.version_test": ("BOX_POINTS", "BOX_AXES", "PATH_POINTS", "STEP_MIN_M"),
+    "onboard.control.watch": ("STRIDE=WATCH_STRIDE",),
     "onboard.flight.guidance": ("RETURN_M_S2",),
     "onboard.flight.supervisor": ("LEVEL_MAX_RAD", "_QUEUE_MAX=COMMAND_QUEUE_MAX", "_PROGRESS_M", "_NOT_READY_NS"),
     "onboard.estimation.state_history": ("LENGTH=HISTORY_LENGTH",),
@@ -47,7 +51,11 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "onboard.sampling.signal_vector": ("THRUST_FILTER_S",),
     "onboard.record.tick": ("POSITION_AT=TICK_POSITION_AT", "ATTITUDE_AT=TICK_ATTITUDE_AT"),
-    "protocol.messages": ("SAMPLES_PER_BATCH_MAX",),
+    "protocol.messages": (
+        *("DATAGRAM_MAX_BYTES", "SAMPLES_PER_BATCH_MAX", "CHUNK_DATA_MAX_BYTES", "CHUNK_COUNT_MAX", "DIGEST_BYTES"),
+        *("LAYOUT_BYTES", "ABSOLUTE_VALUE_MAX", "COUNTER_MAX"),
+    ),
+    "protocol.authentication": ("MAC_BYTES", "KEY_MIN_BYTES", "KEY_MAX_BYTES"),
     "onboard.sampling.sampler": ("SAMPLE_BYTES", "NETWORK_BYTES", "BATCH_OVERHEAD_BYTES", "_BURST_BYTES"),
 }
 """Module, and names there; `OLD=NEW` gives it another name in C. A tuple becomes NAME_0, NAME_1 and so on."""
@@ -88,6 +96,8 @@ def literal(value: Any) -> str:
     """The value in C."""
     if isinstance(value, float):
         return f"REAL({value!r})"
+    if isinstance(value, str):
+        return f'"{value}"'
     return f"INT64_C({value})" if abs(value) >= 2**31 else f"({value})" if value < 0 else str(value)
 
 

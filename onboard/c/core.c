@@ -14,7 +14,7 @@ static real seconds_since(int64_t now_ns, int64_t then_ns) {
 }
 
 /* OnboardCore.__init__ */
-bool core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start) {
+void core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start) {
     memset(self, 0, sizeof *self);
     self->airframe = config->airframe;
     self->dt = self->period_s = (real)((double)config->period_ns * 1e-9);
@@ -30,7 +30,7 @@ bool core_init(Core *self, const CoreConfig *config, const ChannelFeatures *star
     sampler_init(&self->samples, &config->samples);
     self->mode = MODE_BOOT;
     self->battery = (BatteryReading){NEVER_NS, REAL(0.0), REAL(-1.0)};
-    return cascade_init(&self->controller, &config->controller, &config->airframe, start);
+    cascade_init(&self->controller, &config->controller, &config->airframe, start);
 }
 
 /* --- receive --- */

@@ -71,9 +71,8 @@ typedef struct {
     real tracking_error_m; /* distance from the path, of the last tick */
 } Core;
 
-/* `start`: of both channels, the features that a flight starts with (control/laws/augmentation.h). Returns false for a
- * controller that is not written in C; `self` must not be used then. */
-bool core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start);
+/* `start`: of both channels, the features that a flight starts with (control/laws/augmentation.h). */
+void core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start);
 
 void core_receive_imu(Core *self, const ImuReading *reading);
 void core_receive_flow(Core *self, const FlowReading *reading);

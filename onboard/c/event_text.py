@@ -4,8 +4,11 @@ from math import degrees
 from typing import Any, Final
 
 from onboard.c.constants_table import ENUMERATIONS
+from onboard.control.guard import LAWS, Level
 from onboard.estimation.calibration import CALIBRATING, MOVED
 from onboard.estimation.imu_conditioning import AXES
+from protocol.messages import REFUSALS
+from protocol.signals import CHANNELS
 
 _MODES, _EVENTS, _COMMANDS = (list(ENUMERATIONS[prefix]) for prefix in ("MODE", "EVENT", "COMMAND"))
 _REFUSALS: Final = (
@@ -100,3 +103,26 @@ def estimator_text(event: Any) -> str:
             return f"{MOVED}: {sensor} {AXES[number % 3]} off by {values[0]:+.2g} {unit}"
         case _:
             return _bias_text(number, values[0], values[1])
+
+
+def version_text(outcome: Any) -> str:
+    """The text of what became of the version in a VersionOutcome that had one."""
+    if outcome.refusal:
+        return f"features {outcome.version} refused: {REFUSALS[outcome.refusal]}"
+    return f"features {outcome.version} in use, parent {outcome.parent}, {outcome.samples} samples"
+
+
+_FALL_REASONS: Final = ("misfit of", "model error of", "steep or high ahead in")
+"""Of each FallReason of control/guard.h."""
+
+
+def fall_text(fall: Any) -> str:
+    """The text of a Fall."""
+    reason = f"guard: {_FALL_REASONS[fall.reason]} {CHANNELS[fall.channel]}"
+    match fall.kind:
+        case 0:
+            return f"{reason}: version {fall.refused} taken back, version {fall.flying} flies"
+        case 1:
+            return f"{reason}: {LAWS[Level(fall.level)]} flies"
+        case _:
+            return f"guard: version {fall.flying} flies after its audition"

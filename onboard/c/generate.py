@@ -28,6 +28,7 @@ from onboard.c.config_table import (
     walk,
 )
 from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, mode_sets, transitions
+from protocol.signals import SIGNAL_NAMES
 
 FOLDER: Final = Path(__file__).resolve().parent
 """The root of the C sources."""
@@ -103,6 +104,7 @@ def _guarded(name: str, body: str) -> str:
 def _constants() -> str:
     lines = ["#include <stdint.h>\n", '#include "numerics/real.h"\n']
     lines += [f"#define {name} {literal(value)} /* {module} */" for name, value, module in constants()]
+    lines.append(f"#define SIGNAL_NAMES {', '.join(map(literal, SIGNAL_NAMES))} /* protocol.signals */")
     lines += [_numbered(name, members) for name, members in enumerations()]
     return _guarded("constants", "\n".join(lines) + "\n")
 

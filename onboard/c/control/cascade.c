@@ -9,7 +9,7 @@
 enum { PLACE, TURN }; /* the channels */
 
 /* CascadedController.__init__ */
-bool cascade_init(Cascade *self, const CascadeSettings *settings, const AirframeConfig *airframe,
+void cascade_init(Cascade *self, const CascadeSettings *settings, const AirframeConfig *airframe,
                   const ChannelFeatures *start) {
     memset(self, 0, sizeof *self);
     self->settings = *settings;
@@ -24,9 +24,10 @@ bool cascade_init(Cascade *self, const CascadeSettings *settings, const Airframe
     demand_limits_init(&self->limits, &settings->limits);
     tracking_bounds_init(&self->bounds, position, attitude);
     self->output.commanded_quaternion[0] = self->commanded[0] = REAL(1.0);
-    bool known = augmentation_init(self->augmentations + PLACE, &settings->position, start + PLACE);
-    known = augmentation_init(self->augmentations + TURN, &settings->attitude, start + TURN) && known;
-    return known && !cascade_accepts_features(self); /* these need the guard, which is not in C yet */
+    augmentation_init(self->augmentations + PLACE, settings, PLACE, start + PLACE);
+    augmentation_init(self->augmentations + TURN, settings, TURN, start + TURN);
+    guard_init(&self->guard, &settings->guard, self->augmentations, position, attitude, airframe,
+               settings->limits.tilt_max_rad);
 }
 
 /* CascadedController.accepts_features */
@@ -34,22 +35,24 @@ bool cascade_accepts_features(const Cascade *self) {
     return augmentation_learns(self->augmentations + PLACE) || augmentation_learns(self->augmentations + TURN);
 }
 
-/* CascadedController.offer_features: Guard.offer, to which a controller without learnt features answers this */
+/* CascadedController.offer_features */
 Refusal cascade_offer_features(Cascade *self, const FeatureSet *features) {
-    (void)self;
-    (void)features;
-    return REFUSAL_NOT_ACCEPTING;
+    return guard_offer(&self->guard, self->augmentations, features);
+}
+
+/* CascadedController.take_falls */
+int32_t cascade_take_falls(Cascade *self, Fall *falls) {
+    return guard_take_falls(&self->guard, falls);
 }
 
 static ChannelTelemetry *telemetry_of(Cascade *self, int channel) {
     return channel == PLACE ? &self->output.position : &self->output.attitude;
 }
 
-/* Guard.step, which has nothing to guard without learnt features: nu_ad of a channel's law */
-static void guarded_step(Cascade *self, int channel, real nu_ad[3]) {
-    ChannelTelemetry *telemetry = telemetry_of(self, channel);
-    augmentation_step(self->augmentations + channel, self->channels + channel, telemetry, nu_ad);
-    vector_copy(nu_ad, telemetry->adaptive);
+/* nu_ad of a channel's law, guarded */
+static void guarded_step(Cascade *self, int channel, const ControlInputs *inputs, real nu_ad[3]) {
+    guard_step(&self->guard, self->augmentations, channel, self->channels + channel, telemetry_of(self, channel), inputs,
+               nu_ad);
 }
 
 /* --- the channels' inputs --- */
@@ -172,7 +175,7 @@ static void position_loop(Cascade *self, const ControlInputs *inputs) {
     ChannelTelemetry *telemetry = &self->output.position;
     const real *e = self->channels[PLACE].tracking_error, *p = inputs->state->position, *v = inputs->state->velocity;
     real nu_ad[3], *u = telemetry->demand;
-    guarded_step(self, PLACE, nu_ad);
+    guarded_step(self, PLACE, inputs, nu_ad);
     for (int i = 0; i < 3; i++) {
         u[i] = self->k1[i] * e[i] + self->k2[i] * e[3 + i] + inputs->target->feed_forward[i] - nu_ad[i];
     }
@@ -258,7 +261,7 @@ static void attitude_loop(Cascade *self, const ControlInputs *inputs) {
     turn_between(quaternion, self->output.commanded_quaternion, e);
     e[2] = real_clip(e[2], -YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
     vector_scale(omega, REAL(-1.0), e + 3);
-    guarded_step(self, TURN, nu_ad);
+    guarded_step(self, TURN, inputs, nu_ad);
     filter_commanded_rate(self, inputs);
     for (int i = 0; i < 3; i++) {
         u[i] = self->a1[i] * e[i] - self->a2[i] * (omega[i] - self->command_rate[i]) - nu_ad[i];
@@ -280,6 +283,8 @@ void cascade_step(Cascade *self, const ControlInputs *inputs) {
     position_loop(self, inputs);
     thrust_vector(self, inputs);
     attitude_loop(self, inputs);
+    output->law = (int32_t)self->guard.level;
+    guard_judge(&self->guard, self->augmentations, inputs->dt, inputs->adapt);
     tracking_bounds_step(&self->bounds, inputs, output->commanded_quaternion, self->command_turn, self->command_rate,
                          bounds);
     output->position.tracking_bound = bounds[PLACE];
@@ -293,6 +298,7 @@ void cascade_reset(Cascade *self, const ControlInputs *inputs) {
     restart_models(self, inputs);
     demand_limits_reset(&self->limits);
     tracking_bounds_reset(&self->bounds);
+    guard_reset(&self->guard);
     augmentation_reset(self->augmentations + PLACE);
     augmentation_reset(self->augmentations + TURN);
 }

@@ -7,6 +7,7 @@
 #define DMRAC_CASCADE_H
 
 #include "control/demand_limits.h"
+#include "control/guard.h"
 #include "control/laws/augmentation.h"
 #include "control/records.h"
 #include "control/reference_model.h"
@@ -16,6 +17,7 @@ typedef struct {
     CascadeSettings settings;
     AirframeConfig airframe;
     Augmentation augmentations[2]; /* position and attitude channel, as of all pairs below */
+    Guard guard;
     PositionReferenceModel position_model;
     AttitudeReferenceModel attitude_model;
     real k1[3]; /* gains of the position loop */
@@ -35,9 +37,8 @@ typedef struct {
     bool running;
 } Cascade;
 
-/* `start`: of both channels, what their laws start with (augmentation_init). Returns false for a law that is not written in
- * C; `self` must not be used then. */
-bool cascade_init(Cascade *self, const CascadeSettings *settings, const AirframeConfig *airframe,
+/* `start`: of both channels, what their laws start with (augmentation_init). */
+void cascade_init(Cascade *self, const CascadeSettings *settings, const AirframeConfig *airframe,
                   const ChannelFeatures *start);
 
 /* One tick of both loops; the command is `output`. */
@@ -51,5 +52,8 @@ bool cascade_accepts_features(const Cascade *self);
 
 /* Swap the features of both channels in one tick, or refuse. */
 Refusal cascade_offer_features(Cascade *self, const FeatureSet *features);
+
+/* What the guard did since the last call: at most FALLS_MAX. Returns their number. */
+int32_t cascade_take_falls(Cascade *self, Fall *falls);
 
 #endif

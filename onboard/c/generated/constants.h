@@ -11,6 +11,9 @@
 #define SIGNAL_COUNT 21 /* protocol.signals */
 #define LAYERS_MAX 4 /* protocol.feature_set */
 #define WIDTH_MAX 128 /* protocol.feature_set */
+#define FEATURE_SET_MAX_BYTES 70400 /* protocol.feature_codec */
+#define FEATURE_SET_FORMAT 1 /* protocol.feature_codec */
+#define NAME_MAX_BYTES 32 /* protocol.feature_codec */
 #define CATCH_UP_MAX 20 /* onboard.control.actuators */
 #define ADAPT_HEIGHT_M REAL(0.2) /* onboard.core */
 #define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.core */
@@ -27,10 +30,16 @@
 #define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
 #define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
 #define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define PROJECTION_STEPS 8 /* onboard.control.laws.kalman_last_layer */
 #define BOUND_RESIDUAL_FILTER_S REAL(0.02) /* onboard.control.tracking_bound */
 #define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
+#define BOX_POINTS 32 /* onboard.control.version_test */
+#define BOX_AXES 15 /* onboard.control.version_test */
+#define PATH_POINTS 16 /* onboard.control.version_test */
+#define STEP_MIN_M REAL(0.03) /* onboard.control.version_test */
+#define WATCH_STRIDE 4 /* onboard.control.watch */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
 #define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
 #define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */
@@ -66,7 +75,17 @@
 #define THRUST_FILTER_S REAL(0.15) /* onboard.sampling.signal_vector */
 #define TICK_POSITION_AT 54 /* onboard.record.tick */
 #define TICK_ATTITUDE_AT 83 /* onboard.record.tick */
+#define DATAGRAM_MAX_BYTES 1200 /* protocol.messages */
 #define SAMPLES_PER_BATCH_MAX 8 /* protocol.messages */
+#define CHUNK_DATA_MAX_BYTES 1100 /* protocol.messages */
+#define CHUNK_COUNT_MAX 64 /* protocol.messages */
+#define DIGEST_BYTES 16 /* protocol.messages */
+#define LAYOUT_BYTES 8 /* protocol.messages */
+#define ABSOLUTE_VALUE_MAX REAL(1000000.0) /* protocol.messages */
+#define COUNTER_MAX INT64_C(9223372036854775807) /* protocol.messages */
+#define MAC_BYTES 16 /* protocol.authentication */
+#define KEY_MIN_BYTES 16 /* protocol.authentication */
+#define KEY_MAX_BYTES 64 /* protocol.authentication */
 #define SAMPLE_BYTES 132 /* onboard.sampling.sampler */
 #define NETWORK_BYTES 28 /* onboard.sampling.sampler */
 #define BATCH_OVERHEAD_BYTES 116 /* onboard.sampling.sampler */
@@ -74,6 +93,7 @@
 #define RING_MAX 200 /* SwapConfig.ring_size */
 #define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
 #define BINS_MAX 2000 /* LapConfig.bins */
+#define SIGNAL_NAMES "position_n", "position_e", "position_d", "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "yaw", "rate_p", "rate_q", "rate_r", "body_velocity_x", "body_velocity_y", "body_velocity_z", "motor_thrust_1", "motor_thrust_2", "motor_thrust_3", "motor_thrust_4", "battery_voltage", "vibration" /* protocol.signals */
 
 typedef enum {
     REFUSAL_NONE = 0,

@@ -37,4 +37,5 @@ def c_network_features(core: Any, source: ChannelFeatures) -> Any:
     """C's Features of a channel."""
     given, features = c_channel(core, source), core.Features()
     core.features_init_network(features, given.selection, given.network)
+    view(features.last_layer)[:] = given.last_layer
     return features

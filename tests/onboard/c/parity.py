@@ -70,6 +70,16 @@ def filled(kind: type[ctypes.Structure], source: Any) -> Any:
     return target
 
 
+def octets(data: bytes) -> Any:
+    """Bytes as the array of a C function; of an exact size, so that the sanitizers see what is read behind it."""
+    return (ctypes.c_uint8 * len(data)).from_buffer_copy(data)
+
+
+def octets_of(array: Any) -> bytes:
+    """The bytes of an array of uint8."""
+    return np.asarray(array, dtype=np.uint8).tobytes()
+
+
 def same(ours: Any, theirs: Any, rtol: float = RTOL, scale: float = 0.0) -> None:
     """Ours (C) equals theirs (numpy) within rtol of the largest number, or of `scale` if that is larger."""
     theirs = np.asarray(theirs, dtype=float).reshape(-1)

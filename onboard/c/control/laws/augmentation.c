@@ -17,9 +17,19 @@ static void start_features(Features *features, const AdaptiveConfig *config, con
     }
 }
 
+static void init_adaptive(Adaptive *self, const CascadeSettings *settings, int32_t channel, const ChannelSettings *own,
+                          const ChannelFeatures *start) {
+    LoopGains loop_gains;
+    loop_gains_of(channel, &settings->position.gains, &settings->attitude.gains, &loop_gains);
+    start_features(&self->features, &own->augmentation.adaptive, start);
+    adaptive_init(self, &own->augmentation.adaptive, &own->gains, &loop_gains);
+}
+
 /* _augmentation */
-bool augmentation_init(Augmentation *self, const ChannelSettings *settings, const ChannelFeatures *start) {
-    const ChannelSettingsAugmentation *config = &settings->augmentation;
+void augmentation_init(Augmentation *self, const CascadeSettings *settings, int32_t channel,
+                       const ChannelFeatures *start) {
+    const ChannelSettings *own = channel == 0 ? &settings->position : &settings->attitude;
+    const ChannelSettingsAugmentation *config = &own->augmentation;
     self->kind = config->kind;
     switch (config->kind) {
         case AUGMENTATION_NONE:
@@ -37,13 +47,12 @@ bool augmentation_init(Augmentation *self, const ChannelSettings *settings, cons
             repetitive_init(&self->repetitive, &config->repetitive);
             break;
         case AUGMENTATION_ILC:
-            ilc_init(&self->ilc, &config->ilc, &settings->gains);
+            ilc_init(&self->ilc, &config->ilc, &own->gains);
             break;
         case AUGMENTATION_ADAPTIVE:
-            start_features(&self->adaptive.features, &config->adaptive, start);
-            return adaptive_init(&self->adaptive, &config->adaptive, &settings->gains);
+            init_adaptive(&self->adaptive, settings, channel, own, start);
+            break;
     }
-    return true;
 }
 
 /* Augmentation.step */

@@ -21,9 +21,10 @@ typedef struct {
     Adaptive adaptive;
 } Augmentation;
 
-/* `start`: selection and network of the features that a flight starts with; radial functions use the selection only, other
- * laws nothing. Returns false for a law that is not written in C. */
-bool augmentation_init(Augmentation *self, const ChannelSettings *settings, const ChannelFeatures *start);
+/* channel: 0 position, 1 attitude. `start`: selection and network of the features that a flight starts with; radial
+ * functions use the selection only, other laws nothing. */
+void augmentation_init(Augmentation *self, const CascadeSettings *settings, int32_t channel,
+                       const ChannelFeatures *start);
 
 /* Estimate Delta: nu_ad [3], units of u. */
 void augmentation_step(Augmentation *self, const ChannelState *channel, ChannelTelemetry *telemetry, real nu_ad[3]);
