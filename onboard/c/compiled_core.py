@@ -21,7 +21,7 @@ from onboard.c.event_text import (
     version_text,
 )
 from onboard.c.feature_arrays import put_feature_set, put_start_features, view
-from onboard.c.library import BuildError, load
+from onboard.c.library import DEFAULT, BuildError, Variant, load
 from onboard.config import OnboardConfig
 from onboard.control.feature_reception import ReceptionStatus
 from onboard.core import ZERO, OnboardOutput
@@ -47,7 +47,12 @@ COMMANDS: Final = {command: number for number, command in enumerate(Command)}
 
 
 class CompiledCore:
-    """Parameters as of OnboardCore.
+    """The same vehicle, in C.
+
+    Parameters
+    ----------
+    variant: how the C core is built.
+    others: as of OnboardCore.
 
     Raises
     ------
@@ -63,8 +68,9 @@ class CompiledCore:
         vehicle_key: bytes | None = None,
         ground_key: bytes | None = None,
         clearance: Clearance = CLEAR,
+        variant: Variant = DEFAULT,
     ) -> None:
-        self._library, self._core = _built(config)
+        self._library, self._core = _built(config, variant)
         core = self._library
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
@@ -289,10 +295,10 @@ class CompiledCore:
         }
 
 
-def _built(config: OnboardConfig) -> tuple[Any, Any]:
+def _built(config: OnboardConfig, variant: Variant) -> tuple[Any, Any]:
     """The library, and a Core for this configuration. Raises ConfigError as CompiledCore does."""
     try:
-        library = load()
+        library = load(variant)
         packed = np.frombuffer(image(config), dtype=np.uint8)
     except (BuildError, TableError) as error:
         raise ConfigError(f"--core c: {error}") from None

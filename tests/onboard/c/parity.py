@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from onboard.c.config_table import Leaf, OneOf, Record, Several, record_of
+from onboard.c.feature_arrays import view
 
 SANITIZED = os.environ.get("DMRAC_TEST_SANITIZED") == "1"
 """Set by test_sanitizers.py, which runs these tests again in a process that the sanitizers watch."""
@@ -48,11 +49,6 @@ def call(core: Any, name: str, *arguments: Any, out: int) -> np.ndarray[Any, Any
     result = np.full(out, np.nan, real(core))
     getattr(core, name)(*given, result)
     return result
-
-
-def view(member: Any) -> np.ndarray[Any, Any]:
-    """A member that is an array, as a numpy array on the same memory."""
-    return np.ctypeslib.as_array(member)
 
 
 def put(target: ctypes.Structure, source: Any) -> None:

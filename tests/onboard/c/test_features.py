@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from onboard.c.feature_arrays import put_selection
 from onboard.c.library import Core
 from onboard.control.feature_swap import RecentStates, SwapConfig, plan_swap, resemblance
 from onboard.control.features import BiasFeatures, NetworkFeatures, RadialFeatures, random_channel
 from protocol.feature_set import ChannelFeatures
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_COUNT, SIGNAL_NAMES
-from tests.onboard.c.channels import INPUTS, c_channel, c_network_features, channel, put_selection, signals
+from tests.onboard.c.channels import INPUTS, c_channel, c_network_features, channel, signals
 from tests.onboard.c.parity import SETTINGS, array, call, configured, real, same, view
 from tests.onboard.control.fixture import FEATURES
 
