@@ -25,9 +25,9 @@ from tests.onboard.control.fixture import DT, FEATURES
 
 LAWS = {
     "gradient": law_config(),
-    "covariance": kalman_config(slope_share=0.4),
+    "covariance": kalman_config(slope_share=0.02),
     "off": kalman_config(composite_gain=0.0, tracking_gain=0.0),
-    "on the ball": kalman_config(weight_norm_max=8.0, prior=2.0, confidence=False),
+    "on the ball": kalman_config(weight_norm_max=2.0, prior=2.0, confidence=False),
 }
 SEEDS = st.integers(0, 2**31)
 
