@@ -243,7 +243,5 @@ def test_one_state_that_is_not_finite_is_enough_to_refuse(core: Core) -> None:
     work, plan = core.SwapWorkspace(), core.SwapPlan()
     view(work.states)[: states.size] = states.reshape(-1)
     ours = [c_network_features(core, one) for one in (old, new)]
-    core.plan_swap(
-        configured(core, config), ours[0], array(core, W), ours[1], ours[1].last_layer, 40.0, 3, work, plan
-    )
+    core.plan_swap(configured(core, config), ours[0], array(core, W), ours[1], ours[1].last_layer, 40.0, 3, work, plan)
     assert REFUSALS[plan.refusal] == expected.refusal == "not_finite"
