@@ -103,6 +103,7 @@ def _guarded(name: str, body: str) -> str:
 def _constants() -> str:
     lines = ["#include <stdint.h>\n", '#include "numerics/real.h"\n']
     lines += [f"#define {name} {literal(value)} /* {module} */" for name, value, module in constants()]
+    lines += [f"#define {name.upper()}_COUNT {len(members)}" for name, members in enumerations()]
     lines += [_numbered(name, members) for name, members in enumerations()]
     return _guarded("constants", "\n".join(lines) + "\n")
 
