@@ -41,7 +41,6 @@ UNREAD_YET: Final = frozenset(
     {
         *(f"CoreConfig.{name}" for name in ("period_ns", "controller", "guidance", "supervisor", "samples")),
         *(f"CoreConfig.{name}" for name in ("estimator", "lissajous", "thrust_scale")),
-        *(f"CoreConfig.{name}" for name in ("vehicle_id", "status_period_s", "time_sync_period_s")),
         *("CascadeSettings", "ChannelSettings", "KalmanConfig"),
         *("GuardConfig", "VersionTestConfig", "WatchConfig"),
         *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),

@@ -6,6 +6,8 @@ from typing import Any, Final
 from onboard.c.constants_table import ENUMERATIONS
 from onboard.estimation.calibration import CALIBRATING, MOVED
 from onboard.estimation.imu_conditioning import AXES
+from onboard.links.offboard import PEER_RESTARTED
+from protocol.endpoint import mismatch_text
 
 _MODES, _EVENTS, _COMMANDS = (list(ENUMERATIONS[prefix]) for prefix in ("MODE", "EVENT", "COMMAND"))
 _REFUSALS: Final = (
@@ -100,3 +102,8 @@ def estimator_text(event: Any) -> str:
             return f"{MOVED}: {sensor} {AXES[number % 3]} off by {values[0]:+.2g} {unit}"
         case _:
             return _bias_text(number, values[0], values[1])
+
+
+def link_text(event: Any) -> str:
+    """The text of a LinkEvent."""
+    return PEER_RESTARTED if event.kind == 0 else mismatch_text(bytes(event.peer_layout), bytes(event.layout))
