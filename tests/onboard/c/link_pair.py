@@ -36,6 +36,15 @@ def clipped(number: int) -> int:
     return min(max(number, INT64_MIN), INT64_MAX)
 
 
+def agree(ours: Any, theirs: Any, rtol: float) -> bool:
+    """Whether two results or states are equal, fractions within rtol."""
+    if isinstance(theirs, dict):
+        return ours.keys() == theirs.keys() and all(agree(ours[name], theirs[name], rtol) for name in theirs)
+    if isinstance(theirs, list | tuple):
+        return len(ours) == len(theirs) and all(agree(a, b, rtol) for a, b in zip(ours, theirs, strict=True))
+    return bool(ours == theirs or (type(theirs) is float and abs(ours - theirs) <= rtol * abs(theirs)))
+
+
 class Link:
     """C's link behind the functions of numpy's."""
 
@@ -161,6 +170,11 @@ def state_of_c(link: Any) -> dict[str, Any]:
     }
 
 
+def differing(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, Any]:
+    """What of two states is not the same."""
+    return {name: (ours[name], theirs[name]) for name in theirs if ours[name] != theirs[name]}
+
+
 def as_plain(received: Any) -> Any:
     """One of numpy's results as `Link.receive` gives it."""
     match received:
@@ -181,6 +195,7 @@ class Both:
     ) -> None:
         config = config or onboard_config()
         self.key, self.config = key, config
+        self.rtol = 1e-6 if core.real == "float" else 0.0
         self.theirs, self.ours = OffboardLink(config, session, key), Link(core, config, session, key)
         self.same_state()
 
@@ -189,11 +204,11 @@ class Both:
         if self.theirs.statistics.delay_ns > INT64_MAX:  # C's ends there: continue with the same mean
             self.ours.c.endpoint.statistics.delay_mean_ns = theirs["delay_mean_ns"]
             del ours["delay_mean_ns"], theirs["delay_mean_ns"]
-        assert ours == theirs
+        assert agree(ours, theirs, self.rtol), differing(ours, theirs)
 
     def receive(self, datagram: bytes, now_ns: int) -> list[Any]:
         expected = [as_plain(one) for one in self.theirs.receive(datagram, now_ns)]
-        assert self.ours.receive(datagram, now_ns) == expected
+        assert agree(self.ours.receive(datagram, now_ns), expected, self.rtol)
         self.same_state()
         return expected
 
@@ -209,7 +224,7 @@ class Both:
 
     def loss_share(self, now_ns: int) -> float:
         expected = self.theirs.loss_share(now_ns)
-        assert self.ours.core.offboard_link_loss_share(self.ours.c, now_ns) == expected
+        assert agree(self.ours.core.offboard_link_loss_share(self.ours.c, now_ns), expected, self.rtol)
         self.same_state()
         return expected
 

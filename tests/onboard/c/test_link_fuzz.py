@@ -21,7 +21,7 @@ from protocol.messages import FeatureChunk, Message, Pose, SampleBatch, TimeSync
 from protocol.statistics import REJECTIONS
 from tests.onboard.c import wire
 from tests.onboard.c.link_pair import KEY, Both, onboard_config, resealed, sealed
-from tests.onboard.c.parity import SANITIZED, SETTINGS
+from tests.onboard.c.parity import SANITIZED
 
 MS, S = 1_000_000, 1_000_000_000
 TYPES: Final = sorted(DOWN_TYPES)
@@ -31,7 +31,8 @@ class World:
     """A peer, a radio and our two links."""
 
     def __init__(self, core: Core, seed: int, key: bytes | None = KEY) -> None:
-        self.rng, self.both, self.key = np.random.default_rng(seed), Both(core, key=key), key
+        config = onboard_config().model_copy(update={"status_period_s": 0.125})  # the same number in float
+        self.rng, self.both, self.key = np.random.default_rng(seed), Both(core, config, key), key
         self.now_ns, self.peer_clock_ns, self.newest_session = 100 * S, 10**13, 1 << 30
         self.sent: list[bytes] = []
         self.waiting: list[bytes] = []
@@ -191,6 +192,10 @@ def test_random_sequences(core: Core, seed: int) -> None:
     wander(core, seed, 300 if SANITIZED else 1000, None if seed == 1 else KEY)
 
 
+def test_random_sequences_in_the_float_core(core32: Core) -> None:
+    wander(core32, 50, 1000)
+
+
 def test_random_sequences_meet_every_reason(core: Core) -> None:
     seen: Counter[str] = Counter()
     for seed in range(100, 104):
@@ -209,7 +214,7 @@ def test_long_random_sequences(core: Core, seed: int) -> None:
     wander(core, seed, 20_000)
 
 
-@SETTINGS
+@wire.MANY
 @given(
     steps=st.lists(
         st.tuples(

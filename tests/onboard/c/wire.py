@@ -7,6 +7,7 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from protocol.codec import encode_body
@@ -23,7 +24,10 @@ from protocol.messages import (
 )
 from protocol.signals import SIGNAL_COUNT
 from protocol.statistics import REJECTIONS
-from tests.onboard.c.parity import octets_of, view
+from tests.onboard.c.parity import SANITIZED, SETTINGS, octets_of, view
+
+MANY = settings(SETTINGS, max_examples=30 if SANITIZED else 200)
+"""Examples are cheap here."""
 
 MEMBERS = {FeatureChunk: "chunk", Pose: "pose", TimeSyncRequest: "request", TimeSyncReply: "reply"}
 """Of C's Message."""
