@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from onboard.c.feature_arrays import put_channel
+from onboard.c.feature_arrays import put_channel, view
 from onboard.control.features import random_channel
 from protocol.feature_set import ChannelFeatures
 from protocol.signals import SIGNAL_COUNT
