@@ -20,7 +20,7 @@ from onboard.c.event_text import (
     supervisor_text,
     version_text,
 )
-from onboard.c.feature_arrays import put_feature_set, put_start_features, view
+from onboard.c.feature_arrays import put_start_features, view
 from onboard.c.library import DEFAULT, BuildError, Variant, load
 from onboard.config import OnboardConfig
 from onboard.control.feature_reception import ReceptionStatus
@@ -35,12 +35,10 @@ from onboard.preflight.certificate import CLEAR, Clearance
 from protocol.arrival import Datagrams, at_times
 from protocol.clock import ForwardClock
 from protocol.conventions import NEVER_NS
-from protocol.feature_set import FeatureSet
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, RangeReading
 from protocol.messages import FeatureChunk, SampleBatch
 from protocol.session import session_start_ns
-from protocol.transfer import FeatureReceiver
 
 COMMANDS: Final = {command: number for number, command in enumerate(Command)}
 """Number of each command in C."""
@@ -78,13 +76,11 @@ class CompiledCore:
         self._offboard_link = OffboardLink(config, session, key)
         self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._arming = ArmingChecks(config, clearance)
-        self._receiver = FeatureReceiver()
         self.controller = CompiledController(core, self._core.controller)
         self._notice = clearance.notice
         self._inputs, self._result = core.CoreInputs(), core.CoreOutput()
-        self._imu, self._pose, self._refusal = core.ImuReading(), core.Pose(), core.ArmingRefusal()
-        self._c_features = core.FeatureSet()
-        self._complete: FeatureSet | None = None
+        self._imu, self._pose = core.ImuReading(), core.Pose()
+        self._refusal, self._said = core.ArmingRefusal(), core.ReceptionStatus()
         self._output = OnboardOutput(tick=view(self._result.tick))
         state = self._core.estimator.state
         names = ("position", "velocity", "quaternion", "euler", "rates")
@@ -116,8 +112,7 @@ class CompiledCore:
         inputs.preflight = self._reasons.number(self._arming.refusal(now_ns, posed, self._vehicle_link))
         inputs.offboard_ns, inputs.ground_ns = self._offboard_link.last_received_ns, self._ground_link.last_received_ns
         inputs.link_loss = self._offboard_link.loss_share(now_ns)
-        self._library.core_tick(core, inputs, self._waiting_features(), result)
-        inputs.offboard_restarted = False
+        self._library.core_tick(core, inputs, result)
         self._collect_events(output, now_ns)
         output.to_vehicle.append(self._vehicle_link.encode_motors(result.motors, result.spinning, now_ns))
         for batch in result.batches[: result.batch_count]:
@@ -151,17 +146,16 @@ class CompiledCore:
                 library.core_receive_battery(core, library.BatteryReading(*reading))
 
     def _receive_offboard(self, datagrams: Datagrams, now_ns: int) -> None:
-        """Poses for the estimator, chunks of feature versions for the receiver."""
+        """Poses for the estimator, chunks of feature versions for the reception."""
         for datagram, arrival_ns in at_times(datagrams, now_ns):
             for message in self._offboard_link.receive(datagram, arrival_ns):
                 match message:
                     case DatedPose():
                         self._receive_pose(message, now_ns)
                     case FeatureChunk():
-                        self._complete = self._receiver.receive(message) or self._complete
+                        self._receive_chunk(message)
                     case PeerRestarted():
-                        self._receiver.reset()
-                        self._complete, self._inputs.offboard_restarted = None, True
+                        self._library.core_restart_offboard(self._core)
 
     def _receive_pose(self, dated: DatedPose, now_ns: int) -> None:
         pose = self._pose
@@ -169,6 +163,11 @@ class CompiledCore:
         times = dated.taken_ns, dated.arrival_ns, dated.time_sigma_s
         self._library.core_receive_pose(self._core, pose, *times)
         self._arming.receive_pose(dated.pose, self._vehicle_link.health.force, now_ns)
+
+    def _receive_chunk(self, chunk: FeatureChunk) -> None:
+        digest, data = (np.frombuffer(one, dtype=np.uint8) for one in (chunk.digest, chunk.data))
+        head = chunk.version, chunk.index, chunk.count
+        self._library.core_receive_chunk(self._core, *head, digest, data, data.size)
 
     def _receive_ground(self, datagrams: Datagrams, land: bool, now_ns: int) -> None:
         """Commands of the pilot, and the process's own wish to land."""
@@ -182,14 +181,6 @@ class CompiledCore:
         """Give a command; returns why it is refused, "" if it is not."""
         self._library.core_command(self._core, COMMANDS[command], now_ns, self._refusal)
         return refusal_text(self._refusal, *self._texts())
-
-    def _waiting_features(self) -> Any:
-        """The complete version that waits, once, in C; None if there is none."""
-        features, self._complete = self._complete, None
-        if features is None:
-            return None
-        put_feature_set(self._c_features, features)
-        return self._c_features
 
     # --- reports -------------------------------------------------------------------------------------------------
 
@@ -242,9 +233,10 @@ class CompiledCore:
         output.to_offboard += small
 
     def _reception_status(self) -> ReceptionStatus:
-        reception, receiver = self._core.reception, self._receiver
-        refused = max((reception.refused_version, reception.refusal), receiver.refused)
-        return ReceptionStatus(reception.version, receiver.transfer_version, receiver.received_chunks, *refused)
+        said = self._said
+        self._library.reception_status(self._core.reception, said)
+        chunks = bytes(said.received_chunks[: said.received_bytes])
+        return ReceptionStatus(said.version, said.transfer_version, chunks, said.refused_version, said.refusal)
 
     def status(self, now_ns: int) -> dict[str, Any]:
         """A few numbers for the live status line."""

@@ -55,6 +55,17 @@ void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t a
     estimator_receive_pose(&self->estimator, pose, taken_ns, arrival_ns, time_sigma_s);
 }
 
+void core_receive_chunk(Core *self, int64_t version, int32_t index, int32_t count, const uint8_t *digest,
+                        const uint8_t *data, int32_t size) {
+    FeatureChunk chunk = {.version = version, .index = index, .count = count, .size = size, .data = data};
+    memcpy(chunk.digest, digest, sizeof chunk.digest);
+    reception_receive(&self->reception, &chunk);
+}
+
+void core_restart_offboard(Core *self) {
+    reception_restart(&self->reception);
+}
+
 void core_command(Core *self, Command command, int64_t now_ns, ArmingRefusal *refusal) {
     supervisor_command(&self->supervisor, command, now_ns, refusal);
 }
@@ -211,15 +222,12 @@ static void record(const Core *self, const ControlInputs *control_inputs, const 
 }
 
 /* OnboardCore.tick */
-void core_tick(Core *self, const CoreInputs *inputs, const FeatureSet *features, CoreOutput *output) {
+void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
     const VehicleState *state = &self->estimator.state;
     int64_t now_ns = inputs->now_ns, skipped = inputs->missed_ticks - self->missed_ticks;
     int32_t missed = (int32_t)(skipped < CATCH_UP_MAX ? skipped : CATCH_UP_MAX);
     self->missed_ticks = inputs->missed_ticks;
     self->dt = (real)(1 + missed) * self->period_s;
-    if (inputs->offboard_restarted) {
-        reception_restart(&self->reception);
-    }
     output->estimator_event_count = estimator_take_events(&self->estimator, output->estimator_events);
     FlightMode mode = supervise(self, inputs, output);
     guide(self, mode);
@@ -237,7 +245,7 @@ void core_tick(Core *self, const CoreInputs *inputs, const FeatureSet *features,
     };
     measure(self, missed, &control_inputs);
     thrust_scale_step(&self->thrust_scale, state->specific_force[2], control_inputs.thrust_n, control_inputs.adapt);
-    reception_swap(&self->reception, &self->controller, features, now_ns, &output->features);
+    reception_swap(&self->reception, &self->controller, now_ns, &output->features);
     control(self, &control_inputs, mode);
     mix(self, mode);
     memcpy(output->motors, self->command, sizeof output->motors);

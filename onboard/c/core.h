@@ -20,13 +20,12 @@
 
 /* What the surroundings know in a tick. */
 typedef struct {
-    int64_t now_ns;          /* onboard's monotonic clock, which never goes back */
-    int64_t missed_ticks;    /* that the loop has skipped since its start; the last command was held meanwhile */
-    int32_t preflight;       /* why the vehicle must not be armed, a number of the caller's; 0 if it may be */
-    int64_t offboard_ns;     /* arrival of the newest datagram of offboard; NEVER_NS if there was none */
-    int64_t ground_ns;       /* the same of the ground station */
-    real link_loss;          /* share of the datagrams that the link to offboard loses */
-    bool offboard_restarted; /* a new session of offboard: its versions may count from 1 again */
+    int64_t now_ns;       /* onboard's monotonic clock, which never goes back */
+    int64_t missed_ticks; /* that the loop has skipped since its start; the last command was held meanwhile */
+    int32_t preflight;    /* why the vehicle must not be armed, a number of the caller's; 0 if it may be */
+    int64_t offboard_ns;  /* arrival of the newest datagram of offboard; NEVER_NS if there was none */
+    int64_t ground_ns;    /* the same of the ground station */
+    real link_loss;       /* share of the datagrams that the link to offboard loses */
 } CoreInputs;
 
 /* What a tick sends and records. Events stand in the order in which they happened. */
@@ -82,11 +81,18 @@ void core_receive_battery(Core *self, const BatteryReading *reading);
 /* A pose that was true at `taken_ns` and arrived at `arrival_ns`. All of a tick's poses come after its readings. */
 void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t arrival_ns, real time_sigma_s);
 
+/* A chunk of a feature version, `size` bytes of it; control/feature_reception.h. A version that is complete by it is swapped
+ * in the next tick. */
+void core_receive_chunk(Core *self, int64_t version, int32_t index, int32_t count, const uint8_t *digest,
+                        const uint8_t *data, int32_t size);
+
+/* A new session of offboard: its versions may count from 1 again. */
+void core_restart_offboard(Core *self);
+
 /* A command of the pilot, or of the process around the core; `refusal` says why it is refused, or that it is not. */
 void core_command(Core *self, Command command, int64_t now_ns, ArmingRefusal *refusal);
 
-/* One tick. `features`: a complete version that has arrived since the last tick; null if there is none. */
-void core_tick(Core *self, const CoreInputs *inputs, const FeatureSet *features, CoreOutput *output);
+void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output);
 
 /* Take a datagram to offboard that is not a sample batch from the byte budget. */
 void core_charge(Core *self, int32_t datagram_bytes, int64_t now_ns);

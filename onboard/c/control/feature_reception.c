@@ -51,15 +51,12 @@ static void follow(FeatureReception *self, const Fall *fall, int64_t now_ns) {
 }
 
 /* FeatureReception.swap */
-void reception_swap(FeatureReception *self, Cascade *controller, const FeatureSet *features, int64_t now_ns,
-                    VersionOutcome *outcome) {
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome) {
+    const FeatureSet *features = &self->complete;
     memset(outcome, 0, sizeof *outcome);
-    if (features == NULL && self->waits) {
-        features = &self->complete;
-    }
+    outcome->offered = self->waits;
     self->waits = false;
-    if (features != NULL) {
-        outcome->offered = true;
+    if (outcome->offered) {
         outcome->version = features->version;
         outcome->parent = features->parent;
         outcome->samples = features->samples;

@@ -49,10 +49,8 @@ void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
 /* Start over for a new session of the peer: its versions may count from 1 again. */
 void reception_restart(FeatureReception *self);
 
-/* Offer the version that waits to the controller, if any, and take note of what the guard did. `features`: a version that
- * was put together outside, in place of one that waits here; null if there is none. */
-void reception_swap(FeatureReception *self, Cascade *controller, const FeatureSet *features, int64_t now_ns,
-                    VersionOutcome *outcome);
+/* Offer the version that waits to the controller, if any, and take note of what the guard did. */
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome);
 
 /* Time since the features in use were swapped in, s; -1 for the start features. */
 double reception_age_s(const FeatureReception *self, int64_t now_ns);

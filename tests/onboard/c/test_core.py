@@ -1,5 +1,6 @@
 """The whole core: flights with the C core beside numpy's on the same datagrams, and flights of the C core alone."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +16,7 @@ from onboard.c import compiled_core
 from onboard.c.compiled_core import CompiledCore
 from onboard.c.library import BuildError, Variant
 from onboard.flight.modes import FlightMode
+from protocol.transfer import split
 from tests.onboard.c.parity import SANITIZED
 from tests.onboard.c.shadow_core import ShadowCore
 from tests.onboard.loop import Loop, Peer
@@ -23,14 +25,17 @@ from tests.onboard.test_core_features import features
 from tests.onboard.test_faults_in_flight import is_imu, rewrite
 from tests.onboard.test_missed_ticks import StallingCore
 
-CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac")
+CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac", "paper_dmrac", "dmrac")
+LEARNING = ("offboard.trainer.minimum_samples=100", "onboard.guidance.trajectory.settle_s=0.0")
+"""So that a short flight gets trained features."""
 MOTORS_MAX = 1e-9
 """Of full scale; 1e-13 were measured."""
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None:
-    config = resolve("figure8_wind", Choices(controller, 3, 4.0 if SANITIZED else 12.0))
+    learns = controller in ("dmrac", "paper_dmrac")
+    config = resolve("figure8_wind", Choices(controller, 3, 4.0 if SANITIZED else 12.0, LEARNING if learns else ()))
     lockstep, *_ = build(config)
     shadow = lockstep._onboard = ShadowCore(config.onboard, variant)
     for _ in range(round(config.duration_s * 200)):
@@ -38,6 +43,7 @@ def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None
     assert not lockstep.crash_reason
     assert SANITIZED or shadow.summary()["mode"] == "BOOT"  # it has landed
     assert shadow.summary()["samples"]["taken"] > (100 if SANITIZED else 400)
+    assert bool(shadow.summary()["features"]["swaps"]) == (learns and not SANITIZED)
     assert shadow.motor_difference < MOTORS_MAX
     shadow.compare_summaries()
 
@@ -176,9 +182,41 @@ def a_pilot(variant: Variant) -> ShadowLoop:
     return loop
 
 
+def fail(loop: ShadowLoop) -> None:
+    """What a law that has been worse for too long looks like, in both cores."""
+    loop.core.controller.guard._watches[0]._worse_s = 1.0
+    loop.core.ours._core.controller.guard.watches[0].worse_s = 1.0
+
+
+def versions_good_bad_and_taken_back(variant: Variant) -> ShadowLoop:
+    loop = ShadowLoop(variant, "dmrac", peer=Peer()).fly(4.0)
+    texts = ["features 1 in use", "features 2 refused: lipschitz", "features 3 refused: weight_norm"]
+    for version in (features(1), features(2, gain=100.0), features(3, last_layer=100.0)):
+        loop.peer.sender.offer(version, loop.now_ns)
+        loop.fly(0.3)
+    fail(loop)
+    loop.fly(0.3)
+    loop.waiting += split(b"no feature set" * 30, 4, 1000)
+    loop.peer.sender.offer(features(5, last_layer=0.05), loop.now_ns)
+    loop.fly(0.3)
+    for _ in range(3):  # back to the start features, to the bias alone, to none
+        fail(loop)
+        loop.fly(0.3)
+    texts += ["version 1 taken back, version 0 flies", "the bias alone flies", "no adaptation flies"]
+    again = dataclasses.replace(features(1), version=6)
+    loop.peer.sender.offer(again, loop.now_ns)
+    loop.fly(0.3)
+    assert all(loop.said(text) for text in (*texts, "features 6 refused: taken_back"))
+    assert set(loop.column("law")) == {0.0, 1.0, 2.0}
+    loop.join(Peer(session=3))
+    loop.fly(0.3)
+    return loop
+
+
 FLIGHTS: tuple[Flight, ...] = (
     *(to_the_floor_and_up_again, land_by_request, blind, a_jump_of_the_pose, a_late_first_pose),
     *(nan_from_the_imu, a_stuck_gyroscope, missed_ticks, versions_for_a_controller_without_networks, a_pilot),
+    versions_good_bad_and_taken_back,
 )
 
 
@@ -192,9 +230,9 @@ def test_both_cores_do_the_same(flight: Flight, variant: Variant) -> None:
 # --- the C core alone ---
 
 
-@pytest.mark.parametrize("controller", ["pid", "l1", "mrac"])
+@pytest.mark.parametrize("controller", ["pid", "l1", "mrac", "dmrac"])
 def test_a_flight_of_the_c_core_is_as_good(controller: str) -> None:
-    config = resolve("figure8_wind", Choices(controller, 3, 12.0))
+    config = resolve("figure8_wind", Choices(controller, 3, 12.0, LEARNING if controller == "dmrac" else ()))
     errors = []
     for core in ("numpy", "c"):
         outcome = fly_lockstep(config, core=core)
