@@ -13,10 +13,10 @@ from onboard.flight.modes import AIRBORNE, RESTING, SPINNING, TRANSITIONS, Comma
 from onboard.sampling.sampler import SamplerConfig
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_NAMES
+from protocol.statistics import REJECTIONS
 
 CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.conventions": ("GRAVITY", "NEVER_NS"),
-    "protocol.signals": ("SIGNAL_COUNT",),
     "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
     "protocol.feature_codec": ("FEATURE_SET_MAX_BYTES", "FORMAT=FEATURE_SET_FORMAT", "_NAME_MAX_BYTES"),
     "onboard.control.actuators": ("CATCH_UP_MAX",),
@@ -56,6 +56,15 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
         *("LAYOUT_BYTES", "ABSOLUTE_VALUE_MAX", "COUNTER_MAX"),
     ),
     "protocol.authentication": ("MAC_BYTES", "KEY_MIN_BYTES", "KEY_MAX_BYTES"),
+    "protocol.codec": ("PROTOCOL_VERSION", "_FIELDS_MAX"),
+    "protocol.session": ("WINDOW=REPLAY_WINDOW", "RETIRED_MAX", "SEQUENCE_JUMP_MAX", "SILENCE_BEFORE_OLDER_NS"),
+    "protocol.clock": ("OPEN_REQUESTS_MAX", "SAMPLES_MAX=CLOCK_SAMPLES_MAX", "REQUEST_LIFE_NS", "JUMP_SLACK_NS"),
+    "protocol.clock_map": ("WINDOW_NS=CLOCK_WINDOW_NS", "BUCKET_NS=CLOCK_BUCKET_NS", "AHEAD_NS"),
+    "protocol.endpoint": (
+        *("DATAGRAM_MIN_BYTES", "BODY_MAX_BYTES", "CHALLENGE_PERIOD_NS", "RATE_MAX_HZ", "RATE_BURST"),
+    ),
+    "onboard.links.loss_rate": ("WINDOW_NS=LOSS_WINDOW_NS", "QUEUEING_NS", "SILENT_NS"),
+    "onboard.links.offboard": ("CLOCK_RECORD_PERIOD_NS", "AGE_MAX_MS", "GOOD_ROUND_TRIP_NS", "ROUND_TRIP_TO_SIGMA"),
     "onboard.sampling.sampler": ("SAMPLE_BYTES", "NETWORK_BYTES", "BATCH_OVERHEAD_BYTES", "_BURST_BYTES"),
 }
 """Module, and names there; `OLD=NEW` gives it another name in C. A tuple becomes NAME_0, NAME_1 and so on."""
@@ -104,6 +113,7 @@ def literal(value: Any) -> str:
 def enumerations() -> Iterator[tuple[str, list[str]]]:
     """Name in C and members, in the order of their numbers, from 0."""
     yield "Refusal", [f"REFUSAL_{name.upper() or 'NONE'}" for name in REFUSALS]
+    yield "Rejection", [f"REJECTED_{name.upper() or 'NONE'}" for name in REJECTIONS]
     yield "Signal", [f"SIGNAL_{name.upper()}" for name in SIGNAL_NAMES]
 
 

@@ -7,6 +7,8 @@ from onboard.c.constants_table import ENUMERATIONS
 from onboard.control.guard import LAWS, Level
 from onboard.estimation.calibration import CALIBRATING, MOVED
 from onboard.estimation.imu_conditioning import AXES
+from onboard.links.offboard import PEER_RESTARTED
+from protocol.endpoint import mismatch_text
 from protocol.messages import REFUSALS
 from protocol.signals import CHANNELS
 
@@ -103,6 +105,11 @@ def estimator_text(event: Any) -> str:
             return f"{MOVED}: {sensor} {AXES[number % 3]} off by {values[0]:+.2g} {unit}"
         case _:
             return _bias_text(number, values[0], values[1])
+
+
+def link_text(event: Any) -> str:
+    """The text of a LinkEvent."""
+    return PEER_RESTARTED if event.kind == 0 else mismatch_text(bytes(event.peer_layout), bytes(event.layout))
 
 
 def version_text(outcome: Any) -> str:

@@ -105,6 +105,7 @@ def _constants() -> str:
     lines = ["#include <stdint.h>\n", '#include "numerics/real.h"\n']
     lines += [f"#define {name} {literal(value)} /* {module} */" for name, value, module in constants()]
     lines.append(f"#define SIGNAL_NAMES {', '.join(map(literal, SIGNAL_NAMES))} /* protocol.signals */")
+    lines += [f"#define {name.upper()}_COUNT {len(members)}" for name, members in enumerations()]
     lines += [_numbered(name, members) for name, members in enumerations()]
     return _guarded("constants", "\n".join(lines) + "\n")
 

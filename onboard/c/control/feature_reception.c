@@ -82,7 +82,7 @@ void reception_status(const FeatureReception *self, ReceptionStatus *status) {
     memset(status, 0, sizeof *status);
     status->version = self->version;
     status->transfer_version = receiver->transfer_version;
-    status->received_bytes = receiver_received_chunks(receiver, status->received_chunks);
+    status->received_chunks_size = receiver_received_chunks(receiver, status->received_chunks);
     status->refused_version = later ? receiver->refused_version : self->refused_version;
     status->refusal = later ? receiver->refusal : self->refusal;
 }

@@ -35,8 +35,8 @@ typedef struct {
 typedef struct {
     int64_t version;
     int64_t transfer_version;
-    uint8_t received_chunks[CHUNK_COUNT_MAX / 8];
-    int32_t received_bytes; /* of them */
+    uint8_t received_chunks[BITMAP_BYTES];
+    int32_t received_chunks_size; /* bytes of them that are sent */
     int64_t refused_version;
     Refusal refusal;
 } ReceptionStatus;

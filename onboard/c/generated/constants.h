@@ -8,7 +8,6 @@
 
 #define GRAVITY REAL(9.80665) /* protocol.conventions */
 #define NEVER_NS INT64_C(-1000000000000000000) /* protocol.conventions */
-#define SIGNAL_COUNT 21 /* protocol.signals */
 #define LAYERS_MAX 4 /* protocol.feature_set */
 #define WIDTH_MAX 128 /* protocol.feature_set */
 #define FEATURE_SET_MAX_BYTES 70400 /* protocol.feature_codec */
@@ -86,6 +85,31 @@
 #define MAC_BYTES 16 /* protocol.authentication */
 #define KEY_MIN_BYTES 16 /* protocol.authentication */
 #define KEY_MAX_BYTES 64 /* protocol.authentication */
+#define PROTOCOL_VERSION 2 /* protocol.codec */
+#define FIELDS_MAX 12 /* protocol.codec */
+#define REPLAY_WINDOW 256 /* protocol.session */
+#define RETIRED_MAX 256 /* protocol.session */
+#define SEQUENCE_JUMP_MAX INT64_C(4294967296) /* protocol.session */
+#define SILENCE_BEFORE_OLDER_NS 1000000000 /* protocol.session */
+#define OPEN_REQUESTS_MAX 16 /* protocol.clock */
+#define CLOCK_SAMPLES_MAX 16 /* protocol.clock */
+#define REQUEST_LIFE_NS 2000000000 /* protocol.clock */
+#define JUMP_SLACK_NS 5000000 /* protocol.clock */
+#define CLOCK_WINDOW_NS 2000000000 /* protocol.clock_map */
+#define CLOCK_BUCKET_NS 250000000 /* protocol.clock_map */
+#define AHEAD_NS 20000000 /* protocol.clock_map */
+#define DATAGRAM_MIN_BYTES 46 /* protocol.endpoint */
+#define BODY_MAX_BYTES 1156 /* protocol.endpoint */
+#define CHALLENGE_PERIOD_NS 500000000 /* protocol.endpoint */
+#define RATE_MAX_HZ 2000 /* protocol.endpoint */
+#define RATE_BURST 256 /* protocol.endpoint */
+#define LOSS_WINDOW_NS 1000000000 /* onboard.links.loss_rate */
+#define QUEUEING_NS 50000000 /* onboard.links.loss_rate */
+#define SILENT_NS INT64_C(5000000000) /* onboard.links.loss_rate */
+#define CLOCK_RECORD_PERIOD_NS 1000000000 /* onboard.links.offboard */
+#define AGE_MAX_MS 2147483647 /* onboard.links.offboard */
+#define GOOD_ROUND_TRIP_NS 40000000 /* onboard.links.offboard */
+#define ROUND_TRIP_TO_SIGMA REAL(0.1) /* onboard.links.offboard */
 #define SAMPLE_BYTES 132 /* onboard.sampling.sampler */
 #define NETWORK_BYTES 28 /* onboard.sampling.sampler */
 #define BATCH_OVERHEAD_BYTES 116 /* onboard.sampling.sampler */
@@ -94,6 +118,9 @@
 #define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
 #define BINS_MAX 2000 /* LapConfig.bins */
 #define SIGNAL_NAMES "position_n", "position_e", "position_d", "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "yaw", "rate_p", "rate_q", "rate_r", "body_velocity_x", "body_velocity_y", "body_velocity_z", "motor_thrust_1", "motor_thrust_2", "motor_thrust_3", "motor_thrust_4", "battery_voltage", "vibration" /* protocol.signals */
+#define REFUSAL_COUNT 17
+#define REJECTION_COUNT 16
+#define SIGNAL_COUNT 21
 
 typedef enum {
     REFUSAL_NONE = 0,
@@ -114,6 +141,25 @@ typedef enum {
     REFUSAL_TAKEN_BACK = 15,
     REFUSAL_NOT_TRUSTED = 16
 } Refusal;
+
+typedef enum {
+    REJECTED_NONE = 0,
+    REJECTED_LENGTH = 1,
+    REJECTED_VERSION = 2,
+    REJECTED_TYPE = 3,
+    REJECTED_VEHICLE = 4,
+    REJECTED_MAC = 5,
+    REJECTED_SESSION = 6,
+    REJECTED_DUPLICATE = 7,
+    REJECTED_TOO_OLD = 8,
+    REJECTED_SEQUENCE = 9,
+    REJECTED_RATE = 10,
+    REJECTED_BODY = 11,
+    REJECTED_VALUE = 12,
+    REJECTED_LAYOUT = 13,
+    REJECTED_TIME_SYNC = 14,
+    REJECTED_NOT_ALIVE = 15
+} Rejection;
 
 typedef enum {
     SIGNAL_POSITION_N = 0,

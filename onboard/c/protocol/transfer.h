@@ -3,17 +3,7 @@
 #define DMRAC_TRANSFER_H
 
 #include "control/features.h"
-
-/* One piece of an encoded feature set, decoded and checked: 1 <= version, 1 <= count <= CHUNK_COUNT_MAX, index < count,
- * 1 <= size <= CHUNK_DATA_MAX_BYTES. */
-typedef struct {
-    int64_t version;
-    int32_t index;
-    int32_t count;
-    uint8_t digest[DIGEST_BYTES]; /* BLAKE2b of the whole encoded feature set */
-    int32_t size;
-    const uint8_t *data; /* [size] */
-} FeatureChunk;
+#include "protocol/messages.h"
 
 /* Collects the chunks of the newest version. */
 typedef struct {
@@ -33,11 +23,11 @@ void receiver_init(FeatureReceiver *self);
 /* Discard everything, as after a restart of the peer, whose version numbers may start anew. */
 void receiver_reset(FeatureReceiver *self);
 
-/* Receive a chunk. True if it was the last missing one and the set, then in `complete`, is valid; else `complete` has not
- * changed. */
+/* Receive a chunk that the codec has read, so that its numbers are within their limits. True if it was the last missing one
+ * and the set, then in `complete`, is valid; else `complete` has not changed. */
 bool receiver_receive(FeatureReceiver *self, const FeatureChunk *chunk, FeatureSet *complete);
 
-/* Bitmap for Status: chunk i is bit i % 8 of byte i / 8. Returns the number of bytes, at most CHUNK_COUNT_MAX / 8. */
+/* Bitmap for Status: chunk i is bit i % 8 of byte i / 8. Returns the number of bytes, at most BITMAP_BYTES. */
 int32_t receiver_received_chunks(const FeatureReceiver *self, uint8_t *bitmap);
 
 #endif

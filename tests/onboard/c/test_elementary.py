@@ -97,6 +97,9 @@ def test_whole_numbers_and_choices(request: pytest.FixtureRequest, which: str) -
         assert core.real_abs(x) == abs(x)
     assert core.real_min(1.0, 2.0) == core.real_clip(-5.0, 1.0, 2.0) == 1.0
     assert core.real_max(1.0, 2.0) == core.real_clip(5.0, 1.0, 2.0) == 2.0
+    assert core.real_largest(1.0, 2.0) == core.real_largest(2.0, 1.0) == 2.0
+    assert math.isnan(core.real_largest(math.nan, 1.0))
+    assert math.isnan(core.real_largest(1.0, math.nan))
     assert math.isnan(core.real_min(math.nan, 1.0)) == math.isnan(min(math.nan, 1.0))
     assert [core.real_is_finite(x) for x in (1.0, math.inf, -math.inf, math.nan)] == [True, False, False, False]
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from onboard.c.library import FOLDER, Core, Variant, compiler, run
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer, fade, prior_variance, project
 from onboard.control.laws.kalman_state import KalmanState
+from tests.onboard.c.conftest import OPTIONS
 from tests.onboard.c.parity import SANITIZED, SETTINGS, array, configured, same, view
 from tests.onboard.c.test_laws import GAINS, weights_of
 from tests.onboard.control.fixture import DT
@@ -238,6 +239,24 @@ def test_projection(core: Core, seed: int, n: int, far: float, spread: float) ->
     np.testing.assert_array_equal(ours, inside)
 
 
+@SETTINGS
+@given(seed=SEEDS)
+def test_in_float_the_law_stays_near_that_in_double(core32: Core, seed: int) -> None:
+    config, rng = kalman_config(noise=0.3), np.random.default_rng(seed)
+    ours, theirs = core32.KalmanLastLayer(), KalmanLastLayer(config, 20, weights_of(GAINS, (1.0, 0.1)))
+    PB, now, ahead = core32.TrackingWeights(), np.empty(3, np.float32), np.empty(3, np.float32)
+    core32.tracking_weights(configured(core32, GAINS), array(core32, (1.0, 0.1)), PB)
+    core32.kalman_layer_init(ours, configured(core32, config), 20, PB)
+    for index in range(STEPS):
+        Phi, e, residual = columns(rng, 20), 0.1 * rng.normal(size=6), 3.0 * rng.normal(size=3)
+        expected = theirs.step(Phi, e, residual.tolist(), DT)
+        given_ = [array(core32, one) for one in (Phi[:, 0], Phi[:, 1], e, residual)]
+        core32.kalman_layer_step(ours, *given_, DT, now, ahead)
+        if index > 10:  # before, the confidence is the difference of two numbers that are nearly equal
+            same(np.stack([now, ahead], axis=1), expected, 1e-4, scale=1.0)
+    same(covariance(ours.state), theirs.state.S, 1e-4)
+
+
 def test_fade_and_variances(core: Core) -> None:
     for here, ahead in ((0.5, 0.2), (0.5, -0.1), (0.2, 0.5), (-0.1, -0.2), (0.0, -1.0)):
         assert core.fade(here, ahead) == fade(here, ahead)
@@ -262,7 +281,9 @@ def test_s_stays_symmetric_and_positive_definite_in_float(core32: Core, tmp_path
     parts = [LONG, *(FOLDER / "numerics").glob("*.c"), FOLDER / "control/reference_model.c"]
     parts += [FOLDER / f"control/laws/{name}.c" for name in ("kalman_state", "kalman_last_layer", "last_layer")]
     parts += [FOLDER / "protocol/geometry.c"]
-    run([*compiler(), *Variant("float").flags, "-shared", "-fPIC", *map(str, parts), "-lm", "-o", str(library)])
+    run(
+        [*compiler(), *Variant("float", OPTIONS).flags, "-shared", "-fPIC", *map(str, parts), "-lm", "-o", str(library)]
+    )
     config, n = kalman_config(noise=0.3, tracking_gain=0.0), 21
     variance, long_run = prior_variance(config, n - 1), ctypes.CDLL(str(library))
     for name in ("run_filter", "run_law"):

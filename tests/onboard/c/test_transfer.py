@@ -1,6 +1,5 @@
 """From chunks to a feature set: the C core against protocol.feature_codec and protocol.transfer."""
 
-import ctypes
 import dataclasses
 from typing import Any
 
@@ -188,12 +187,10 @@ def test_an_empty_extension_is_a_value_of_another_kind(core: Core, code: int) ->
 
 
 def c_chunk(core: Core, chunk: FeatureChunk) -> Any:
-    """The chunk in C; its bytes stay alive with it."""
-    target, data = core.FeatureChunk(), octets(chunk.data)
-    target.version, target.index, target.count = chunk.version, chunk.index, chunk.count
+    """The chunk in C."""
+    target = core.FeatureChunk(version=chunk.version, index=chunk.index, count=chunk.count, size=len(chunk.data))
     view(target.digest)[:] = np.frombuffer(chunk.digest, np.uint8)
-    target.size, target.data = len(chunk.data), ctypes.cast(data, ctypes.POINTER(ctypes.c_uint8))
-    target.keep = data
+    view(target.data)[: target.size] = np.frombuffer(chunk.data, np.uint8)
     return target
 
 
