@@ -20,7 +20,8 @@ from configs.realtime import RealtimeConfig
 from flight_log.schema import CLOCK_OFFSET, RecordType
 from flight_log.writer import FlightLogWriter
 from onboard.control.actuators import CATCH_UP_MAX
-from onboard.core import OnboardCore, OnboardOutput
+from onboard.core import OnboardOutput
+from onboard.cores import AnyCore
 from onboard.links.frame_stream import FrameStream
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
@@ -82,7 +83,7 @@ class OnboardProcess:
 
     def __init__(
         self,
-        core: OnboardCore,
+        core: AnyCore,
         realtime: RealtimeConfig,
         period_ns: int,
         sockets: Sockets,

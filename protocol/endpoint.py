@@ -37,6 +37,14 @@ RATE_BURST: Final = 256
 Role = Literal["onboard", "offboard"]
 
 
+def mismatch_text(peer_layout: bytes, layout: bytes) -> str:
+    """The report of a layout of the peer that is not ours."""
+    return (
+        f"samples and features are refused: the peer's `features` section and sample layout have digest "
+        f"{peer_layout.hex()[:8]}, ours {layout.hex()[:8]}; start both sides with the same configuration"
+    )
+
+
 class Endpoint:
     """Encodes our messages and decodes the peer's.
 
@@ -107,10 +115,7 @@ class Endpoint:
         """What to report if the peer's features or sample layout differ; empty otherwise."""
         if self.peer_layout in (None, self.layout) or self.layout == NO_LAYOUT:
             return ""
-        return (
-            f"samples and features are refused: the peer's `features` section and sample layout have digest "
-            f"{self.peer_layout.hex()[:8]}, ours {self.layout.hex()[:8]}; start both sides with the same configuration"
-        )
+        return mismatch_text(self.peer_layout, self.layout)
 
     def encode(self, message: Message, now_ns: int) -> bytes:
         """Encode a message as a datagram with the next sequence number.

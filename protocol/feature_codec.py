@@ -126,7 +126,8 @@ def _shapes(m: int, widths: list[int]) -> list[tuple[int, ...]]:
 def _floats(data: bytes, dtype: str) -> Array:
     if len(data) % int(dtype[-1]):
         raise ProtocolError("undecodable", f"{len(data)} bytes are not a whole number of floats")
-    return np.frombuffer(data, dtype=dtype).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN, which is refused like any other
+        return np.frombuffer(data, dtype=dtype).astype(np.float64)
 
 
 def _split(flat: Array, shapes: list[tuple[int, ...]]) -> list[Array]:

@@ -2,6 +2,27 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Final
+
+REJECTIONS: Final[tuple[str, ...]] = (
+    "",
+    "length",
+    "version",
+    "type",
+    "vehicle",
+    "mac",
+    "session",
+    "duplicate",
+    "too_old",
+    "sequence",
+    "rate",
+    "body",
+    "value",
+    "layout",
+    "time_sync",
+    "not_alive",
+)
+"""Why a datagram may be rejected, in the order of the checks (docs/protocol.md). not_alive: onboard's own check."""
 
 
 @dataclass(slots=True)
@@ -22,7 +43,7 @@ class LinkStatistics:
     sessions: int = 0
     """Sessions of the peer that were accepted; more than one means that it restarted."""
     rejected: Counter[str] = field(default_factory=Counter)
-    """By reason: length, version, type, vehicle, mac, session, too_old, sequence, rate, body, value, time_sync."""
+    """By reason, of REJECTIONS; duplicates are counted in `duplicate`."""
     last_received_ns: int | None = None
     longest_gap_ns: int = 0
     """Longest time between two received datagrams."""

@@ -37,7 +37,7 @@ class OnboardOutput(Protocol):
 
 
 class Onboard(Protocol):
-    """onboard.core.OnboardCore."""
+    """onboard.cores.AnyCore."""
 
     def tick(self, now_ns: int, from_vehicle: list[bytes], from_offboard: list[bytes]) -> OnboardOutput:
         """One control period, with the datagrams that have arrived since the last one."""

@@ -17,12 +17,14 @@ from experiments.flights.realtime_flight import FlightStartError, require_free_p
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.memory.learning import remember
 from offboard.memory.folder import memory_file
+from onboard.cores import CORES
 from protocol.keys import load_keys
 
 EXAMPLES = """examples:
   dmrac fly                                   the default scenario, figure8_wind, in real time
   dmrac fly rotor_chip --controller pid       the same fault with another controller
   dmrac fly figure8_wind --lockstep --seed 7  in virtual time: repeatable, several times faster
+  dmrac fly figure8_wind --lockstep --core c  the same with the onboard core in C
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
   dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
 
@@ -40,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="of the whole flight, s (default: the scenario's)")
     parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
     parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
+    parser.add_argument("--core", choices=CORES, default="numpy", help="lockstep: the onboard core (default: numpy)")
     parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
     parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
@@ -57,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
+    if arguments.core != "numpy" and not arguments.lockstep:
+        raise ConfigError(f"--core {arguments.core}: only with --lockstep")
     if arguments.view and arguments.lockstep:
         raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
     if arguments.web and not arguments.view:
@@ -73,7 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with live_view(folder, arguments.web) if arguments.view else nullcontext() as wait_for_viewer:
             command = repeat_command(arguments, config)
-            summary = fly_logged(config, folder, arguments.lockstep, not arguments.no_offboard, command, console)
+            with_offboard, core = not arguments.no_offboard, arguments.core
+            summary = fly_logged(config, folder, arguments.lockstep, with_offboard, command, console, core)
             print_summary(summary, folder, console)
             if arguments.remember:
                 console.print(f"memory          {remember(arguments.memory, folder)}", soft_wrap=True, highlight=False)
@@ -98,6 +104,7 @@ def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
     words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]
+    words += ["--core", arguments.core] if arguments.core != "numpy" else []
     for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]
     return shlex.join(words)

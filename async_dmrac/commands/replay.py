@@ -1,4 +1,4 @@
-"""`dmrac replay`: repeats a flight in lockstep with the deliveries of its link, or bit for bit in a new core."""
+"""`dmrac replay`: repeats a flight in lockstep with the deliveries of its link, or in a new core."""
 
 import argparse
 from pathlib import Path
@@ -8,6 +8,7 @@ from rich.console import Console
 
 from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
+from onboard.cores import CORES
 
 if TYPE_CHECKING:
     from experiments.replays.recorded_flight import RecordedFlight
@@ -16,6 +17,7 @@ EXAMPLES = """examples:
   dmrac replay flights/2026-01-01_120000_blackout                   the same flight again, in lockstep
   dmrac replay flights/... --controller pid                         another controller with the same link
   dmrac replay flights/... --check                                  does this onboard code give the same bits?
+  dmrac replay flights/... --check --core c                         does the C core decide the same?
   dmrac replay flights/... --save-trace configs/dropouts/mine.csv   store the deliveries of its link for dmrac dropouts
 """
 
@@ -29,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check", action="store_true", help="give onboard's logged inputs to a new core and compare all bits"
     )
+    parser.add_argument(
+        "--core",
+        choices=CORES,
+        help="with --check: the onboard core (default: the recorded one, which gives equal bits)",
+    )
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
     parser.add_argument(
         "--save-trace", type=Path, metavar="FILE", help="only write the link's deliveries to a .csv file"
@@ -36,15 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay; return 0 (the vehicle survived, or all bits are equal) or 1 (it crashed, or bits differ)."""
+    """Replay; return 0 (the vehicle survived, or the outputs agree) or 1 (it crashed, or they differ)."""
     from experiments.replays.recorded_flight import read_recorded
 
     if arguments.check and (arguments.controller or arguments.seed is not None):
         raise ConfigError("--check: compares with the recorded flight; it takes no --controller and no --seed")
+    if arguments.core and not arguments.check:
+        raise ConfigError(f"--core {arguments.core}: only with --check")
     flight = read_recorded(arguments.flight)
     if arguments.save_trace is not None:
         return save_trace(flight, arguments.save_trace)
-    return check(flight, arguments.key_file) if arguments.check else replay(flight, arguments)
+    return check(flight, arguments.key_file, arguments.core) if arguments.check else replay(flight, arguments)
 
 
 def replay(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
@@ -64,11 +73,11 @@ def replay(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
     return 0 if again.survived else 1
 
 
-def check(flight: "RecordedFlight", key_file: Path | None) -> int:
-    """Compare bit for bit; print the result of each onboard log."""
+def check(flight: "RecordedFlight", key_file: Path | None, core: str | None) -> int:
+    """Compare with the logged outputs; print the result of each onboard log."""
     from experiments.replays.replay_check import check_flight
 
-    results = check_flight(flight, key_file)
+    results = check_flight(flight, key_file, core)
     for result in results:
         plain_console().print(str(result))
     return 0 if all(result.equal for result in results) else 1

@@ -18,7 +18,7 @@ from offboard.memory.folder import read_memory
 from offboard.memory.memory import UnusableMemoryError
 from offboard.memory.memory_file import is_memory
 from onboard.control.interface import Controller, LearningController
-from onboard.core import OnboardCore
+from onboard.cores import AnyCore
 
 CHANNEL_KEYS: Final = ("position_last_layer", "attitude_last_layer")
 
@@ -28,7 +28,7 @@ def learns(controller: Controller) -> bool:
     return isinstance(controller, LearningController) and controller.accepts_features
 
 
-def dump_learnt(onboard: OnboardCore, offboard: Any) -> bytes:
+def dump_learnt(onboard: AnyCore, offboard: Any) -> bytes:
     """Return what the flight learnt as the content of a file; an archive without arrays if nothing adapts."""
     arrays: dict[str, Any] = {}
     controller = onboard.controller
@@ -68,7 +68,7 @@ def read_experience(config: FlightConfig) -> bytes | None:
         raise ConfigError(f"experience: {path}: cannot be read: {error.strerror}") from None
 
 
-def start_from(data: bytes, onboard: OnboardCore, offboard: Any, frozen: bool = False) -> None:
+def start_from(data: bytes, onboard: AnyCore, offboard: Any, frozen: bool = False) -> None:
     """Load what was learnt into the cores, before their first step.
 
     A trainer that goes on learning also gets the samples: without them its first rounds, on a few seconds of the new

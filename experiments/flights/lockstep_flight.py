@@ -14,7 +14,7 @@ from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from offboard.training.fleet import Fleet
 from offboard.training.job import TrainingResult
-from onboard.core import OnboardCore
+from onboard.cores import AnyCore, build_core
 from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
 from protocol.conventions import Array
@@ -43,7 +43,7 @@ class LockstepOutcome:
     crash_reason: str
     """Empty if the vehicle survived."""
     onboard: dict[str, Any]
-    """onboard.core.OnboardCore.summary()."""
+    """onboard.cores.AnyCore.summary()."""
     offboard: dict[str, Any] | None
     radio: dict[str, dict[str, int]]
     trace_sha256: str
@@ -63,19 +63,21 @@ def build(
     with_offboard: bool = True,
     recorded: Deliveries | None = None,
     fleet: Fleet | None = None,
-) -> tuple[Lockstep[TrainingResult], OnboardCore, OffboardCore | None, Radio]:
+    core: str = "numpy",
+) -> tuple[Lockstep[TrainingResult], AnyCore, OffboardCore | None, Radio]:
     """Return the connected cores of a flight: lockstep, onboard, offboard (None if absent) and radio.
 
     with_offboard: without it no pose comes, and the vehicle is armed without one.
     recorded: deliveries that replace those of the configured radio.
     fleet: other vehicles of the same trainer.
+    core: the onboard core, one of onboard.cores.CORES.
     """
     config = config if with_offboard else with_pose_wait(config)
     network = config.network
     keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
     vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle)
     radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
-    onboard = OnboardCore(config.onboard, ONBOARD_SESSION, keys.offboard, keys.vehicle, keys.ground)
+    onboard = build_core(core, config.onboard, ONBOARD_SESSION, keys)
     offboard = build_offboard(config, OFFBOARD_SESSION, fleet) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
     return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
@@ -93,6 +95,7 @@ def fly_lockstep(
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
     fleet: Fleet | None = None,
+    core: str = "numpy",
 ) -> LockstepOutcome:
     """Fly a scenario in virtual time, until its duration is over or the vehicle crashes.
 
@@ -102,13 +105,14 @@ def fly_lockstep(
     recorded: deliveries of an earlier flight, by direction, for the datagrams of this one
         (sim_vehicle.link.radio.RecordedDeliveries).
     fleet: the vehicles of the same trainer, which have flown before; this one joins them.
+    core: the onboard core, one of onboard.cores.CORES.
 
     Raises
     ------
     ConfigError
-        If the experience cannot be read, or does not fit this flight.
+        If the experience cannot be read, or does not fit this flight, or the core cannot fly it.
     """
-    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet)
+    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet, core)
     experience = read_experience(config) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")

@@ -27,14 +27,20 @@ class LockstepLog:
     ----------
     with_offboard: whether the flight has an offboard side; recorded for replays.
     experience: content of the file that the flight starts from; None: of the file in the configuration, if any.
+    core: name of the onboard core; recorded for replays.
     """
 
     def __init__(
-        self, folder: Path, config: FlightConfig, with_offboard: bool = True, experience: bytes | None = None
+        self,
+        folder: Path,
+        config: FlightConfig,
+        with_offboard: bool = True,
+        experience: bytes | None = None,
+        core: str = "numpy",
     ) -> None:
         given = {name for name, value in config.network if value is not None}
         metadata = {"seed": str(config.seed), "scenario": config.scenario, "clock": "lockstep"}
-        metadata |= {"session": str(ONBOARD_SESSION), "with_offboard": str(with_offboard)}
+        metadata |= {"session": str(ONBOARD_SESSION), "with_offboard": str(with_offboard), "core": core}
         metadata |= {"keyed": str(bool({"key_file", "vehicle_key_file", "ground_key_file"} & given))}
         attachments = {"config.yaml": config.to_yaml().encode()}
         experience = read_experience(config) if experience is None else experience
@@ -99,10 +105,11 @@ def fly_and_log(
     with_offboard: bool,
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
+    core: str = "numpy",
 ) -> LockstepOutcome:
     """Fly in lockstep and write the logs into `folder`. Parameters and errors as of `fly_lockstep`."""
-    with LockstepLog(folder, config, with_offboard, experience) as log:
-        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded)
+    with LockstepLog(folder, config, with_offboard, experience, core) as log:
+        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded, core=core)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
     return outcome

@@ -19,6 +19,7 @@ def fly_logged(
     with_offboard: bool = True,
     command: str = "",
     console: Console | None = None,
+    core: str = "numpy",
 ) -> dict[str, Any]:
     """Fly once and write the complete record into `folder`; return the content of summary.json.
 
@@ -26,6 +27,7 @@ def fly_logged(
     ----------
     command: the command line that repeats this flight, for the record.
     console: shows the live status of a real-time flight; None: no output.
+    core: the onboard core of a lockstep flight, one of onboard.cores.CORES.
 
     Raises
     ------
@@ -43,7 +45,7 @@ def fly_logged(
     if lockstep:
         from experiments.flights.lockstep_log import fly_and_log
 
-        outcome = fly_and_log(config, folder, with_offboard)
+        outcome = fly_and_log(config, folder, with_offboard, core=core)
         summary, trace = lockstep_summary(config, outcome), outcome.trace
     else:
         summary, trace = fly_in_real_time(config, folder, console or Console(quiet=True))

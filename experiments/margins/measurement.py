@@ -110,7 +110,7 @@ def measure(config: FlightConfig, channel: int, band: Band | None = None) -> lis
     excitation = np.tile(_multisine(band, harmonics, ticks), (band.periods + 1, 1))
     lockstep, onboard, _, _ = build(config)
     excited = Excited(onboard.controller, channel, excitation)
-    onboard.controller = excited  # type: ignore[assignment]
+    onboard.controller = excited
     for _ in range(round(config.duration_s / period_s)):
         result = lockstep.step()
         excited.flying = int(result.onboard.tick[0]) == FlightMode.FLYING

@@ -35,6 +35,8 @@ class RecordedFlight:
     lockstep: bool
     experience: bytes | None
     """Experience that a lockstep flight started from; None for none."""
+    core: str
+    """Name of the onboard core, of onboard.cores.CORES."""
 
 
 def read_recorded(path: Path) -> RecordedFlight:
@@ -62,6 +64,7 @@ def read_recorded(path: Path) -> RecordedFlight:
         with_offboard=about.get("with_offboard", "True") == "True",
         lockstep=about.get("clock") == "lockstep",
         experience=onboard[-1].attachments.get(EXPERIENCE) if onboard else None,
+        core=about.get("core", "numpy"),
     )
 
 

@@ -114,7 +114,7 @@ def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> Lockste
     if not any(flight.deliveries.values()):
         raise ConfigError(f"{flight.path}: holds no radio/delivery records, so there are no deliveries to fly again")
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
-    outcome = fly_and_log(config, folder, flight.with_offboard, flight.experience, flight.deliveries)
+    outcome = fly_and_log(config, folder, flight.with_offboard, flight.experience, flight.deliveries, flight.core)
     write_summary(folder, lockstep_summary(config, outcome) | {"replay_of": str(flight.path.resolve())})
     return outcome
 

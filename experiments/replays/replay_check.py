@@ -3,7 +3,8 @@
 The datagram log in onboard's log contains the time and the missed ticks of each tick, every datagram that it received,
 and every datagram that it sent. A core has no clock and no randomness of its own. So a new core with the same
 configuration, session number and key must give the same motor datagrams, datagrams to offboard and ground, and tick
-records. This needs the same machine, or one with the same numpy and processor family: others round differently.
+records. This needs the same machine, or one with the same numpy and processor family: others round differently. So does
+the other core (onboard.cores): it must decide the same, and command the same but for rounding.
 """
 
 import contextlib
@@ -12,24 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from configs.loader import ConfigError
 from experiments.flights.carried_experience import learns, start_from
+from experiments.replays.judges import OUTPUTS, Finding, Judge, Row, SameBits, SameDecisions
 from experiments.replays.recorded_flight import RecordedFlight
 from flight_log.log_file import LogFile
-from onboard.core import OnboardCore, OnboardOutput
+from onboard.core import OnboardOutput
+from onboard.cores import AnyCore, build_core
 from onboard.preflight.certificate import Clearance
 from onboard.record.datagram_log import TOPIC, Entry, LoggedTick, read_tick
 from onboard.record.tick import TICK
 from protocol.keys import LinkKeys, load_keys
-
-OUTPUTS: Final = (
-    (Entry.TO_VEHICLE, "motor datagram", "to_vehicle"),
-    (Entry.TO_OFFBOARD, "datagram to offboard", "to_offboard"),
-    (Entry.TO_GROUND, "datagram to the ground station", "to_ground"),
-)
 
 
 @dataclass(frozen=True)
@@ -64,10 +58,12 @@ class CheckResult:
     difference: Difference | None
     incomplete: str
     """Reason why the log was not checked to its end; "" if it was."""
+    verdict: str = SameBits.verdict
+    """What a log without difference has shown."""
 
     @property
     def equal(self) -> bool:
-        """Whether the complete log was checked and all bits are equal."""
+        """Whether the complete log was checked and there is no difference."""
         return self.difference is None and not self.incomplete
 
     def __str__(self) -> str:
@@ -75,37 +71,40 @@ class CheckResult:
         line = f"{self.name}: {self.ticks} ticks, {self.datagrams_in} datagrams in, {self.datagrams_out} out"
         line += f", {self.failed_steps} failed steps" if self.failed_steps else ""
         if self.difference is None:
-            line += f": equal bit for bit, {self.rows} tick records included"
+            line += f": {self.verdict}, {self.rows} tick records included"
         else:
             line += f"; FIRST DIFFERENCE: {self.difference}"
         return f"{line}; NOT CHECKED further: {self.incomplete}" if self.incomplete else line
 
 
-def check_flight(flight: RecordedFlight, key_file: Path | None = None) -> list[CheckResult]:
+def check_flight(flight: RecordedFlight, key_file: Path | None = None, core: str | None = None) -> list[CheckResult]:
     """Check every run of the onboard process of a flight.
 
     Parameters
     ----------
     key_file: the link's key; None: the one in the flight's configuration.
+    core: one of onboard.cores.CORES; None: the one that flew, which must give the same bits.
 
     Raises
     ------
     ConfigError
-        If there is nothing to check, or a key is needed and missing.
+        If there is nothing to check, a key is needed and missing, or the core cannot fly this flight.
     """
     if not flight.onboard_logs:
         raise ConfigError(f"{flight.path}: holds no log of onboard")
-    return [check_log(flight, log, key_file) for log in flight.onboard_logs]
+    return [check_log(flight, log, key_file, core) for log in flight.onboard_logs]
 
 
-def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> CheckResult:
+def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None, core: str | None = None) -> CheckResult:
     """Check one log. Raises ConfigError as `check_flight` does."""
     if TOPIC not in log.raw:
         raise ConfigError(f"{log.path}: holds no {TOPIC}, so there is nothing to compare with")
-    return _Check(log, _fresh_core(flight, log, key_file)).run()
+    flew = log.metadata.get("core", "numpy")
+    judge = SameBits() if core in (None, flew) else SameDecisions(log)
+    return _Check(log, _fresh_core(flight, log, key_file, core or flew), judge).run()
 
 
-def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> OnboardCore:
+def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None, name: str) -> AnyCore:
     session = log.metadata.get("session", "")
     if not session.isdigit():
         raise ConfigError(f"{log.path}: does not name its session")
@@ -115,7 +114,7 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None) -> 
         named = str(key_file) if key_file is not None else network.key_file
         keys = load_keys(named, network.vehicle_key_file, network.ground_key_file)
     clearance = Clearance(log.metadata.get("arming_bar", ""), log.metadata.get("notice", ""))
-    core = OnboardCore(flight.config.onboard, int(session), keys.offboard, keys.vehicle, keys.ground, clearance)
+    core = build_core(name, flight.config.onboard, int(session), keys, clearance)
     over_link = learns(core.controller) and flight.with_offboard
     if flight.experience is not None and not over_link:
         start_from(flight.experience, core, None)
@@ -128,9 +127,11 @@ INPUTS: Final = (Entry.FROM_VEHICLE, Entry.FROM_OFFBOARD, Entry.FROM_GROUND, Ent
 class _Check:
     """One pass over one datagram log."""
 
-    def __init__(self, log: LogFile, core: OnboardCore) -> None:
+    def __init__(self, log: LogFile, core: AnyCore, judge: Judge) -> None:
         self._log = log
         self._core = core
+        self._judge = judge
+        self._last: LoggedTick | None = None
         self._ticks = self._rows = self._in = self._out = self._failed = 0
         self._start_ns = 0
         self._incomplete = ""
@@ -139,9 +140,12 @@ class _Check:
     def run(self) -> CheckResult:
         difference = None
         for tick in self._datagrams():
+            self._last = tick
             difference = self._compare(tick)
             if difference is not None:
                 break
+        if difference is None and not self._incomplete and self._last is not None:
+            difference = self._difference(self._last, self._judge.at_end())
         return CheckResult(
             self._log.path.name,
             self._ticks,
@@ -151,9 +155,10 @@ class _Check:
             self._failed,
             difference,
             self._incomplete,
+            self._judge.verdict,
         )
 
-    def _rows_by_time(self) -> dict[int, NDArray[np.float64]]:
+    def _rows_by_time(self) -> dict[int, Row]:
         topic = self._log.vectors.get(TICK.topic)
         if topic is None:
             return {}
@@ -180,18 +185,12 @@ class _Check:
         self._ticks += 1
         self._failed += failed
         if failed != tick.failed:
-            return self._difference(tick, "step", *("raised" if it else "done" for it in (tick.failed, failed)))
+            raised = ("raised" if it else "done" for it in (tick.failed, failed))
+            return self._difference(tick, Finding("step", *raised))
         row = self._row_of.get(tick.now_ns)
-        if row is not None:
-            self._rows += 1
-            found = self._first_field(tick, row, output.tick)
-            if found is not None:
-                return found
-        for kind, name, attribute in OUTPUTS:
-            found = self._first_datagram(tick, name, tick.of(kind), getattr(output, attribute))
-            if found is not None:
-                return found
-        return None
+        self._rows += row is not None
+        self._out += sum(len(getattr(output, attribute)) for _, _, attribute in OUTPUTS)
+        return self._difference(tick, self._judge.compare(tick, row, output))
 
     def _step(self, tick: LoggedTick) -> tuple[OnboardOutput, bool]:
         """One tick as the process does it; the safe output if it raises."""
@@ -204,29 +203,5 @@ class _Check:
                 return self._core.safe_output(tick.now_ns), True
             return OnboardOutput(), True
 
-    def _first_field(
-        self, tick: LoggedTick, logged: NDArray[np.float64], replayed: NDArray[np.float64]
-    ) -> Difference | None:
-        differs = np.flatnonzero(logged.view(np.int64) != replayed.view(np.int64))
-        if not differs.size:
-            return None
-        first = int(differs[0])
-        more = f" (and {differs.size - 1} more fields)" if differs.size > 1 else ""
-        name = f"{TICK.topic} {TICK.names[first]}"
-        return self._difference(tick, name, repr(float(logged[first])), repr(float(replayed[first])) + more)
-
-    def _first_datagram(
-        self, tick: LoggedTick, name: str, logged: list[bytes], replayed: list[bytes]
-    ) -> Difference | None:
-        self._out += len(replayed)
-        if len(logged) != len(replayed):
-            return self._difference(tick, f"number of {name}s", str(len(logged)), str(len(replayed)))
-        for ours, theirs in zip(logged, replayed, strict=True):
-            if ours != theirs:
-                at = next((i for i, (a, b) in enumerate(zip(ours, theirs, strict=False)) if a != b), len(ours))
-                shown = (datagram[at : at + 8].hex() or "nothing" for datagram in (ours, theirs))
-                return self._difference(tick, f"{name}, byte {at}", *shown)
-        return None
-
-    def _difference(self, tick: LoggedTick, field: str, logged: str, replayed: str) -> Difference:
-        return Difference(tick.number, (tick.now_ns - self._start_ns) * 1e-9, field, logged, replayed)
+    def _difference(self, tick: LoggedTick, found: Finding | None) -> Difference | None:
+        return None if found is None else Difference(tick.number, (tick.now_ns - self._start_ns) * 1e-9, *found)

@@ -21,6 +21,8 @@ from pydantic.fields import FieldInfo
 from onboard.config import OnboardConfig
 from onboard.control.cascade import CascadedController, CascadeSettings
 from onboard.flight.trajectory import Lissajous, Swing, swings
+from protocol.feature_config import feature_digest
+from protocol.messages import LAYOUT_BYTES
 
 OUTSIDE: Final[dict[str, str]] = {
     "OnboardConfig.realtime": "of the process around the core",
@@ -30,26 +32,13 @@ OUTSIDE: Final[dict[str, str]] = {
     "OnboardConfig.pose_wait_s": "the same",
     "OnboardConfig.seed": "what is drawn by it is in the image",
     "Lissajous.seed": "what is drawn by it is in the image",
+    "OnboardConfig.features": "the features that a flight starts with are given to the core beside the image",
     "CascadeSettings.features": "the same as OnboardConfig.features",
 }
 """Fields that the C core does not need, by record and name, and why."""
-NOT_YET: Final = (
-    "OnboardConfig.vehicle_id",
-    "OnboardConfig.status_period_s",
-    "OnboardConfig.time_sync_period_s",
-    "OnboardConfig.features",
-)
+NOT_YET: Final[tuple[str, ...]] = ()
 """Fields of rooms that are not written in C yet (README.md)."""
-UNREAD_YET: Final = frozenset(
-    {
-        *(f"CoreConfig.{name}" for name in ("period_ns", "controller", "guidance", "supervisor", "samples")),
-        *(f"CoreConfig.{name}" for name in ("estimator", "lissajous", "thrust_scale")),
-        *("CascadeSettings", "ChannelSettings", "KalmanConfig"),
-        *("GuardConfig", "VersionTestConfig", "WatchConfig"),
-        *("Lissajous.length_m", "Lissajous.width_m", "Lissajous.period_s"),
-        "AdaptiveConfig.rbf_width",
-    }
-)
+UNREAD_YET: Final[frozenset[str]] = frozenset()
 """Fields, or whole records, that are in the table although no C file reads them yet."""
 CASCADE: Final = f"{CascadedController.__module__}:{CascadedController.__name__}"
 LEAF_BYTES: Final = 8
@@ -172,6 +161,11 @@ def _swings(config: OnboardConfig) -> tuple[Swing, Swing]:
     return swings(path) if isinstance(path, Lissajous) else (still, still)
 
 
+def _digest(config: OnboardConfig) -> bytes:
+    """What the peer's features and sample layout must have: a digest of texts, which stay outside."""
+    return feature_digest(config.features)
+
+
 def record_of(model: type[BaseModel]) -> Record:
     """The structure of a configuration record. Raises TableError for a field that C cannot have."""
     fields: list[Field] = []
@@ -238,10 +232,11 @@ def camel(name: str) -> str:
 
 @lru_cache(maxsize=1)
 def table() -> Record:
-    """The whole configuration of the core, and what is drawn at random of it."""
+    """The whole configuration of the core, and what is drawn or computed of it."""
     swing = Record("Swing", tuple(Field(name, Leaf("real"), "", attrgetter(name)) for name in Swing._fields))
     drawn = Field("lissajous", Several(swing, 2, counted=False), "north and east; zero on another path", _swings)
-    return Record("CoreConfig", (*record_of(OnboardConfig).fields, drawn))
+    digest = Field("layout", Several(Leaf("int32_t"), LAYOUT_BYTES, counted=False), "bytes of feature_digest", _digest)
+    return Record("CoreConfig", (*record_of(OnboardConfig).fields, drawn, digest))
 
 
 def walk(node: Node) -> Iterator[Node]:

@@ -15,6 +15,7 @@ PLAIN: Final[dict[str, Any]] = {
     "float": ctypes.c_float,
     "_Bool": ctypes.c_bool,
     "int": ctypes.c_int,
+    "char": ctypes.c_char,
     "int8_t": ctypes.c_int8,
     "int16_t": ctypes.c_int16,
     "int32_t": ctypes.c_int32,

@@ -4,8 +4,13 @@ from math import degrees
 from typing import Any, Final
 
 from onboard.c.constants_table import ENUMERATIONS
+from onboard.control.guard import LAWS, Level
 from onboard.estimation.calibration import CALIBRATING, MOVED
 from onboard.estimation.imu_conditioning import AXES
+from onboard.links.offboard import PEER_RESTARTED
+from protocol.endpoint import mismatch_text
+from protocol.messages import REFUSALS
+from protocol.signals import CHANNELS
 
 _MODES, _EVENTS, _COMMANDS = (list(ENUMERATIONS[prefix]) for prefix in ("MODE", "EVENT", "COMMAND"))
 _REFUSALS: Final = (
@@ -100,3 +105,31 @@ def estimator_text(event: Any) -> str:
             return f"{MOVED}: {sensor} {AXES[number % 3]} off by {values[0]:+.2g} {unit}"
         case _:
             return _bias_text(number, values[0], values[1])
+
+
+def link_text(event: Any) -> str:
+    """The text of a LinkEvent."""
+    return PEER_RESTARTED if event.kind == 0 else mismatch_text(bytes(event.peer_layout), bytes(event.layout))
+
+
+def version_text(outcome: Any) -> str:
+    """The text of what became of the version in a VersionOutcome that had one."""
+    if outcome.refusal:
+        return f"features {outcome.version} refused: {REFUSALS[outcome.refusal]}"
+    return f"features {outcome.version} in use, parent {outcome.parent}, {outcome.samples} samples"
+
+
+_FALL_REASONS: Final = ("misfit of", "model error of", "steep or high ahead in")
+"""Of each FallReason of control/guard.h."""
+
+
+def fall_text(fall: Any) -> str:
+    """The text of a Fall."""
+    reason = f"guard: {_FALL_REASONS[fall.reason]} {CHANNELS[fall.channel]}"
+    match fall.kind:
+        case 0:
+            return f"{reason}: version {fall.refused} taken back, version {fall.flying} flies"
+        case 1:
+            return f"{reason}: {LAWS[Level(fall.level)]} flies"
+        case _:
+            return f"guard: version {fall.flying} flies after its audition"

@@ -27,7 +27,8 @@ from onboard.c.config_table import (
     table,
     walk,
 )
-from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, transitions
+from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, mode_sets, transitions
+from protocol.signals import SIGNAL_NAMES
 
 FOLDER: Final = Path(__file__).resolve().parent
 """The root of the C sources."""
@@ -103,6 +104,8 @@ def _guarded(name: str, body: str) -> str:
 def _constants() -> str:
     lines = ["#include <stdint.h>\n", '#include "numerics/real.h"\n']
     lines += [f"#define {name} {literal(value)} /* {module} */" for name, value, module in constants()]
+    lines.append(f"#define SIGNAL_NAMES {', '.join(map(literal, SIGNAL_NAMES))} /* protocol.signals */")
+    lines += [f"#define {name.upper()}_COUNT {len(members)}" for name, members in enumerations()]
     lines += [_numbered(name, members) for name, members in enumerations()]
     return _guarded("constants", "\n".join(lines) + "\n")
 
@@ -131,6 +134,8 @@ def _modes_header() -> str:
     lines = ["#include <stdbool.h>\n#include <stdint.h>\n"]
     lines += [f"#define {members[0].split('_')[0]}_COUNT {len(members)}" for name, members in kinds if name == "Event"]
     lines += [_numbered(name, members) for name, members in kinds]
+    lines.append("\n/* Sets of modes: bit `mode` is set for each of them. */")
+    lines += [f"#define {name} ({' | '.join(f'1U << {one}' for one in members)})" for name, members in mode_sets()]
     return _guarded("modes", "\n".join([*lines, _TRANSITION]))
 
 

@@ -136,6 +136,9 @@ class Core(SimpleNamespace):
 
     real: Any
 
+    def __repr__(self) -> str:
+        return f"Core({self.real})"  # not all that it declares: a failed test shows it
+
 
 DEFAULT: Final = Variant()
 

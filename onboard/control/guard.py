@@ -92,6 +92,7 @@ class Kept(NamedTuple):
     """A version that may be needed again, with all that the laws had learnt with it."""
 
     version: int
+    content: bytes
     learnt: tuple[Learnt | None, Learnt | None]
 
 
@@ -127,7 +128,7 @@ class Guard:
         self.version = 0
         self.limited = [0, 0]
         """Ticks in which the room was too small, per channel."""
-        self._good = Kept(0, self._learnt())
+        self._good = Kept(0, b"", self._learnt())
         self._proven = True
         self._content: bytes = b""
         self._refused: set[bytes] = set()
@@ -238,7 +239,7 @@ class Guard:
                 kept = self._good.learnt[channel]
                 assert kept is not None
                 learner.restore(kept, self._watches[channel].d)
-            self.version, self._proven = self._good.version, True
+            self.version, self._content, self._proven = self._good.version, self._good.content, True
             self._enter(Level.MAP)
             self._say(bad, f"{reason}: version {bad} taken back, version {self.version} flies")
             return
@@ -283,7 +284,7 @@ class Guard:
         if refusal or not plans:
             return refusal
         if self._proven and self.level is Level.MAP:
-            self._good = Kept(self.version, self._learnt())
+            self._good = Kept(self.version, self._content, self._learnt())
         for channel, new, plan in plans:
             self._learners[channel].commit(new, plan)
         self.version, self._content, self._proven = features.version, content, False

@@ -28,13 +28,14 @@ from protocol.signals import SIGNAL_INDEX
 
 Size = Annotated[float, Field(gt=0, le=1e4)]
 BOX_POINTS: Final = 32
+BOX_AXES: Final = 15
 PATH_POINTS: Final = 16
 STEP_MIN_M: Final = 0.03
 """Least distance of two points of the path, for a vehicle at rest."""
 PLACES: Final = slice(SIGNAL_INDEX["position_n"], SIGNAL_INDEX["position_n"] + 3)
 VELOCITIES: Final = slice(SIGNAL_INDEX["velocity_n"], SIGNAL_INDEX["velocity_n"] + 3)
-CORNERS: Final = 2.0 * halton(BOX_POINTS, 15).T - 1.0
-"""[15, n], of the unit box: places, velocities, angles, body velocities, motor thrusts alike."""
+CORNERS: Final = 2.0 * halton(BOX_POINTS, BOX_AXES).T - 1.0
+"""[BOX_AXES, n], of the unit box: places, velocities, angles, body velocities, motor thrusts alike."""
 
 
 class VersionTestConfig(ConfigRecord):

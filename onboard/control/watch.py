@@ -26,6 +26,7 @@ from protocol.conventions import Array
 from protocol.geometry import Vector3, vector
 
 Seconds = Annotated[float, Field(gt=0, le=30)]
+Lag = Annotated[float, Field(gt=0, le=1)]
 Size = Annotated[float, Field(gt=0, le=1e3)]
 STRIDE: Final = 4
 """Ticks between two comparisons. The bias-only law itself runs in each."""
@@ -36,7 +37,7 @@ class WatchConfig(ConfigRecord):
     """Probation. Pairs: position channel (m/s^2), attitude channel (rad/s^2)."""
 
     enabled: Annotated[bool, Field(description="false: ablation, no law is taken back in flight")] = True
-    lag_s: Annotated[tuple[Seconds, Seconds], Field(description="s, from nu_cmd to its effect")] = (0.14, 0.05)
+    lag_s: Annotated[tuple[Lag, Lag], Field(description="s, from nu_cmd to its effect")] = (0.14, 0.05)
     average_s: Annotated[Seconds, Field(description="s, of the mean squares")] = 0.1
     margin: Annotated[float, Field(ge=1, le=10, description="worse: so many times the other law's")] = 1.5
     misfit_floor: Annotated[tuple[Size, Size], Field(description="plus this, units of u")] = (1.2, 20.0)

@@ -17,6 +17,7 @@ from protocol.feature_config import feature_digest
 from protocol.messages import FeatureChunk, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
 from protocol.statistics import LinkStatistics
 
+PEER_RESTARTED: Final = "offboard restarted"
 CLOCK_RECORD_PERIOD_NS: Final = 1_000_000_000
 AGE_MAX_MS: Final = 2**31 - 1
 GOOD_ROUND_TRIP_NS: Final = 40_000_000
@@ -115,7 +116,7 @@ class OffboardLink:
         if not restarted:
             self._next_sync_ns = now_ns
             return []
-        self._events.append((now_ns, "offboard restarted"))
+        self._events.append((now_ns, PEER_RESTARTED))
         self._next_sync_ns = min(self._next_sync_ns, self._asked_ns + self._status_period_ns)
         return [PeerRestarted()]
 

@@ -207,6 +207,8 @@ def test_a_complete_but_invalid_set_is_refused_with_its_reason(make_features: Ma
     assert refusal_of(split(data.replace(b"pitch", b"bitch"), 1, 1100)) == "inputs"
     nan = np.float16(np.nan).tobytes()
     assert refusal_of(split(data[: -len(nan)] + nan, 1, 1100)) == "not_finite"
+    signalling, wide = b"\x00\x00\xa0\x7f", encode_feature_set(make_features(), "float32")
+    assert refusal_of(split(wide[:-4] + signalling, 1, 1100)) == "not_finite"
 
 
 def test_chunks_that_disagree_with_their_version_are_ignored(make_features: Make) -> None:

@@ -13,8 +13,9 @@ void recent_init(RecentStates *self, int32_t size) {
 }
 
 /* RecentStates.push */
-void recent_push(RecentStates *self, const real signals[SIGNAL_COUNT]) {
+void recent_push(RecentStates *self, const real signals[SIGNAL_COUNT], const real residual[3]) {
     memcpy(self->ring + self->next * SIGNAL_COUNT, signals, SIGNAL_COUNT * sizeof(real));
+    memcpy(self->residuals + self->next * 3, residual, 3 * sizeof(real));
     self->next = (self->next + 1) % self->size;
     self->filled = self->filled < self->size ? self->filled + 1 : self->size;
 }
@@ -32,16 +33,15 @@ int32_t recent_states(const RecentStates *self, const real now[SIGNAL_COUNT], co
     return self->filled + 2;
 }
 
-/* Phi [k, n] of n signal vectors. */
-static void evaluate_all(const Features *features, const real *states, int32_t n, real *Phi) {
-    real z[INPUTS_MAX], column[FEATURES_MAX];
-    for (int i = 0; i < n; i++) {
-        features_select(features, states + i * SIGNAL_COUNT, z);
-        features_evaluate(features, z, column);
-        for (int j = 0; j < features->feature_count; j++) {
-            Phi[j * n + i] = column[j];
-        }
+/* RecentStates.in_order */
+int32_t recent_in_order(const RecentStates *self, real *states, real *residuals) {
+    int32_t oldest = self->filled == self->size ? self->next : 0;
+    for (int i = 0; i < self->filled; i++) {
+        int32_t at = (oldest + i) % self->size;
+        memcpy(states + i * SIGNAL_COUNT, self->ring + at * SIGNAL_COUNT, SIGNAL_COUNT * sizeof(real));
+        memcpy(residuals + i * 3, self->residuals + at * 3, 3 * sizeof(real));
     }
+    return self->filled;
 }
 
 /* out [3, n] = W' Phi */
@@ -55,10 +55,6 @@ static void outputs(const real *W, const real *Phi, int32_t k, int32_t n, real *
             out[axis * n + i] = sum;
         }
     }
-}
-
-static real norm(const real *values, int count) {
-    return real_sqrt(dot(values, values, count));
 }
 
 /* resemblance */
@@ -101,23 +97,17 @@ static void bumpless_last_layer(SwapWorkspace *work, int32_t k, int32_t n, real 
     }
 }
 
-/* eps_2: the largest change of nu_ad over the recent states */
-static real largest_jump(const SwapWorkspace *work, const real *W, int32_t k, int32_t n) {
+real column_norm(const real *change, int32_t n, int32_t column) {
+    const real one[3] = {change[column], change[n + column], change[2 * n + column]};
+    return norm(one, 3);
+}
+
+real largest_column(const real *change, int32_t n) {
     real largest = REAL(0.0);
     for (int i = 0; i < n; i++) {
-        real square = REAL(0.0);
-        for (int axis = 0; axis < 3; axis++) {
-            real change = -work->nu[axis * n + i];
-            for (int j = 0; j < k; j++) {
-                change += W[3 * j + axis] * work->Phi_bar[j * n + i];
-            }
-            square += change * change;
-        }
-        if (!(square <= largest)) { /* NaN stays */
-            largest = square;
-        }
+        largest = real_largest(largest, column_norm(change, n, i));
     }
-    return real_sqrt(largest);
+    return largest;
 }
 
 /* W_bar = theta_n + s (W - theta_n); theta_n alone where the shapes differ */
@@ -135,7 +125,8 @@ void plan_swap(const SwapConfig *config, const Features *old, const real *W, con
     int k_old = old->feature_count, k = new_features->feature_count;
     bool same_shape = k_old == k;
     memcpy(plan->W, memory, (size_t)(3 * k) * sizeof(real));
-    plan->jump = REAL(0.0);
+    memcpy(plan->theta, memory, (size_t)(3 * k) * sizeof(real));
+    plan->jump = plan->step = REAL(0.0);
     plan->refusal = REFUSAL_NONE;
     if (network_lipschitz(&new_features->network, new_features->selection.count, work->square) >
         config->lipschitz_max) {
@@ -146,21 +137,30 @@ void plan_swap(const SwapConfig *config, const Features *old, const real *W, con
     if (plan->refusal != REFUSAL_NONE || n == 0) {
         return;
     }
-    evaluate_all(old, work->states, n, work->Phi);
+    features_of_states(old, work->states, n, work->Phi);
     outputs(W, work->Phi, k_old, n, work->nu);
-    evaluate_all(new_features, work->states, n, work->Phi_bar);
+    features_of_states(new_features, work->states, n, work->Phi_bar);
     if (!config->naive) {
         weighted_memory(work, W, memory, same_shape, k, n);
         bumpless_last_layer(work, k, n, config->memory_weight * (real)n, plan->W);
     } else if (same_shape) {
         memcpy(plan->W, W, (size_t)(3 * k) * sizeof(real));
     }
-    plan->jump = largest_jump(work, plan->W, k, n);
+    outputs(plan->W, work->Phi_bar, k, n, work->change);
+    for (int i = 0; i < 3 * n; i++) {
+        work->change[i] -= work->nu[i];
+    }
+    plan->jump = largest_column(work->change, n);
     if (!real_is_finite(plan->jump)) {
         plan->refusal = REFUSAL_NOT_FINITE;
-    } else if (norm(plan->W, 3 * k) > weight_norm_max * real_sqrt(REAL(1.0) + PROJECTION_MARGIN)) {
+        return;
+    }
+    if (norm(plan->W, 3 * k) > weight_norm_max * real_sqrt(REAL(1.0) + PROJECTION_MARGIN)) {
         plan->refusal = REFUSAL_WEIGHT_NORM;
-    } else if (plan->jump > config->jump_max) {
+        return;
+    }
+    plan->step = column_norm(work->change, n, n - 1);
+    if (plan->jump > config->jump_max) {
         plan->refusal = REFUSAL_SWAP_JUMP;
     }
 }

@@ -1,5 +1,7 @@
 #include "control/features.h"
 
+#include <string.h>
+
 #include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
 
@@ -22,10 +24,14 @@ void features_init_network(Features *self, const FeatureSelection *selection, co
     take_selection(self, selection);
     self->network = *network;
     self->feature_count = network_feature_count(network);
+    memset(self->last_layer, 0, sizeof self->last_layer);
 }
 
-/* halton: a number of the sequence (Halton 1960), by its index from 1 and the base of its dimension */
-static real halton(int index, int base) {
+/* halton */
+real halton(int index, int dimension) {
+    static const int primes[INPUTS_MAX] = {2,  3,  5,  7,  11, 13, 17, 19, 23, 29, 31,
+                                           37, 41, 43, 47, 53, 59, 61, 67, 71, 73};
+    int base = primes[dimension];
     real value = REAL(0.0), fraction = REAL(1.0);
     while (index > 0) {
         fraction /= (real)base;
@@ -37,8 +43,6 @@ static real halton(int index, int base) {
 
 /* RadialFeatures.__init__ */
 void features_init_radial(Features *self, const FeatureSelection *selection, real width) {
-    static const int primes[INPUTS_MAX] = {2,  3,  5,  7,  11, 13, 17, 19, 23, 29, 31,
-                                           37, 41, 43, 47, 53, 59, 61, 67, 71, 73};
     self->kind = ADAPTIVE_FEATURES_RBF;
     take_selection(self, selection);
     self->feature_count = RBF_COUNT + 1;
@@ -48,7 +52,7 @@ void features_init_radial(Features *self, const FeatureSelection *selection, rea
         real *exponent = self->exponent + row * (2 * m + 1);
         real squares = REAL(0.0);
         for (int i = 0; i < m; i++) {
-            real centre = REAL(2.0) * halton(row + 1, primes[i]) - REAL(1.0);
+            real centre = REAL(2.0) * halton(row + 1, i) - REAL(1.0);
             exponent[i] = REAL(2.0) * centre / divisor;
             exponent[m + i] = REAL(-1.0) / divisor;
             squares += centre * centre;
@@ -129,5 +133,16 @@ void features_evaluate(const Features *self, const real *z, real *Phi) {
         case ADAPTIVE_FEATURES_BIAS:
             Phi[0] = REAL(1.0);
             break;
+    }
+}
+
+void features_of_states(const Features *self, const real *states, int32_t n, real *Phi) {
+    real z[INPUTS_MAX], column[FEATURES_MAX];
+    for (int i = 0; i < n; i++) {
+        features_select(self, states + i * SIGNAL_COUNT, z);
+        features_evaluate(self, z, column);
+        for (int j = 0; j < self->feature_count; j++) {
+            Phi[j * n + i] = column[j];
+        }
     }
 }

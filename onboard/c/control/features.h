@@ -39,19 +39,32 @@ typedef struct {
     real last_layer[FEATURES_MAX * 3]; /* theta_n, [k, 3], units of the channel's u */
 } ChannelFeatures;
 
+/* A trained feature version: the twin of protocol/feature_set.py FeatureSet. */
+typedef struct {
+    int64_t version;
+    int64_t parent;
+    int64_t samples;
+    bool covers[2]; /* which of `channels` it has: position, attitude */
+    ChannelFeatures channels[2];
+} FeatureSet;
+
 typedef struct {
     AdaptiveFeatures kind;
     int32_t feature_count; /* k, the constant included */
     FeatureSelection selection;
     real inverse[INPUTS_MAX]; /* 1 / scale */
     Network network;
+    real last_layer[FEATURES_MAX * 3]; /* theta_n that came with the network; zero for features that a flight starts with */
     real exponent[RBF_COUNT * (2 * INPUTS_MAX + 1)]; /* of the radial functions, linear in [z; z^2; 1] */
 } Features;
+
+/* A number of the Halton sequence (Halton 1960) in [0, 1): by its index, from 1, and its dimension, 0 to INPUTS_MAX - 1. */
+real halton(int index, int dimension);
 
 /* k of a network. */
 int32_t network_feature_count(const Network *network);
 
-/* Take over a network; `selection` and `network` are copied. */
+/* Take over a network; `selection` and `network` are copied. `last_layer` is zero. */
 void features_init_network(Features *self, const FeatureSelection *selection, const Network *network);
 /* Gaussians on a Halton grid over the unit box. `width` in scaled units, for one input; it grows with sqrt(m). */
 void features_init_radial(Features *self, const FeatureSelection *selection, real width);
@@ -66,5 +79,8 @@ void features_select(const Features *self, const real signals[SIGNAL_COUNT], rea
 
 /* Phi [k] of scaled inputs. */
 void features_evaluate(const Features *self, const real *z, real *Phi);
+
+/* Phi [k, n] of the signal vectors `states` [n, SIGNAL_COUNT]. */
+void features_of_states(const Features *self, const real *states, int32_t n, real *Phi);
 
 #endif

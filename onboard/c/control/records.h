@@ -26,15 +26,22 @@ typedef struct {
     real residual[3]; /* measured acceleration minus u_hat, unfiltered */
 } ChannelMeasurement;
 
-/* Inputs of a controller in one tick. */
+/* Inputs of a controller in one tick. numpy's has an excitation as well, for the measurement of margins. */
 typedef struct {
     real dt; /* s since the last tick; more than a period if ticks were missed */
     const VehicleState *state;
     const Target *target;
+    const real *signals; /* [SIGNAL_COUNT], at the present */
     const ChannelMeasurement *position;
     const ChannelMeasurement *attitude;
-    bool adapt; /* false on the ground and while an input is too old to learn from: change no adaptive state */
-    int32_t missed; /* ticks missed since the last one; the last command was held meanwhile */
+    bool saturated;       /* whether the motors could not deliver the last command */
+    bool adapt;           /* false on the ground and while an input is too old to learn from: change no adaptive state */
+    real coming_now[3];   /* angular acceleration by the actuators, rad/s^2, body FRD */
+    real coming_next[3];  /* the same in one tick, under the command that is already sent */
+    bool level_only;      /* true without a velocity estimate: hold level, sink slowly, do not control position */
+    int32_t missed;       /* ticks missed since the last one; the last command was held meanwhile */
+    real thrust_n;        /* N, collective thrust delivered now */
+    real thrust_scale;    /* thrust of the motors as a multiple of the nominal one */
 } ControlInputs;
 
 /* What one channel did in a tick, for the log; zeros where a controller has no such quantity. */
@@ -44,11 +51,22 @@ typedef struct {
     real adaptive[3];     /* nu_ad as commanded (evaluated ahead) */
     real adaptive_now[3]; /* nu_ad of the present state, W'Phi(x) */
     real residual[3];     /* Delta_hat */
+    real room[3];         /* bound of |nu_ad| for each axis; zero where there is none */
     real weight_norm;
     real eps_1;
     real eps_2;
     real eps_3;
     real tracking_bound; /* live bound on the tracking error, m or rad; 0 without one */
 } ChannelTelemetry;
+
+/* The command: collective thrust and body torque. */
+typedef struct {
+    real thrust_n;
+    real torque_nm[3];
+    ChannelTelemetry position;
+    ChannelTelemetry attitude;
+    real commanded_quaternion[4];
+    int32_t law; /* which law flies: 0 the controller's own, 1 the bias alone, 2 none */
+} ControlOutput;
 
 #endif

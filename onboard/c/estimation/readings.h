@@ -34,6 +34,12 @@ typedef struct {
 } RangeReading;
 
 typedef struct {
+    int64_t time_ns; /* of arrival */
+    real voltage_v;
+    real remaining; /* fraction; negative when unknown */
+} BatteryReading;
+
+typedef struct {
     real position[3];   /* m, world NED */
     real quaternion[4]; /* wxyz, body FRD to world NED */
 } Pose;

@@ -431,7 +431,10 @@ static void read_Swing(Cursor *from, Swing *out) {
 }
 
 static void read_CoreConfig(Cursor *from, CoreConfig *out) {
+    out->vehicle_id = (int32_t)read_int(from);
     out->period_ns = read_int(from);
+    out->status_period_s = read_real(from);
+    out->time_sync_period_s = read_real(from);
     read_AirframeConfig(from, &out->airframe);
     read_ThrustScaleConfig(from, &out->thrust_scale);
     read_EstimatorConfig(from, &out->estimator);
@@ -442,10 +445,13 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
     for (int i = 0; i < 2; i++) {
         read_Swing(from, &out->lissajous[i]);
     }
+    for (int i = 0; i < 8; i++) {
+        out->layout[i] = (int32_t)read_int(from);
+    }
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xb0, 0x1b, 0xb7, 0xb9, 0x5f, 0xac, 0xde, 0xe0};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x45, 0x2d, 0x57, 0x80, 0x04, 0x2b, 0x94, 0x75};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4028
+#define CONFIG_IMAGE_BYTES 4116
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -377,15 +377,19 @@ typedef struct {
 } Swing;
 
 typedef struct {
-    int64_t period_ns; /* 0: ns, one tick */
-    AirframeConfig airframe; /* 8 */
-    ThrustScaleConfig thrust_scale; /* 104 */
-    EstimatorConfig estimator; /* 152 */
-    SupervisorConfig supervisor; /* 592 */
-    GuidanceConfig guidance; /* 856 */
-    CascadeSettings controller; /* 2592: of the cascade */
-    SamplerConfig samples; /* 3920 */
-    Swing lissajous[2]; /* 3968: north and east; zero on another path */
+    int32_t vehicle_id; /* 0 */
+    int64_t period_ns; /* 8: ns, one tick */
+    real status_period_s; /* 16: s between two Status messages */
+    real time_sync_period_s; /* 24: s between two requests */
+    AirframeConfig airframe; /* 32 */
+    ThrustScaleConfig thrust_scale; /* 128 */
+    EstimatorConfig estimator; /* 176 */
+    SupervisorConfig supervisor; /* 616 */
+    GuidanceConfig guidance; /* 880 */
+    CascadeSettings controller; /* 2616: of the cascade */
+    SamplerConfig samples; /* 3944 */
+    Swing lissajous[2]; /* 3992: north and east; zero on another path */
+    int32_t layout[8]; /* 4040: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -8,10 +8,18 @@
 
 #define GRAVITY REAL(9.80665) /* protocol.conventions */
 #define NEVER_NS INT64_C(-1000000000000000000) /* protocol.conventions */
-#define SIGNAL_COUNT 21 /* protocol.signals */
 #define LAYERS_MAX 4 /* protocol.feature_set */
 #define WIDTH_MAX 128 /* protocol.feature_set */
+#define FEATURE_SET_MAX_BYTES 70400 /* protocol.feature_codec */
+#define FEATURE_SET_FORMAT 1 /* protocol.feature_codec */
+#define NAME_MAX_BYTES 32 /* protocol.feature_codec */
 #define CATCH_UP_MAX 20 /* onboard.control.actuators */
+#define ADAPT_HEIGHT_M REAL(0.2) /* onboard.core */
+#define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.core */
+#define YAW_ERROR_MAX_RAD REAL(0.5) /* onboard.control.cascade */
+#define COMMAND_JUMP_RAD REAL(0.2) /* onboard.control.cascade */
+#define MODEL_ERROR_MAX_RAD REAL(0.6) /* onboard.control.cascade */
+#define MODEL_GAP_MAX_S REAL(0.02) /* onboard.control.cascade */
 #define FALL_MIN_M_S2 REAL(2.0) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_0 REAL(0.96) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_1 REAL(0.9) /* onboard.control.demand_limits */
@@ -21,10 +29,17 @@
 #define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
 #define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
 #define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define MULTIPLIER_STEPS 8 /* onboard.control.laws.kalman_state */
+#define MULTIPLIER_TOLERANCE REAL(1e-09) /* onboard.control.laws.kalman_state */
 #define BOUND_RESIDUAL_FILTER_S REAL(0.02) /* onboard.control.tracking_bound */
 #define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
+#define BOX_POINTS 32 /* onboard.control.version_test */
+#define BOX_AXES 15 /* onboard.control.version_test */
+#define PATH_POINTS 16 /* onboard.control.version_test */
+#define STEP_MIN_M REAL(0.03) /* onboard.control.version_test */
+#define WATCH_STRIDE 4 /* onboard.control.watch */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
 #define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
 #define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */
@@ -58,7 +73,44 @@
 #define TURN_SIGMA REAL(0.03) /* onboard.estimation.estimator */
 #define GAP_MAX_S REAL(0.1) /* onboard.estimation.estimator */
 #define THRUST_FILTER_S REAL(0.15) /* onboard.sampling.signal_vector */
+#define TICK_POSITION_AT 54 /* onboard.record.tick */
+#define TICK_ATTITUDE_AT 83 /* onboard.record.tick */
+#define DATAGRAM_MAX_BYTES 1200 /* protocol.messages */
 #define SAMPLES_PER_BATCH_MAX 8 /* protocol.messages */
+#define CHUNK_DATA_MAX_BYTES 1100 /* protocol.messages */
+#define CHUNK_COUNT_MAX 64 /* protocol.messages */
+#define DIGEST_BYTES 16 /* protocol.messages */
+#define LAYOUT_BYTES 8 /* protocol.messages */
+#define ABSOLUTE_VALUE_MAX REAL(1000000.0) /* protocol.messages */
+#define COUNTER_MAX INT64_C(9223372036854775807) /* protocol.messages */
+#define MAC_BYTES 16 /* protocol.authentication */
+#define KEY_MIN_BYTES 16 /* protocol.authentication */
+#define KEY_MAX_BYTES 64 /* protocol.authentication */
+#define PROTOCOL_VERSION 2 /* protocol.codec */
+#define FIELDS_MAX 12 /* protocol.codec */
+#define REPLAY_WINDOW 256 /* protocol.session */
+#define RETIRED_MAX 256 /* protocol.session */
+#define SEQUENCE_JUMP_MAX INT64_C(4294967296) /* protocol.session */
+#define SILENCE_BEFORE_OLDER_NS 1000000000 /* protocol.session */
+#define OPEN_REQUESTS_MAX 16 /* protocol.clock */
+#define CLOCK_SAMPLES_MAX 16 /* protocol.clock */
+#define REQUEST_LIFE_NS 2000000000 /* protocol.clock */
+#define JUMP_SLACK_NS 5000000 /* protocol.clock */
+#define CLOCK_WINDOW_NS 2000000000 /* protocol.clock_map */
+#define CLOCK_BUCKET_NS 250000000 /* protocol.clock_map */
+#define AHEAD_NS 20000000 /* protocol.clock_map */
+#define DATAGRAM_MIN_BYTES 46 /* protocol.endpoint */
+#define BODY_MAX_BYTES 1156 /* protocol.endpoint */
+#define CHALLENGE_PERIOD_NS 500000000 /* protocol.endpoint */
+#define RATE_MAX_HZ 2000 /* protocol.endpoint */
+#define RATE_BURST 256 /* protocol.endpoint */
+#define LOSS_WINDOW_NS 1000000000 /* onboard.links.loss_rate */
+#define QUEUEING_NS 50000000 /* onboard.links.loss_rate */
+#define SILENT_NS INT64_C(5000000000) /* onboard.links.loss_rate */
+#define CLOCK_RECORD_PERIOD_NS 1000000000 /* onboard.links.offboard */
+#define AGE_MAX_MS 2147483647 /* onboard.links.offboard */
+#define GOOD_ROUND_TRIP_NS 40000000 /* onboard.links.offboard */
+#define ROUND_TRIP_TO_SIGMA REAL(0.1) /* onboard.links.offboard */
 #define SAMPLE_BYTES 132 /* onboard.sampling.sampler */
 #define NETWORK_BYTES 28 /* onboard.sampling.sampler */
 #define BATCH_OVERHEAD_BYTES 116 /* onboard.sampling.sampler */
@@ -66,6 +118,10 @@
 #define RING_MAX 200 /* SwapConfig.ring_size */
 #define KEPT_SAMPLES_MAX 1024 /* SamplerConfig.kept_samples */
 #define BINS_MAX 2000 /* LapConfig.bins */
+#define SIGNAL_NAMES "position_n", "position_e", "position_d", "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "yaw", "rate_p", "rate_q", "rate_r", "body_velocity_x", "body_velocity_y", "body_velocity_z", "motor_thrust_1", "motor_thrust_2", "motor_thrust_3", "motor_thrust_4", "battery_voltage", "vibration" /* protocol.signals */
+#define REFUSAL_COUNT 17
+#define REJECTION_COUNT 16
+#define SIGNAL_COUNT 21
 
 typedef enum {
     REFUSAL_NONE = 0,
@@ -86,6 +142,25 @@ typedef enum {
     REFUSAL_TAKEN_BACK = 15,
     REFUSAL_NOT_TRUSTED = 16
 } Refusal;
+
+typedef enum {
+    REJECTED_NONE = 0,
+    REJECTED_LENGTH = 1,
+    REJECTED_VERSION = 2,
+    REJECTED_TYPE = 3,
+    REJECTED_VEHICLE = 4,
+    REJECTED_MAC = 5,
+    REJECTED_SESSION = 6,
+    REJECTED_DUPLICATE = 7,
+    REJECTED_TOO_OLD = 8,
+    REJECTED_SEQUENCE = 9,
+    REJECTED_RATE = 10,
+    REJECTED_BODY = 11,
+    REJECTED_VALUE = 12,
+    REJECTED_LAYOUT = 13,
+    REJECTED_TIME_SYNC = 14,
+    REJECTED_NOT_ALIVE = 15
+} Rejection;
 
 typedef enum {
     SIGNAL_POSITION_N = 0,

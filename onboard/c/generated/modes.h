@@ -55,6 +55,11 @@ typedef enum {
     COMMAND_TERMINATE = 4
 } Command;
 
+/* Sets of modes: bit `mode` is set for each of them. */
+#define MODES_SPINNING (1U << MODE_ARMED | 1U << MODE_TAKE_OFF | 1U << MODE_FLYING | 1U << MODE_HOLD | 1U << MODE_HOLD_LEVEL | 1U << MODE_LANDING)
+#define MODES_RESTING (1U << MODE_BOOT | 1U << MODE_READY)
+#define MODES_AIRBORNE (1U << MODE_TAKE_OFF | 1U << MODE_FLYING | 1U << MODE_HOLD | 1U << MODE_HOLD_LEVEL | 1U << MODE_LANDING)
+
 /* An event that ends a mode, and the next mode. */
 typedef struct {
     Event event;

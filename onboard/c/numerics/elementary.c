@@ -144,6 +144,10 @@ real real_max(real a, real b) {
     return b > a ? b : a;
 }
 
+real real_largest(real a, real b) {
+    return b > a || b != b ? b : a;
+}
+
 real real_clip(real x, real low, real high) {
     return real_min(real_max(x, low), high);
 }
@@ -181,7 +185,7 @@ real real_exp(real x) {
     return k > EXPONENT_BIAS ? y * REAL(2.0) * power_of_two(k - 1) : y * power_of_two(k);
 }
 
-/* exp(x) - 1 without cancellation, for |x| < 2 TANH_ONE. */
+/* exp(x) - 1 without cancellation, for |x| <= 2 TANH_ONE. */
 static real exp_minus_one(real x) {
     int k = real_abs(x) <= REAL(0.34657359) ? 0 : nearest(ONE_OVER_LN2 * x);
     real high = x - (real)k * LN2_HIGH;
@@ -211,6 +215,13 @@ static real exp_minus_one(real x) {
         return ((REAL(1.0) - power_of_two(-k)) - (e - r)) * power_of_two(k);
     }
     return ((r - (e + power_of_two(-k))) + REAL(1.0)) * power_of_two(k);
+}
+
+real real_expm1(real x) {
+    if (real_abs(x) <= REAL(2.0) * TANH_ONE) {
+        return exp_minus_one(x);
+    }
+    return real_exp(x) - REAL(1.0);
 }
 
 real real_tanh(real x) {

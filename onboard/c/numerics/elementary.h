@@ -4,7 +4,7 @@
  * Errors, in units in the last place (ulp), as tests/onboard/c/test_elementary.py measures them:
  *   real_exp, real_sin, real_cos               below 1 (sin and cos in float: up to 100 rad, beyond it below 1e-7)
  *   real_atan2                                 below 1.5
- *   real_tanh, real_asin, real_acos, real_tan  below 2.5
+ *   real_expm1, real_tanh, real_asin, real_acos, real_tan  below 2.5
  * Special values (infinities, zeros, NaN) follow C99's annex F unless said otherwise.
  */
 #ifndef DMRAC_ELEMENTARY_H
@@ -25,6 +25,9 @@
 #endif
 
 real real_exp(real x);
+
+/* exp(x) - 1, without cancellation near zero. */
+real real_expm1(real x);
 real real_tanh(real x);
 real real_sin(real x);
 real real_cos(real x);
@@ -43,6 +46,9 @@ real real_abs(real x);
 /* The smaller and the larger of two, as Python's min(a, b) and max(a, b): the first if they are equal or one is NaN. */
 real real_min(real a, real b);
 real real_max(real a, real b);
+
+/* The larger of two, as numpy's maximum: NaN if one of them is. */
+real real_largest(real a, real b);
 
 /* min(max(x, low), high). */
 real real_clip(real x, real low, real high);

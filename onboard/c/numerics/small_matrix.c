@@ -14,6 +14,10 @@ real dot(const real *a, const real *b, int count) {
     return sum;
 }
 
+real norm(const real *a, int count) {
+    return real_sqrt(dot(a, a, count));
+}
+
 void gram(const real *A, int n, int columns, int stride, real *out) {
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++) {
@@ -22,8 +26,8 @@ void gram(const real *A, int n, int columns, int stride, real *out) {
     }
 }
 
-/* S = L L', L in the lower triangle. */
-static bool cholesky_factor(real *S, int n) {
+/* S = L L' */
+bool cholesky_factor(real *S, int n) {
     for (int j = 0; j < n; j++) {
         real pivot = S[j * n + j] - dot(S + j * n, S + j * n, j);
         if (!(pivot > REAL(0.0))) {
@@ -38,26 +42,30 @@ static bool cholesky_factor(real *S, int n) {
     return true;
 }
 
-bool cholesky_solve(real *S, real *B, int n, int columns) {
-    if (!cholesky_factor(S, n)) {
-        return false;
-    }
+void cholesky_substitute(const real *factor, real *B, int n, int columns) {
     for (int c = 0; c < columns; c++) {
         for (int i = 0; i < n; i++) { /* L y = b */
             real left = B[i * columns + c];
             for (int j = 0; j < i; j++) {
-                left -= S[i * n + j] * B[j * columns + c];
+                left -= factor[i * n + j] * B[j * columns + c];
             }
-            B[i * columns + c] = left / S[i * n + i];
+            B[i * columns + c] = left / factor[i * n + i];
         }
         for (int i = n - 1; i >= 0; i--) { /* L' x = y */
             real left = B[i * columns + c];
             for (int j = i + 1; j < n; j++) {
-                left -= S[j * n + i] * B[j * columns + c];
+                left -= factor[j * n + i] * B[j * columns + c];
             }
-            B[i * columns + c] = left / S[i * n + i];
+            B[i * columns + c] = left / factor[i * n + i];
         }
     }
+}
+
+bool cholesky_solve(real *S, real *B, int n, int columns) {
+    if (!cholesky_factor(S, n)) {
+        return false;
+    }
+    cholesky_substitute(S, B, n, columns);
     return true;
 }
 

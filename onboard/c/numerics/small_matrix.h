@@ -9,8 +9,18 @@
 /* a . b over `count` numbers. */
 real dot(const real *a, const real *b, int count);
 
+/* sqrt(a . a) */
+real norm(const real *a, int count);
+
 /* out [n, n] = A A', A [n, columns]; symmetric to the last bit. A row begins `stride` numbers after the one before. */
 void gram(const real *A, int n, int columns, int stride, real *out);
+
+/* S [n, n], symmetric and positive definite, becomes its Cholesky factor, in the lower triangle. Returns false, with S not
+ * to be used, if a pivot is not positive. */
+bool cholesky_factor(real *S, int n);
+
+/* B [n, columns] becomes X of S X = B, with the factor of S. */
+void cholesky_substitute(const real *factor, real *B, int n, int columns);
 
 /* Solve S X = B in place: S [n, n], symmetric and positive definite, becomes its Cholesky factor; B [n, columns] becomes
  * X. Returns false, with X not to be used, if a pivot is not positive. */

@@ -5,26 +5,12 @@
 #include <stdbool.h>
 
 #include "generated/config.h"
-#include "generated/constants.h"
+#include "protocol/messages.h"
 
 /* Batches of one poll: a burst of the budget holds no more, even of one sample each. */
 #define BATCHES_MAX 10
 /* Batches that wait to be sent a second time; the oldest is left out if there are more. numpy's core has no limit. */
 #define REPEATS_MAX 256
-/* u_hat or nu_ad of both channels. */
-#define CHANNEL_VALUES 6
-
-/* Consecutive samples: what protocol.messages.SampleBatch holds. */
-typedef struct {
-    int64_t first_index;
-    int64_t time_ns;
-    int64_t period_ns;
-    int64_t feature_version;
-    int32_t count;
-    float signals[SAMPLES_PER_BATCH_MAX * SIGNAL_COUNT];
-    float delivered[SAMPLES_PER_BATCH_MAX * CHANNEL_VALUES];
-    float adaptive[SAMPLES_PER_BATCH_MAX * CHANNEL_VALUES];
-} SampleBatch;
 
 typedef struct {
     int64_t index;

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from onboard.c.feature_arrays import put_channel, view
 from onboard.control.features import random_channel
 from protocol.feature_set import ChannelFeatures
-from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
-from tests.onboard.c.parity import view
+from protocol.signals import SIGNAL_COUNT
 
 INPUTS = ("position_n", "velocity_e", "motor_thrust_3", "battery_voltage", "rate_r")
 
@@ -26,23 +26,10 @@ def signals(seed: int, count: int, size: float = 2.0) -> Any:
     return np.random.default_rng(seed).normal(scale=size, size=(count, SIGNAL_COUNT))
 
 
-def put_selection(target: Any, inputs: tuple[str, ...], offset: Any, scale: Any) -> None:
-    """Fill a FeatureSelection."""
-    target.count = len(inputs)
-    view(target.index)[: len(inputs)] = [SIGNAL_INDEX[name] for name in inputs]
-    view(target.offset)[: len(inputs)], view(target.scale)[: len(inputs)] = offset, scale
-
-
 def c_channel(core: Any, source: ChannelFeatures) -> Any:
     """The same channel as C's ChannelFeatures."""
     target = core.ChannelFeatures()
-    put_selection(target.selection, source.inputs, source.offset, source.scale)
-    target.network.layers = len(source.weights)
-    view(target.network.width)[: len(source.weights)] = [W.shape[0] for W in source.weights]
-    layers = [np.hstack([W, b[:, None]]).reshape(-1) for W, b in zip(source.weights, source.biases, strict=True)]
-    parameters = np.concatenate(layers)
-    view(target.network.parameters)[: len(parameters)] = parameters
-    view(target.last_layer)[: source.last_layer.size] = source.last_layer.reshape(-1)
+    put_channel(target, source)
     return target
 
 
@@ -50,4 +37,5 @@ def c_network_features(core: Any, source: ChannelFeatures) -> Any:
     """C's Features of a channel."""
     given, features = c_channel(core, source), core.Features()
     core.features_init_network(features, given.selection, given.network)
+    view(features.last_layer)[:] = given.last_layer
     return features

@@ -17,8 +17,13 @@ def _needs_a_compiler() -> None:
 
 
 @pytest.fixture(scope="session")
-def core(_needs_a_compiler: None) -> Core:
-    return load(Variant("double", OPTIONS))
+def variant(_needs_a_compiler: None) -> Variant:
+    return Variant("double", OPTIONS)
+
+
+@pytest.fixture(scope="session")
+def core(variant: Variant) -> Core:
+    return load(variant)
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from onboard.c.config_table import Leaf, OneOf, Record, Several, record_of
+from onboard.c.feature_arrays import view
 
 SANITIZED = os.environ.get("DMRAC_TEST_SANITIZED") == "1"
 """Set by test_sanitizers.py, which runs these tests again in a process that the sanitizers watch."""
@@ -50,11 +51,6 @@ def call(core: Any, name: str, *arguments: Any, out: int) -> np.ndarray[Any, Any
     return result
 
 
-def view(member: Any) -> np.ndarray[Any, Any]:
-    """A member that is an array, as a numpy array on the same memory."""
-    return np.ctypeslib.as_array(member)
-
-
 def put(target: ctypes.Structure, source: Any) -> None:
     """Copy the attributes of a Python object to the members of the same name; a member without one is an error."""
     for name, kind in target._fields_:
@@ -72,6 +68,16 @@ def filled(kind: type[ctypes.Structure], source: Any) -> Any:
     target = kind()
     put(target, source)
     return target
+
+
+def octets(data: bytes) -> Any:
+    """Bytes as the array of a C function; of an exact size, so that the sanitizers see what is read behind it."""
+    return (ctypes.c_uint8 * len(data)).from_buffer_copy(data)
+
+
+def octets_of(array: Any) -> bytes:
+    """The bytes of an array of uint8."""
+    return np.asarray(array, dtype=np.uint8).tobytes()
 
 
 def same(ours: Any, theirs: Any, rtol: float = RTOL, scale: float = 0.0) -> None:

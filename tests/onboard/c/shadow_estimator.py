@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from onboard.c.estimator_summary import AIDS, calibration, counts, mean_scores
 from onboard.c.event_text import calibration_text, estimator_text
 from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.estimator import Estimator
@@ -20,7 +21,6 @@ EXACT = (
     *("time_ns", "height_valid", "initialised", "position_reset_count"),
     *("last_imu_ns", "last_pose_ns", "last_velocity_aid_ns", "last_height_ns"),
 )
-AIDS = ("flow", "range", "pressure", "pose_position", "pose_attitude")
 
 
 class ShadowEstimator(Estimator):
@@ -90,20 +90,9 @@ class ShadowEstimator(Estimator):
     def compare_counts(self) -> None:
         """All counters and mean scores, at the end of a flight."""
         self.take_events()
-        ours, poses = self.ours.corrections, self.ours.poses
-        counts = {"imu_gap": self.ours.imu_gaps, "imu_out_of_order": self.ours.imu_out_of_order}
-        counts |= {"pose_out_of_order": poses.out_of_order, "pose_wrong_time": poses.wrong_time}
-        counts |= {"pose_used": poses.used, "pose_refused": poses.refused, "pose_jump": poses.jumps}
-        counts |= {"pose_attitude_refused": poses.attitude_refused}
-        for index, aid in enumerate(AIDS):
-            for what in ("used", "refused", "recovered"):
-                counts.setdefault(f"{aid}_{what}", getattr(ours, what)[index])
-        assert {name: count for name, count in counts.items() if count} == dict(self.counts)
-        means = {
-            aid: ours.score_sums[index] / ours.score_counts[index]
-            for index, aid in enumerate(AIDS)
-            if ours.score_counts[index]
-        }
+        ours = self.ours.corrections
+        assert counts(self.ours) == dict(self.counts)
+        means = mean_scores(self.ours)
         assert set(means) == set(self.mean_scores)
         for aid, mean in self.mean_scores.items():
             same(means[aid], mean, 1e-6)
@@ -111,6 +100,7 @@ class ShadowEstimator(Estimator):
             same(ours.scores[AIDS.index(aid)], score, 1e-5, scale=1.0)
         bench, kept = self.ours.calibration, self.calibration
         assert calibration_text(bench) == kept.refusal
-        assert (bench.count, bench.movements) == (kept.count, kept.movements)
-        if kept.accepted is not None:
-            same(self.core.calibration_along_gravity(bench.accepted), kept.accepted.along_gravity_m_s2, scale=1.0)
+        found, expected = calibration(self.core, bench), kept.summary()
+        assert set(found) == set(expected)
+        for name, value in expected.items():
+            same(found[name], value, scale=1.0)

@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from onboard.c.feature_arrays import put_selection
 from onboard.c.library import Core
 from onboard.control.feature_swap import RecentStates, SwapConfig, plan_swap, resemblance
 from onboard.control.features import BiasFeatures, NetworkFeatures, RadialFeatures, random_channel
 from protocol.feature_set import ChannelFeatures
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_COUNT, SIGNAL_NAMES
-from tests.onboard.c.channels import INPUTS, c_channel, c_network_features, channel, put_selection, signals
+from tests.onboard.c.channels import INPUTS, c_channel, c_network_features, channel, signals
 from tests.onboard.c.parity import SETTINGS, array, call, configured, real, same, view
 from tests.onboard.control.fixture import FEATURES
 
@@ -173,8 +174,10 @@ def test_swap(
     ours_ring = core.RecentStates()
     core.recent_init(ours_ring, 10)
     for one in signals(seed + 3, kept):
-        ring.push(one)
-        core.recent_push(ours_ring, array(core, one))
+        residual = (one[0], -one[1], 2.0)
+        ring.push(one, residual)
+        core.recent_push(ours_ring, array(core, one), array(core, residual))
+    same_ring(core, ours_ring, ring)
     columns = ring.columns(now)
     expected = plan_swap(config, NetworkFeatures(old), W, NetworkFeatures(new), new.last_layer, norm_max, columns)
     work, plan = core.SwapWorkspace(), core.SwapPlan()
@@ -193,7 +196,17 @@ def test_swap(
     )
     assert REFUSALS[plan.refusal] == expected.refusal
     same(view(plan.W)[: expected.W.size], expected.W, rtol=1e-9)
+    same(view(plan.theta)[: expected.W.size], expected.theta)
     assert plan.jump == pytest.approx(expected.jump, rel=1e-9, abs=1e-9)
+    assert plan.step == pytest.approx(expected.step, rel=1e-9, abs=1e-9)
+
+
+def same_ring(core: Core, ours: Any, theirs: RecentStates) -> None:
+    states, residuals = np.empty((200, SIGNAL_COUNT)), np.empty((200, 3))
+    n = core.recent_in_order(ours, states, residuals)
+    in_order, measured = theirs.in_order()
+    np.testing.assert_array_equal(states[:n], in_order.T)
+    np.testing.assert_array_equal(residuals[:n], measured)
 
 
 @SETTINGS
@@ -218,3 +231,17 @@ def test_a_swap_that_is_not_finite_is_refused(core: Core) -> None:
     W = np.full(60, np.nan, real(core))
     core.plan_swap(configured(core, swap_config()), old, W, features, new.last_layer, 40.0, 2, work, plan)
     assert REFUSALS[plan.refusal] == "not_finite"
+
+
+def test_one_state_that_is_not_finite_is_enough_to_refuse(core: Core) -> None:
+    """Also a naive swap, which solves nothing, and whose other states are finite."""
+    old, new = channel(1), channel(2)
+    states, W = signals(1, 3), np.ones((20, 3))
+    states[0] = np.nan
+    config = swap_config(naive=True, jump_max=1e9)
+    expected = plan_swap(config, NetworkFeatures(old), W, NetworkFeatures(new), new.last_layer, 40.0, states.T)
+    work, plan = core.SwapWorkspace(), core.SwapPlan()
+    view(work.states)[: states.size] = states.reshape(-1)
+    ours = [c_network_features(core, one) for one in (old, new)]
+    core.plan_swap(configured(core, config), ours[0], array(core, W), ours[1], ours[1].last_layer, 40.0, 3, work, plan)
+    assert REFUSALS[plan.refusal] == expected.refusal == "not_finite"

@@ -8,22 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.c.library import Core
-from onboard.control.features import BiasFeatures, NetworkFeatures
-from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.indi import Indi, IndiConfig
 from onboard.control.laws.integral import Integral, IntegralConfig
-from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.l1 import L1, L1Config
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
 from onboard.control.laws.none import NoAugmentation, NoneConfig
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.signals import SIGNAL_COUNT
-from tests.onboard.c.channels import c_channel, c_network_features, channel
 from tests.onboard.c.parity import SETTINGS, array, call, configured, same, vectors, view
-from tests.onboard.control.fixture import DT, FEATURES
+from tests.onboard.control.fixture import DT
 
 GAINS = ChannelGains(natural_frequency_rad_s=(4.0, 5.0, 3.0), damping=0.8)
 LAWS: dict[str, tuple[Any, Any]] = {
@@ -58,8 +53,10 @@ def c_state(core: Core, state: ChannelState) -> Any:
 
 
 def same_telemetry(ours: Any, theirs: ChannelTelemetry, rtol: float = 1e-12) -> None:
-    for name in ("adaptive_now", "residual", "weight_norm", "eps_1", "eps_2", "eps_3"):
+    for name in ("adaptive_now", "residual", "eps_1", "eps_2", "eps_3"):
         same(getattr(ours, name), getattr(theirs, name), rtol, scale=1.0)
+    # The law with a covariance has it as a difference of squares: of W = 0 with a bias, the root of rounding.
+    same(ours.weight_norm**2, theirs.weight_norm**2, rtol, scale=1.0)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -153,87 +150,3 @@ def test_a_step_that_is_not_finite_is_skipped(core: Core, bad: float) -> None:
     core.last_layer_step(ours, np.ones(4), array(core, [bad, 0, 0, 0, 0, 0]), np.zeros(3), DT)
     core.last_layer_step(ours, array(core, [bad, 1, 1, 1]), np.ones(6), np.zeros(3), DT)
     np.testing.assert_array_equal(view(ours.W), before)
-
-
-# --- features, last layer and swap together ---
-
-
-def adaptive_config(kind: str, **swap: Any) -> AdaptiveConfig:
-    tree = {"kind": "adaptive", "features": kind, "law": law_config().model_dump()}
-    swapping = {"jump_max": 30.0, "ring_size": 8, "ring_period_ticks": 2, **swap}
-    return AdaptiveConfig(**tree, swap=swapping)  # type: ignore[arg-type]
-
-
-def both(core: Core, config: AdaptiveConfig, seed: int) -> tuple[Any, AdaptiveAugmentation]:
-    rng, loop_gains = (
-        np.random.default_rng(seed),
-        SlopeLimits.of("position", GAINS, GAINS, SlopeShares(place=1.0, motion=1.0, turn=1.0)),
-    )
-    theirs = AdaptiveAugmentation(config, GAINS, FEATURES.untrained, "position", rng, loop_gains)
-    ours = core.Adaptive()
-    if config.features == "network":
-        start = channel(seed)
-        theirs.features, ours.features = NetworkFeatures(start), c_network_features(core, start)
-    else:
-        theirs.features = BiasFeatures()
-        core.features_init_bias(ours.features)
-    assert core.adaptive_init(ours, configured(core, config), configured(core, GAINS))
-    return ours, theirs
-
-
-def step_both(core: Core, ours: Any, theirs: AdaptiveAugmentation, state: ChannelState) -> None:
-    telemetry, c_telemetry = ChannelTelemetry(), core.ChannelTelemetry()
-    expected = theirs.step(state, telemetry)
-    nu = call(core, "adaptive_step", ours, c_state(core, state), c_telemetry, out=3)
-    same(nu, expected, rtol=1e-11, scale=1.0)
-    same_telemetry(c_telemetry, telemetry, rtol=1e-11)
-
-
-@SETTINGS
-@given(given_ticks=ticks(5), seed=st.integers(0, 2**31), kind=st.sampled_from(["network", "bias"]))
-def test_adaptive(core: Core, given_ticks: Any, seed: int, kind: str) -> None:
-    ours, theirs = both(core, adaptive_config(kind), seed)
-    for index, tick in enumerate(given_ticks):
-        step_both(core, ours, theirs, state_of(tick, seed + index))
-    theirs.reset()
-    core.adaptive_reset(ours)
-    step_both(core, ours, theirs, state_of(given_ticks[0], seed))
-
-
-@SETTINGS
-@given(seed=st.integers(0, 2**31))
-def test_adaptive_swaps_and_goes_on(core: Core, seed: int) -> None:
-    ours, theirs = both(core, adaptive_config("network"), seed)
-    rng = np.random.default_rng(seed)
-    for index in range(5):
-        step_both(core, ours, theirs, state_of((rng.normal(size=21), True, False, 1), seed + index))
-    offered = channel(seed + 1)
-    new, plan = theirs.plan(offered)
-    c_offered, c_new, work, c_plan = c_channel(core, offered), core.Features(), core.SwapWorkspace(), core.SwapPlan()
-    core.adaptive_plan(ours, c_offered, c_new, work, c_plan)
-    same(view(c_plan.W)[:60], plan.W, rtol=1e-9)
-    assert (core.adaptive_flies(ours, c_offered), theirs.flies(offered)) == (False, False)
-    theirs.commit(new, plan)
-    core.adaptive_commit(ours, c_new, c_plan, c_offered.last_layer)
-    assert (core.adaptive_flies(ours, c_offered), theirs.flies(offered)) == (True, True)
-    for other in (c_channel(core, channel(seed + 2)), _changed(c_channel(core, offered), "last_layer", 4)):
-        assert not core.adaptive_flies(ours, other)
-    state = state_of((rng.normal(size=21), True, False, 1), seed)
-    telemetry, c_telemetry = ChannelTelemetry(), core.ChannelTelemetry()
-    expected = theirs.step(state, telemetry)
-    nu = call(core, "adaptive_step", ours, c_state(core, state), c_telemetry, out=3)
-    same(nu, expected, rtol=1e-9, scale=1.0)
-    same_telemetry(c_telemetry, telemetry, rtol=1e-9)
-
-
-def _changed(offered: Any, name: str, index: int) -> Any:
-    getattr(offered, name)[index] += 1e-9
-    return offered
-
-
-def test_the_law_with_a_covariance_is_refused(core: Core) -> None:
-    """It is not in the C core yet; a vehicle must not fly another law in its place."""
-    given = {"tracking_gain": 6.0, "composite_gain": 17.0, "noise": 1.0, "prior": 1.0, "fast_bias": 1.0}
-    law = KalmanConfig(kind="kalman", prior_rate=0.1, fast_bias_rate=1.0, weight_norm_max=4.0, **given)
-    config = adaptive_config("network").model_copy(update={"law": law})
-    assert not core.adaptive_init(core.Adaptive(), configured(core, config), configured(core, GAINS))

@@ -10,7 +10,7 @@ import pytest
 from onboard.c.library import compiler, run
 
 HERE = Path(__file__).resolve().parent
-LEFT_OUT = ("test_sanitizers.py", "test_build.py")
+LEFT_OUT = ("test_sanitizers.py", "test_build.py", "test_link_target.py")
 
 
 @pytest.mark.full

@@ -22,6 +22,8 @@ POSITION = ChannelGains(natural_frequency_rad_s=(5.6, 5.6, 5.0), damping=0.68)
 ATTITUDES = [
     ChannelGains(natural_frequency_rad_s=(17.3, 17.3, 5.0), damping=damping) for damping in (0.35, 0.8, 1.0, 1.56)
 ]
+MEMBERS = ("state", "target", "position", "attitude")
+"""Of ControlInputs, what the bounds read."""
 
 
 @SETTINGS
@@ -78,7 +80,8 @@ def test_bounds(
             filled(core.ChannelMeasurement, position),
             filled(core.ChannelMeasurement, measured),
         ]
-        c_inputs = core.ControlInputs(dt, *map(ctypes.pointer, kept), adapt, missed)
+        members = dict(zip(MEMBERS, map(ctypes.pointer, kept), strict=True))
+        c_inputs = core.ControlInputs(dt=dt, adapt=adapt, missed=missed, **members)
         bounds = call(core, "tracking_bounds_step", ours, c_inputs, commanded, turn, rate, out=2)
         same(bounds, [output.position.tracking_bound, output.attitude.tracking_bound])
         if index == reset_at:
@@ -100,9 +103,8 @@ def test_the_bound_of_a_known_error_is_that_error(core: Core) -> None:
     target.path.position[0] = 0.3
     state = filled(core.VehicleState, VehicleState())
     nothing = core.ChannelMeasurement()
-    inputs = core.ControlInputs(
-        DT, ctypes.pointer(state), ctypes.pointer(target), ctypes.pointer(nothing), ctypes.pointer(nothing), True
-    )
+    members = dict(zip(MEMBERS, map(ctypes.pointer, (state, target, nothing, nothing)), strict=True))
+    inputs = core.ControlInputs(dt=DT, adapt=True, **members)
     zero = np.zeros(3)
     bounds = call(core, "tracking_bounds_step", ours, inputs, [1.0, 0.0, 0.0, 0.0], zero, zero, out=2)
     assert bounds[0] == pytest.approx(0.3)

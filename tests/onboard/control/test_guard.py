@@ -250,6 +250,24 @@ def test_a_version_taken_back_is_refused_under_any_number():
     assert guard.offer(version(8, 0.3)) == ""
 
 
+def test_the_good_version_is_refused_too_once_it_has_failed():
+    """After a fall to it, the content that is remembered is its own."""
+    one = flown(rig())
+    guard = one.controller.guard
+    good, bad = version(1, 0.3), version(2, 0.3)
+    assert guard.offer(good) == ""
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._gain = 2.0, 1.0
+    guard.judge(DT, True)
+    assert guard.offer(bad) == ""
+    fail(guard)
+    assert guard.version == 1
+    fail(guard)
+    assert [fall.refused for fall in guard.take_falls()] == [2, 1]
+    assert guard.offer(dataclasses.replace(good, version=7)) == "taken_back"
+    assert guard.offer(dataclasses.replace(bad, version=8)) == "taken_back"
+
+
 def test_after_so_many_strikes_no_version_is_accepted():
     one = flown(rig(strikes_max=2))
     guard = one.controller.guard

@@ -2,30 +2,41 @@
 
 #include <string.h>
 
+#include "control/posterior_swap.h"
 #include "numerics/elementary.h"
 #include "protocol/geometry.h"
 
+static bool has_covariance(const Adaptive *self) {
+    return self->config.law.kind == LAW_KALMAN;
+}
+
 /* AdaptiveAugmentation.__init__ */
-bool adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGains *gains) {
-    if (config->law.kind != LAW_GRADIENT) {
-        return false;
-    }
-    TrackingWeights PB;
+void adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGains *gains,
+                   const LoopGains *loop_gains) {
     self->config = *config;
-    tracking_weights(gains, config->error_weight, &PB);
-    last_layer_init(&self->last_layer, &config->law.gradient, self->features.feature_count, &PB);
+    self->loop_gains = *loop_gains;
+    tracking_weights(gains, config->error_weight, &self->tracking_weights);
+    if (has_covariance(self)) {
+        kalman_layer_init(&self->kalman_layer, &config->law.kalman, self->features.feature_count,
+                          &self->tracking_weights);
+    } else {
+        last_layer_init(&self->last_layer, &config->law.gradient, self->features.feature_count,
+                        &self->tracking_weights);
+    }
     recent_init(&self->recent, config->swap.ring_size);
     memset(self->signals, 0, sizeof self->signals);
     memset(self->signals_ahead, 0, sizeof self->signals_ahead);
     self->ticks = 0;
+    self->dt = REAL(0.0);
     vector_zero(self->Delta_hat);
     self->eps_1_squared = self->eps_2 = REAL(0.0);
-    return true;
 }
 
 /* AdaptiveAugmentation._filter_residual: Delta_hat_dot = (r - Delta_hat) / T, exact for r constant over dt */
 static void filter_residual(Adaptive *self, const real residual[3], real dt) {
-    real share = REAL(1.0) - real_exp(-dt / self->config.law.gradient.residual_filter_s);
+    const AdaptiveLaw *law = &self->config.law;
+    real filter_s = has_covariance(self) ? law->kalman.residual_filter_s : law->gradient.residual_filter_s;
+    real share = REAL(1.0) - real_exp(-dt / filter_s);
     for (int i = 0; i < 3; i++) {
         self->Delta_hat[i] = self->Delta_hat[i] + share * (residual[i] - self->Delta_hat[i]);
     }
@@ -40,31 +51,59 @@ static void report(Adaptive *self, const real now[3], const real ahead[3], real 
     self->eps_1_squared += share * (vector_squared_length(misfit) - self->eps_1_squared);
     vector_copy(now, telemetry->adaptive_now);
     vector_copy(self->Delta_hat, telemetry->residual);
-    telemetry->weight_norm = last_layer_weight_norm(&self->last_layer);
+    telemetry->weight_norm = has_covariance(self) ? kalman_layer_weight_norm(&self->kalman_layer)
+                                                  : last_layer_weight_norm(&self->last_layer);
     telemetry->eps_1 = real_sqrt(self->eps_1_squared);
     telemetry->eps_2 = self->eps_2;
     telemetry->eps_3 = vector_length(difference);
 }
 
+static void features_at(const Adaptive *self, const real signals[SIGNAL_COUNT], real *Phi) {
+    real z[INPUTS_MAX];
+    features_select(&self->features, signals, z);
+    features_evaluate(&self->features, z, Phi);
+}
+
+/* LastLayer.estimate or KalmanLastLayer.estimate */
+static void estimate(const Adaptive *self, const real *Phi, const real *Phi_ahead, real now[3], real ahead[3]) {
+    if (has_covariance(self)) {
+        kalman_layer_estimate(&self->kalman_layer, Phi, Phi_ahead, now, ahead);
+    } else {
+        last_layer_output(&self->last_layer, Phi, now);
+        last_layer_output(&self->last_layer, Phi_ahead, ahead);
+    }
+}
+
+/* LastLayer.learn or KalmanLastLayer.learn: the law with a covariance takes the unfiltered residual */
+static void learn(Adaptive *self, const ChannelState *channel, const real *Phi, const real *Phi_ahead, real now[3],
+                  real ahead[3]) {
+    if (has_covariance(self)) {
+        kalman_layer_step(&self->kalman_layer, Phi, Phi_ahead, channel->model_error, channel->residual, channel->dt,
+                          now, ahead);
+    } else {
+        last_layer_step(&self->last_layer, Phi, channel->model_error, self->Delta_hat, channel->dt);
+        estimate(self, Phi, Phi_ahead, now, ahead);
+    }
+}
+
 /* AdaptiveAugmentation.step */
 void adaptive_step(Adaptive *self, const ChannelState *channel, ChannelTelemetry *telemetry, real nu_ad[3]) {
-    real z[INPUTS_MAX], Phi[FEATURES_MAX], Phi_ahead[FEATURES_MAX], now[3], ahead[3];
+    real Phi[FEATURES_MAX], Phi_ahead[FEATURES_MAX], now[3], ahead[3];
     memcpy(self->signals, channel->signals, sizeof self->signals);
     memcpy(self->signals_ahead, channel->signals_ahead, sizeof self->signals_ahead);
-    features_select(&self->features, channel->signals, z);
-    features_evaluate(&self->features, z, Phi);
-    features_select(&self->features, channel->signals_ahead, z);
-    features_evaluate(&self->features, z, Phi_ahead);
+    features_at(self, channel->signals, Phi);
+    features_at(self, channel->signals_ahead, Phi_ahead);
     if (channel->adapt) {
         filter_residual(self, channel->residual, channel->dt);
-        last_layer_step(&self->last_layer, Phi, channel->model_error, self->Delta_hat, channel->dt);
+        learn(self, channel, Phi, Phi_ahead, now, ahead);
         if (self->ticks % self->config.swap.ring_period_ticks == 0) {
-            recent_push(&self->recent, channel->signals);
+            recent_push(&self->recent, channel->signals, self->Delta_hat);
         }
         self->ticks++;
+    } else {
+        estimate(self, Phi, Phi_ahead, now, ahead);
     }
-    last_layer_output(&self->last_layer, Phi, now);
-    last_layer_output(&self->last_layer, Phi_ahead, ahead);
+    self->dt = channel->dt;
     report(self, now, ahead, channel->dt, telemetry);
     vector_copy(ahead, nu_ad);
 }
@@ -72,6 +111,103 @@ void adaptive_step(Adaptive *self, const ChannelState *channel, ChannelTelemetry
 /* AdaptiveAugmentation.reset */
 void adaptive_reset(Adaptive *self) {
     vector_zero(self->Delta_hat);
+}
+
+/* AdaptiveAugmentation.learns */
+bool adaptive_learns(const Adaptive *self) {
+    return self->config.features == ADAPTIVE_FEATURES_NETWORK;
+}
+
+/* AdaptiveAugmentation.jump_max */
+real adaptive_jump_max(const Adaptive *self) {
+    return self->config.swap.jump_max;
+}
+
+/* AdaptiveAugmentation.last_layer.config.composite_gain */
+real adaptive_composite_gain(const Adaptive *self) {
+    const AdaptiveLaw *law = &self->config.law;
+    return has_covariance(self) ? law->kalman.composite_gain : law->gradient.composite_gain;
+}
+
+/* AdaptiveAugmentation.last_layer.config.tracking_gain */
+real adaptive_tracking_gain(const Adaptive *self) {
+    const AdaptiveLaw *law = &self->config.law;
+    return has_covariance(self) ? law->kalman.tracking_gain : law->gradient.tracking_gain;
+}
+
+/* AdaptiveAugmentation.recent */
+int32_t adaptive_recent(const Adaptive *self, real *states, real *residuals) {
+    return recent_in_order(&self->recent, states, residuals);
+}
+
+/* AdaptiveAugmentation.prior_layer */
+const real *adaptive_prior_layer(const Adaptive *self) {
+    return has_covariance(self) ? self->kalman_layer.theta : self->last_layer.W;
+}
+
+/* AdaptiveAugmentation.prior_of */
+const real *adaptive_prior_of(const Adaptive *self, const SwapPlan *plan) {
+    return has_covariance(self) ? plan->theta : plan->W;
+}
+
+/* AdaptiveAugmentation.learnt */
+void adaptive_learnt(const Adaptive *self, Learnt *out) {
+    size_t layer = (size_t)(3 * self->features.feature_count) * sizeof(real);
+    out->features = self->features;
+    if (has_covariance(self)) {
+        const KalmanState *state = &self->kalman_layer.state;
+        memcpy(out->theta, self->kalman_layer.theta, layer);
+        memcpy(out->W, state->X, (size_t)(3 * state->size) * sizeof(real));
+        memcpy(out->S, state->S, (size_t)(state->size * state->size) * sizeof(real));
+    } else {
+        memcpy(out->theta, self->last_layer.memory, layer);
+        memcpy(out->W, self->last_layer.W, layer);
+    }
+}
+
+/* KalmanLastLayer.adopt or LastLayer.replace */
+static void take_over(Adaptive *self, const real *theta, const real *W, const real *S) {
+    int32_t k = self->features.feature_count;
+    if (has_covariance(self)) {
+        kalman_layer_adopt(&self->kalman_layer, theta, W, S, k);
+    } else {
+        last_layer_replace(&self->last_layer, W, theta, k);
+    }
+}
+
+/* AdaptiveAugmentation.restore */
+void adaptive_restore(Adaptive *self, const Learnt *learnt, const real nu[3]) {
+    real Phi[FEATURES_MAX], Phi_ahead[FEATURES_MAX], W[STATES_MAX * 3], now[3], ahead[3];
+    self->features = learnt->features;
+    int32_t rows = self->features.feature_count + (has_covariance(self) ? 1 : 0);
+    memcpy(W, learnt->W, (size_t)(3 * rows) * sizeof(real));
+    take_over(self, learnt->theta, W, learnt->S);
+    features_at(self, self->signals, Phi);
+    features_at(self, self->signals_ahead, Phi_ahead);
+    estimate(self, Phi, Phi_ahead, now, ahead);
+    for (int axis = 0; axis < 3; axis++) {
+        W[3 * (rows - 1) + axis] += nu[axis] - now[axis];
+    }
+    take_over(self, learnt->theta, W, learnt->S);
+    self->eps_2 = REAL(0.0);
+}
+
+/* CascadedController.last_layers, of one channel */
+void adaptive_W(const Adaptive *self, real *W) {
+    if (has_covariance(self)) {
+        kalman_layer_W(&self->kalman_layer, W);
+    } else {
+        memcpy(W, self->last_layer.W, (size_t)(3 * self->features.feature_count) * sizeof(real));
+    }
+}
+
+/* CascadedController.start_from, of one channel */
+void adaptive_start_from(Adaptive *self, const real *W) {
+    if (has_covariance(self)) {
+        kalman_layer_replace(&self->kalman_layer, W, W, self->features.feature_count);
+    } else {
+        last_layer_replace(&self->last_layer, W, W, self->features.feature_count);
+    }
 }
 
 static bool alike(const real *a, const real *b, int32_t count) {
@@ -105,27 +241,36 @@ static bool same_network(const FeatureSelection *a, const Network *A, const Feat
            alike(A->parameters, B->parameters, parameters);
 }
 
-/* AdaptiveAugmentation.flies. The memory of the last layer is the theta that came with the features; the features that a
- * flight starts with have none, so that the memory is zero. */
+/* AdaptiveAugmentation.flies */
 bool adaptive_flies(const Adaptive *self, const ChannelFeatures *channel) {
     const Features *own = &self->features;
     return own->kind == ADAPTIVE_FEATURES_NETWORK &&
            same_network(&own->selection, &own->network, &channel->selection, &channel->network) &&
-           alike(self->last_layer.memory, channel->last_layer, 3 * own->feature_count);
+           alike(own->last_layer, channel->last_layer, 3 * own->feature_count);
 }
 
 /* AdaptiveAugmentation.plan */
 void adaptive_plan(const Adaptive *self, const ChannelFeatures *channel, Features *new_features, SwapWorkspace *work,
                    SwapPlan *plan) {
+    const SwapConfig *config = &self->config.swap;
     features_init_network(new_features, &channel->selection, &channel->network);
+    memcpy(new_features->last_layer, channel->last_layer, sizeof new_features->last_layer);
+    if (has_covariance(self)) {
+        int32_t period = config->ring_period_ticks;
+        int64_t since = (self->ticks + period - 1) % period; /* of the newest state, in ticks */
+        SwapTimes times = {self->dt, (real)period * self->dt, (real)since * self->dt};
+        plan_posterior_swap(config, &self->kalman_layer, &self->features, new_features, &self->loop_gains,
+                            &self->recent, self->signals, self->signals_ahead, &times, work, plan);
+        return;
+    }
     int32_t n = recent_states(&self->recent, self->signals, self->signals_ahead, work->states);
-    plan_swap(&self->config.swap, &self->features, self->last_layer.W, new_features, channel->last_layer,
+    plan_swap(config, &self->features, self->last_layer.W, new_features, channel->last_layer,
               self->config.law.gradient.weight_norm_max, n, work, plan);
 }
 
 /* AdaptiveAugmentation.commit */
-void adaptive_commit(Adaptive *self, const Features *new_features, const SwapPlan *plan, const real *memory) {
+void adaptive_commit(Adaptive *self, const Features *new_features, const SwapPlan *plan) {
     self->features = *new_features;
-    last_layer_replace(&self->last_layer, plan->W, memory, new_features->feature_count);
+    take_over(self, plan->theta, has_covariance(self) ? plan->posterior.X : plan->W, plan->posterior.S);
     self->eps_2 = plan->jump;
 }

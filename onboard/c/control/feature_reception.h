@@ -1,0 +1,61 @@
+/* From chunks to a complete feature version, and what became of it: in use, or refused and why. The twin of
+ * onboard/control/feature_reception.py. */
+#ifndef DMRAC_FEATURE_RECEPTION_H
+#define DMRAC_FEATURE_RECEPTION_H
+
+#include "control/cascade.h"
+#include "protocol/transfer.h"
+
+/* What a tick did with a version that waited, and what the guard did. onboard/c/event_text.py makes numpy's texts of it. */
+typedef struct {
+    bool offered; /* whether a version waited */
+    int64_t version;
+    int64_t parent;
+    int64_t samples;
+    Refusal refusal; /* REFUSAL_NONE: it is in use */
+    Fall falls[FALLS_MAX];
+    int32_t fall_count;
+} VersionOutcome;
+
+/* The feature versions that arrive, and the one in use. */
+typedef struct {
+    FeatureReceiver receiver;
+    FeatureSet complete; /* that waits for the next swap */
+    bool waits;
+    int64_t version;         /* in use; 0 for the start features */
+    int64_t swapped_ns;      /* NEVER_NS for the start features */
+    int64_t refused_version; /* by the controller, the newest; 0 for none */
+    Refusal refusal;
+    int32_t swaps;
+    int32_t refusals;
+    int32_t taken_back; /* versions that flew and were taken back */
+} FeatureReception;
+
+/* The reception as the status message reports it. */
+typedef struct {
+    int64_t version;
+    int64_t transfer_version;
+    uint8_t received_chunks[BITMAP_BYTES];
+    int32_t received_chunks_size; /* bytes of them that are sent */
+    int64_t refused_version;
+    Refusal refusal;
+} ReceptionStatus;
+
+void reception_init(FeatureReception *self);
+
+/* Add one chunk. A version that is complete and valid waits for the next swap. */
+void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
+
+/* Start over for a new session of the peer: its versions may count from 1 again. */
+void reception_restart(FeatureReception *self);
+
+/* Offer the version that waits to the controller, if any, and take note of what the guard did. */
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome);
+
+/* Time since the features in use were swapped in, s; -1 for the start features. */
+double reception_age_s(const FeatureReception *self, int64_t now_ns);
+
+/* What the status message says. The newest refusal counts: of the content on arrival, or by the controller. */
+void reception_status(const FeatureReception *self, ReceptionStatus *status);
+
+#endif

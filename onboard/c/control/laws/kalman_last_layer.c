@@ -1,0 +1,311 @@
+#include "control/laws/kalman_last_layer.h"
+
+#include <string.h>
+
+#include "numerics/elementary.h"
+#include "numerics/small_matrix.h"
+#include "protocol/geometry.h"
+
+/* KalmanLastLayer.__init__ */
+void kalman_layer_init(KalmanLastLayer *self, const KalmanConfig *config, int32_t feature_count,
+                       const TrackingWeights *PB) {
+    memset(self, 0, sizeof *self);
+    self->config = *config;
+    self->PB = *PB;
+    self->rate_weight = real_max(real_max(PB->e_2[0], PB->e_2[1]), PB->e_2[2]);
+    self->noise_variance = config->noise * config->noise;
+    self->prior_variance = config->prior * config->prior;
+    self->radius2 = config->weight_norm_max * config->weight_norm_max;
+    self->feature_count = feature_count;
+    kalman_start(config, config->prior_rate, feature_count, &self->state);
+}
+
+/* prior_variance, and the rates of KalmanLastLayer._start */
+void kalman_start(const KalmanConfig *config, real prior_rate, int32_t feature_count, KalmanState *out) {
+    real variance[STATES_MAX], rates[STATES_MAX];
+    for (int i = 0; i < feature_count; i++) {
+        variance[i] = config->prior * config->prior;
+        rates[i] = prior_rate;
+    }
+    variance[feature_count] = config->fast_bias * config->fast_bias;
+    rates[feature_count] = config->fast_bias_rate;
+    kalman_state_init(out, variance, rates, feature_count + 1);
+}
+
+/* KalmanLastLayer._start */
+static void start(KalmanLastLayer *self, const real *theta, int32_t feature_count) {
+    int count = 3 * feature_count;
+    self->feature_count = feature_count;
+    memcpy(self->theta, theta, (size_t)count * sizeof(real));
+    self->theta_norm2 = dot(theta, theta, count);
+    self->X_norm2 = REAL(0.0);
+    kalman_start(&self->config, self->config.prior_rate, feature_count, &self->state);
+}
+
+/* KalmanLastLayer.W */
+void kalman_layer_W(const KalmanLastLayer *self, real *W) {
+    for (int i = 0; i < 3 * self->feature_count; i++) {
+        W[i] = self->theta[i] + self->state.X[i];
+    }
+}
+
+/* KalmanLastLayer.weight_norm: norm(theta + X)^2 without the row of b */
+real kalman_layer_weight_norm(const KalmanLastLayer *self) {
+    int count = 3 * self->feature_count;
+    real cross = REAL(2.0) * dot(self->theta, self->state.X, count);
+    real bias2 = vector_squared_length(self->state.X + count);
+    return real_sqrt(real_max(self->theta_norm2 + cross + self->X_norm2 - bias2, REAL(0.0)));
+}
+
+/* KalmanLastLayer.residual_variance */
+real kalman_layer_residual_variance(const KalmanLastLayer *self, real dt) {
+    return self->noise_variance * dt / (REAL(2.0) * self->config.residual_filter_s);
+}
+
+static real squares_of_X(const KalmanLastLayer *self) {
+    return dot(self->state.X, self->state.X, 3 * self->state.size);
+}
+
+/* KalmanLastLayer._keep_in_ball: what rounding leaves outside is scaled */
+static void keep_in_ball(KalmanLastLayer *self) {
+    KalmanState *state = &self->state;
+    project(state->X, state->S, state->size, self->config.weight_norm_max, self->work);
+    self->X_norm2 = squares_of_X(self);
+    if (self->X_norm2 > self->radius2) {
+        real share = real_sqrt(self->radius2 / self->X_norm2);
+        for (int i = 0; i < 3 * state->size; i++) {
+            state->X[i] *= share;
+        }
+        self->X_norm2 = self->radius2;
+    }
+}
+
+/* KalmanLastLayer.replace */
+void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *theta, int32_t feature_count) {
+    start(self, theta, feature_count);
+    for (int i = 0; i < 3 * feature_count; i++) {
+        self->state.X[i] = W[i] - theta[i];
+    }
+    keep_in_ball(self);
+}
+
+/* KalmanLastLayer.adopt */
+void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S,
+                        int32_t feature_count) {
+    int n = feature_count + 1;
+    start(self, theta, feature_count);
+    memcpy(self->state.X, X, (size_t)(3 * n) * sizeof(real));
+    memcpy(self->state.S, S, (size_t)(n * n) * sizeof(real));
+    keep_in_ball(self);
+}
+
+/* fade */
+real fade(real here, real ahead) {
+    return ahead < here && here > REAL(0.0) ? real_max(ahead, REAL(0.0)) / here : REAL(1.0);
+}
+
+/* confidence: c = 1 - Phi'S Phi / Phi'S0 Phi; the numbers of Phi are `stride` apart */
+static real confidence(const KalmanState *state, const real *Phi, int32_t stride) {
+    int k = state->size - 1;
+    real unknown = REAL(0.0), prior = REAL(0.0);
+    for (int i = 0; i < k; i++) {
+        real along = REAL(0.0);
+        for (int j = 0; j < k; j++) {
+            along += state->S[i * state->size + j] * Phi[j * stride];
+        }
+        unknown += Phi[i * stride] * along;
+        prior += state->prior_variance[i] * Phi[i * stride] * Phi[i * stride];
+    }
+    return REAL(1.0) - unknown / prior;
+}
+
+/* nu of evaluate, of one column: theta'Phi + a X'Phi + b */
+static void nu_of(const real *theta, const KalmanState *state, const real *Phi, int32_t stride, real a, real nu[3]) {
+    int k = state->size - 1;
+    for (int axis = 0; axis < 3; axis++) {
+        real of_theta = REAL(0.0), of_X = REAL(0.0);
+        for (int i = 0; i < k; i++) {
+            of_theta += theta[3 * i + axis] * Phi[i * stride];
+            of_X += state->X[3 * i + axis] * Phi[i * stride];
+        }
+        nu[axis] = of_theta + a * of_X + state->X[3 * k + axis];
+    }
+}
+
+/* KalmanLastLayer.estimate */
+void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, real now[3],
+                           real ahead[3]) {
+    real a = REAL(1.0);
+    if (self->config.confidence) {
+        a = fade(confidence(&self->state, Phi, 1), confidence(&self->state, Phi_ahead, 1));
+    }
+    nu_of(self->theta, &self->state, Phi, 1, REAL(1.0), now);
+    nu_of(self->theta, &self->state, Phi_ahead, 1, a, ahead);
+}
+
+/* evaluate */
+void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi, int32_t n,
+                     real *nu) {
+    real a = REAL(1.0), one[3];
+    if (config->confidence) {
+        a = fade(confidence(state, Phi + n - 2, n), confidence(state, Phi + n - 1, n));
+    }
+    for (int i = 0; i < n; i++) {
+        nu_of(theta, state, Phi + i, n, i == n - 1 ? a : REAL(1.0), one);
+        for (int axis = 0; axis < 3; axis++) {
+            nu[axis * n + i] = one[axis];
+        }
+    }
+}
+
+/* Factor of I + mu S. */
+static bool factor_of(const real *S, int32_t n, real mu, real *factor) {
+    for (int i = 0; i < n * n; i++) {
+        factor[i] = mu * S[i];
+    }
+    for (int i = 0; i < n; i++) {
+        factor[i * n + i] += REAL(1.0);
+    }
+    return cholesky_factor(factor, n);
+}
+
+/* tr(Y'S Z) of Y, Z [n, 3]. */
+static real trace_along(const real *S, const real *Y, const real *Z, int32_t n) {
+    real sum = REAL(0.0);
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n; j++) {
+            const real *y = Y + 3 * i, *z = Z + 3 * j;
+            sum += S[i * n + j] * (y[0] * z[0] + y[1] * z[1] + y[2] * z[2]);
+        }
+    }
+    return sum;
+}
+
+/* project: mu by Newton's method on 1 / norm. In place of the axes of S: Y = (I + mu S)^-1 X, Z = (I + mu S)^-1 Y, and the
+ * slope of 1 / norm(Y) is tr(Y'S Z) / norm(Y)^3. */
+void project(real *X, const real *S, int32_t n, real radius, real *work) {
+    real Y[STATES_MAX * 3], Z[STATES_MAX * 3];
+    size_t size = (size_t)(3 * n) * sizeof(real);
+    real mu = REAL(0.0);
+    if (!(dot(X, X, 3 * n) > radius * radius)) {
+        return;
+    }
+    for (int step = 0; step <= PROJECTION_STEPS; step++) {
+        if (!factor_of(S, n, mu, work)) {
+            return; /* numbers that are not finite */
+        }
+        memcpy(Y, X, size);
+        cholesky_substitute(work, Y, n, 3);
+        if (step < PROJECTION_STEPS) {
+            memcpy(Z, Y, size);
+            cholesky_substitute(work, Z, n, 3);
+            real length = norm(Y, 3 * n);
+            real slope = trace_along(S, Y, Z, n) / (length * length * length);
+            mu += (REAL(1.0) / radius - REAL(1.0) / length) / slope;
+        }
+    }
+    memcpy(X, Y, size);
+}
+
+/* What a step knows of one column: Phi'S Phi, the bias row of S Phi, and nu's parts. */
+typedef struct {
+    real g[STATES_MAX]; /* S [Phi; 0] */
+    real form;          /* Phi'S Phi */
+    real theta[3];      /* theta'Phi */
+    real x[3];          /* X'[Phi; 0] */
+} Along;
+
+static void look_along(const KalmanLastLayer *self, const real *Phi, Along *out) {
+    int k = self->feature_count;
+    kalman_state_along(&self->state, Phi, k, out->g, out->x);
+    out->form = dot(Phi, out->g, k);
+    vector_zero(out->theta);
+    for (int i = 0; i < k; i++) {
+        for (int axis = 0; axis < 3; axis++) {
+            out->theta[axis] += self->theta[3 * i + axis] * Phi[i];
+        }
+    }
+}
+
+/* KalmanLastLayer._tracking: factor of e'PB in the innovation, implicit in the effect of the tracking term on e_2 one tick
+ * later */
+static real tracking(const KalmanLastLayer *self, real share, real dt) {
+    real t = self->config.tracking_gain / self->config.composite_gain;
+    return t / (REAL(1.0) + share * t * self->rate_weight * dt);
+}
+
+/* a after the correction, from forms before it: `of_here` and `of_ahead` are what it changed along each column */
+static real faded(const KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, const Along *h, const Along *a,
+                  real of_here, real of_ahead, real v) {
+    int k = self->feature_count;
+    real prior_here = self->prior_variance * dot(Phi, Phi, k);
+    real prior_ahead = self->prior_variance * dot(Phi_ahead, Phi_ahead, k);
+    return fade(REAL(1.0) - (h->form - of_here * of_here * v) / prior_here,
+                REAL(1.0) - (a->form - of_ahead * of_ahead * v) / prior_ahead);
+}
+
+/* r - nu - t e'PB, with nu before the correction */
+static void innovation_of(const KalmanLastLayer *self, const Along *here, const real e[6], const real residual[3],
+                          real t, real d[3]) {
+    const real *b = self->state.X + 3 * self->feature_count;
+    for (int axis = 0; axis < 3; axis++) {
+        real ePB = e[axis] * self->PB.e_1[axis] + e[3 + axis] * self->PB.e_2[axis];
+        d[axis] = residual[axis] - here->theta[axis] - here->x[axis] - b[axis] - t * ePB;
+    }
+}
+
+/* X and S with phi = [Phi; 1]; false if X had to be projected */
+static bool correct(KalmanLastLayer *self, const Along *here, const real d[3], real v) {
+    KalmanState *state = &self->state;
+    int n = state->size;
+    real g[STATES_MAX];
+    for (int i = 0; i < n; i++) {
+        g[i] = here->g[i] + state->S[i * n + n - 1];
+    }
+    kalman_state_correct(state, g, d, v);
+    self->X_norm2 = squares_of_X(self);
+    if (self->X_norm2 > self->radius2) {
+        keep_in_ball(self);
+        return false;
+    }
+    return true;
+}
+
+/* KalmanLastLayer.step */
+void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, const real e[6],
+                       const real residual[3], real dt, real now[3], real ahead[3]) {
+    KalmanState *state = &self->state;
+    int k = self->feature_count;
+    real lambda = self->config.composite_gain;
+    if (lambda == REAL(0.0)) {
+        kalman_layer_estimate(self, Phi, Phi_ahead, now, ahead);
+        return;
+    }
+    Along h, a; /* here, ahead */
+    kalman_state_predict(state, dt);
+    look_along(self, Phi, &h);
+    look_along(self, Phi_ahead, &a);
+    /* Quadratic forms of S along the bias (b), here (h) and ahead (a). */
+    real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ba = a.g[k], bb = state->S[k * state->size + k];
+    real s = h.form + REAL(2.0) * bh + bb;
+    real v = real_max(self->noise_variance, s / (lambda * dt)) + s;
+    real d[3], b[3];
+    innovation_of(self, &h, e, residual, tracking(self, s / v, dt), d);
+    vector_copy(state->X + 3 * k, b);
+    bool sensible = REAL(0.0) < s && s < SQUARE_MAX && vector_squared_length(d) < SQUARE_MAX; /* NaN is not */
+    if (!sensible) {
+        self->X_norm2 = squares_of_X(self);
+    }
+    if (!sensible || !correct(self, &h, d, v)) {
+        kalman_layer_estimate(self, Phi, Phi_ahead, now, ahead);
+        return;
+    }
+    /* What the correction changed along each column, without another product. */
+    real of_here = (h.form + bh) / v, of_ahead = (ah + ba) / v, of_bias = (bh + bb) / v;
+    real share = self->config.confidence ? faded(self, Phi, Phi_ahead, &h, &a, of_here, of_ahead, v) : REAL(1.0);
+    for (int axis = 0; axis < 3; axis++) {
+        real bias = b[axis] + of_bias * d[axis];
+        now[axis] = h.theta[axis] + h.x[axis] + of_here * d[axis] + bias;
+        ahead[axis] = a.theta[axis] + share * (a.x[axis] + of_ahead * d[axis]) + bias;
+    }
+}

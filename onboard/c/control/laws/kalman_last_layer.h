@@ -1,0 +1,70 @@
+/* The last-layer law with a covariance: W and a fast bias b are estimated together by a Kalman filter. The twin of
+ * onboard/control/laws/kalman_last_layer.py, which explains it. X = [W - theta; b].
+ *
+ *     nu     = W'Phi + b                                                   at the present state
+ *     nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b                       at the state ahead
+ *     [W; b] += S phi (r - nu - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
+ */
+#ifndef DMRAC_KALMAN_LAST_LAYER_H
+#define DMRAC_KALMAN_LAST_LAYER_H
+
+#include "control/laws/kalman_state.h"
+#include "control/laws/last_layer.h"
+
+typedef struct {
+    KalmanConfig config;
+    TrackingWeights PB;
+    real rate_weight; /* the largest weight of e_2 in PB */
+    real noise_variance;
+    real prior_variance; /* p^2 */
+    real radius2;
+    int32_t feature_count;        /* k */
+    real theta[FEATURES_MAX * 3]; /* [k, 3], the trained last layer */
+    real theta_norm2;
+    KalmanState state; /* n = k + 1, the bias last */
+    real X_norm2;
+    real work[STATES_MAX * STATES_MAX]; /* of the projection; it keeps nothing between two steps */
+} KalmanLastLayer;
+
+/* theta and X are zero, S = S0. */
+void kalman_layer_init(KalmanLastLayer *self, const KalmanConfig *config, int32_t feature_count,
+                       const TrackingWeights *PB);
+
+/* W [k, 3]. */
+void kalman_layer_W(const KalmanLastLayer *self, real *W);
+
+/* Frobenius norm of W, units of u. */
+real kalman_layer_weight_norm(const KalmanLastLayer *self);
+
+/* Variance of what R makes of Delta_hat: white noise behind the filter. */
+real kalman_layer_residual_variance(const KalmanLastLayer *self, real dt);
+
+/* Take over W [k, 3] and theta [k, 3] that belong to new features, with S = S0 and b = 0. */
+void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *theta, int32_t feature_count);
+
+/* Take over theta [k, 3], X [k + 1, 3] and S [k + 1, k + 1] that belong to new features. None of them may lie within `self`. */
+void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S, int32_t feature_count);
+
+/* nu at the present state and ahead, with Phi [k] of each. */
+void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, real now[3],
+                           real ahead[3]);
+
+/* One tick: predict, correct, project; nu at the present state and ahead. e = x_rm - x; the residual is unfiltered, units
+ * of u. */
+void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, const real e[6],
+                       const real residual[3], real dt, real now[3], real ahead[3]);
+
+/* Start a filter of k features from X = 0 and S = S0: W reverts at `prior_rate`, b at the rate of the config. */
+void kalman_start(const KalmanConfig *config, real prior_rate, int32_t feature_count, KalmanState *out);
+
+/* nu [3, n] at the features Phi [k, n]; the last two are the present state and the one ahead, where it fades. */
+void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi, int32_t n,
+                     real *nu);
+
+/* a, from the confidence at the present state and at the one ahead. */
+real fade(real here, real ahead);
+
+/* Project X [n, 3] onto the ball norm(X) <= radius in the metric of S^-1: (I + mu S)^-1 X. `work`: n^2 numbers. */
+void project(real *X, const real *S, int32_t n, real radius, real *work);
+
+#endif

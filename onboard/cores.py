@@ -1,0 +1,61 @@
+"""The two onboard cores by name: `onboard.core.OnboardCore` with numpy, `onboard.c.compiled_core.CompiledCore` in C.
+
+The process, a lockstep flight and a replay use either by the interface `AnyCore`.
+"""
+
+from typing import Any, Final, Protocol
+
+from onboard.config import OnboardConfig
+from onboard.core import OnboardCore, OnboardOutput
+from onboard.preflight.certificate import CLEAR, Clearance
+from protocol.arrival import Datagrams
+from protocol.keys import LinkKeys
+
+CORES: Final = ("numpy", "c")
+
+
+class AnyCore(Protocol):
+    """Bytes and time in, bytes out."""
+
+    controller: Any
+    """For what a flight starts from and has learnt (experiments.flights.carried_experience)."""
+
+    @property
+    def airborne(self) -> bool:
+        """Whether the flight mode is one of those in the air."""
+
+    def tick(
+        self,
+        now_ns: int,
+        from_vehicle: Datagrams = (),
+        from_offboard: Datagrams = (),
+        from_ground: Datagrams = (),
+        land: bool = False,
+        missed_ticks: int = 0,
+    ) -> OnboardOutput:
+        """One tick (`onboard.core.OnboardCore.tick`)."""
+
+    def safe_output(self, now_ns: int) -> OnboardOutput:
+        """Motors off and nothing else."""
+
+    def status(self, now_ns: int) -> dict[str, Any]:
+        """A few numbers for the live status line."""
+
+    def summary(self) -> dict[str, Any]:
+        """Mode, features and counters, for the flight record."""
+
+
+def build_core(name: str, config: OnboardConfig, session: int, keys: LinkKeys, clearance: Clearance = CLEAR) -> AnyCore:
+    """A core by its name, one of CORES; the other parameters as of OnboardCore.
+
+    Raises
+    ------
+    ConfigError
+        If the C core cannot be built here, or does not have the configured controller.
+    """
+    given = config, session, keys.offboard, keys.vehicle, keys.ground, clearance
+    if name == "c":
+        from onboard.c.compiled_core import CompiledCore  # nothing else needs it, or its compiler
+
+        return CompiledCore(*given)
+    return OnboardCore(*given)

@@ -1,0 +1,145 @@
+"""From chunks to a swap, and what became of a version: the C core against numpy's, with a controller behind each."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from onboard.c.event_text import fall_text, version_text
+from onboard.c.feature_arrays import put_channel, put_feature_set
+from onboard.c.library import Core
+from onboard.control.feature_reception import FeatureReception
+from onboard.control.laws.adaptive import AdaptiveAugmentation
+from protocol.feature_codec import encode_feature_set
+from protocol.feature_set import FeatureSet
+from protocol.transfer import split
+from tests.onboard.c.guarded_pair import SIZES, smooth_channel
+from tests.onboard.c.parity import SETTINGS, configured, filled
+from tests.onboard.c.test_transfer import broken, c_chunk
+from tests.onboard.control.fixture import AIRFRAME, DT, shipped_controller
+
+FREE = {"swaps_per_s_max": 1e3, "jumps_max": 1e3, "test": {"enabled": False}}
+
+
+class Both:
+    """The two receptions, each with its controller."""
+
+    def __init__(self, core: Core, name: str = "dmrac", **guard: Any) -> None:
+        self.core, self.controller = core, shipped_controller(name, {"guard": {**FREE, **guard}})
+        self.theirs, self.ours, self.cascade = FeatureReception(), core.FeatureReception(), core.Cascade()
+        core.reception_init(self.ours)
+        start = (core.ChannelFeatures * 2)()
+        for target, law in zip(start, self.controller.augmentations, strict=True):
+            if isinstance(law, AdaptiveAugmentation):
+                put_channel(target, law.features.channel)  # type: ignore[attr-defined]
+        airframe = filled(core.AirframeConfig, AIRFRAME)
+        core.cascade_init(self.cascade, configured(core, self.controller._settings), airframe, start[0])
+        self.now_ns = 0
+
+    def receive(self, chunk: Any) -> None:
+        self.theirs.receive(chunk)
+        self.core.reception_receive(self.ours, c_chunk(self.core, chunk))
+        self.compare()
+
+    def restart(self) -> None:
+        self.theirs.restart()
+        self.core.reception_restart(self.ours)
+        self.compare()
+
+    def fail(self, adapting: bool = True) -> None:
+        """A tick after which the law that flies has been worse for too long."""
+        for side, watch in self.controller.guard._watches.items():
+            watch._worse_s = self.cascade.guard.watches[side].worse_s = 1.0
+        self.controller.guard.judge(DT, adapting)
+        self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting)
+
+    def swap(self, outside: FeatureSet | None = None) -> list[str]:
+        """The events of both, those for the pilot last. outside: a version that was put together elsewhere."""
+        self.now_ns += 5_000_000
+        if outside is not None:
+            self.theirs._complete = outside
+        events, warnings = self.theirs.swap(self.controller, self.now_ns)
+        outcome, given = self.core.VersionOutcome(), None
+        if outside is not None:
+            given = self.core.FeatureSet()
+            put_feature_set(given, outside)
+        self.core.reception_swap(self.ours, self.cascade, given, self.now_ns, outcome)
+        texts = [version_text(outcome)] if outcome.offered else []
+        texts += [fall_text(one) for one in outcome.falls[: outcome.fall_count]]
+        assert [(self.now_ns, text) for text in texts] == [*events, *warnings]
+        self.compare()
+        return texts
+
+    def compare(self) -> None:
+        ours, theirs, status = self.ours, self.theirs, self.core.ReceptionStatus()
+        self.core.reception_status(ours, status)
+        received = bytes(status.received_chunks)[: status.received_chunks_size]
+        numbers = status.version, status.transfer_version, received, status.refused_version, status.refusal
+        assert numbers == tuple(theirs.status)
+        assert (ours.swaps, ours.refusals, ours.taken_back) == (theirs.swaps, theirs.refusals, theirs.taken_back)
+        assert ours.waits == (theirs._complete is not None)
+        assert self.core.reception_age_s(ours, self.now_ns) == pytest.approx(theirs.age_s(self.now_ns), abs=1e-12)
+
+
+def version(number: int, seed: int, size: float = 0.05) -> FeatureSet:
+    """A small version for both channels; the content depends on the seed."""
+    position, attitude = (smooth_channel(side, seed, size * SIZES[side]) for side in (0, 1))
+    return FeatureSet(number, 0, 5, position, attitude)
+
+
+WHAT = st.sampled_from(["", "", "", "name", "version", "high", "digest"])
+STEPS = st.lists(
+    st.tuples(st.integers(1, 5), st.integers(0, 2), WHAT, st.sampled_from(["", "", "half", "restart", "fail", "late"])),
+    min_size=1,
+    max_size=7,
+)
+
+
+@SETTINGS
+@given(steps=STEPS, name=st.sampled_from(["dmrac", "dmrac", "indi"]), strikes=st.integers(1, 3))
+def test_any_reception(core: Core, steps: Any, name: str, strikes: int) -> None:
+    """Versions whole and broken, halves, new sessions, falls, and two versions in one tick."""
+    both = Both(core, name, strikes_max=strikes)
+    for number, seed, how, then in steps:
+        source = version(number, seed, 60.0 if how == "high" else 0.05)
+        data = broken(encode_feature_set(source, "float32"), how if how in ("name", "version") else "")
+        chunks = split(data, number, 700)
+        if how == "digest":
+            chunks = tuple(dataclasses.replace(one, digest=bytes(16)) for one in chunks)
+        for chunk in chunks[: len(chunks) // 2 if then == "half" else len(chunks)]:
+            both.receive(chunk)
+        if then == "restart":
+            both.restart()
+        if then != "late":
+            both.swap()
+        if then == "fail":
+            both.fail()
+            both.swap()
+    both.swap()
+
+
+def test_a_version_is_used_taken_back_and_refused(core: Core) -> None:
+    both = Both(core, watch={"enabled": False})
+    for chunk in split(encode_feature_set(version(3, 1), "float16"), 3, 1100):
+        both.receive(chunk)
+    assert both.swap() == ["features 3 in use, parent 0, 5 samples"]
+    both.controller.guard._config = both.controller.guard._config.model_copy(
+        update={"watch": both.controller.guard._config.watch.model_copy(update={"enabled": True})}
+    )
+    both.cascade.guard.config.watch.enabled = True
+    both.fail()
+    (fall,) = both.swap()
+    assert "version 3 taken back, version 0 flies" in fall
+    assert (both.theirs.version, both.theirs.swapped_ns, both.theirs.taken_back) == (0, None, 1)
+    assert both.swap(version(4, 2)) == ["features 4 in use, parent 0, 5 samples"]
+    both.restart()
+
+
+def test_a_version_from_outside_takes_the_place_of_one_that_waits(core: Core) -> None:
+    both = Both(core)
+    for chunk in split(encode_feature_set(version(1, 1), "float16"), 1, 1100):
+        both.receive(chunk)
+    assert both.swap(version(2, 2)) == ["features 2 in use, parent 0, 5 samples"]
+    assert both.swap() == []
