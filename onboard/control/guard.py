@@ -237,9 +237,10 @@ class Guard:
             self._strikes += 1
             self._refused.add(self._content)
         if back:
-            return self._take_back(reason)
-        self._enter(Level(self.level + 1))
-        self._say(bad, f"{reason}: {LAWS[self.level]} flies")
+            self._take_back(reason)
+        else:
+            self._enter(Level(self.level + 1))
+            self._say(bad, f"{reason}: {LAWS[self.level]} flies")
 
     def _take_back(self, reason: str) -> None:
         """From an unproven version to the last good one, and what the law had learnt with it."""

@@ -173,14 +173,14 @@ def test_a_map_that_is_as_good_as_the_bias_does_not_fail_and_proves_nothing():
 
 def test_a_map_that_is_a_little_wrong_loses_its_trial_and_without_one_flies_on():
     """A misfit of 1 is below the floor; over a second of evidence it is worse than the bias's."""
-    wrong, floor = np.full(3, 2.0), np.full(3, 1.0)
-    assert not watched(2.0, floor, 0.14 + 0.9).failed
-    watch = watched(2.0, floor, 0.14 + 1.0 + 0.4)
+    wrong, floor = np.full(3, 1.6), np.full(3, 1.0)
+    assert not watched(1.6, floor, 0.14 + 0.9).failed
+    watch = watched(1.6, floor, 0.14 + 1.0 + 0.4)
     assert watch.failed
     assert watch.worse(0, 1) == "misfit over its trial"
     assert watch.loses(0.3)
-    assert not watched(2.0, floor, 5.0, WatchConfig(trial_s=30.0)).failed
-    assert not watched(2.0, wrong, 5.0).loses(0.0)
+    assert not watched(1.6, floor, 5.0, WatchConfig(trial_s=30.0)).failed
+    assert not watched(1.6, wrong, 5.0).loses(0.0)
 
 
 def test_evidence_is_time_in_which_the_laws_disagree():
