@@ -235,7 +235,7 @@ class CompiledCore:
     def _reception_status(self) -> ReceptionStatus:
         said = self._said
         self._library.reception_status(self._core.reception, said)
-        chunks = bytes(said.received_chunks[: said.received_bytes])
+        chunks = bytes(said.received_chunks[: said.received_chunks_size])
         return ReceptionStatus(said.version, said.transfer_version, chunks, said.refused_version, said.refusal)
 
     def status(self, now_ns: int) -> dict[str, Any]:

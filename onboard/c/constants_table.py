@@ -27,6 +27,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
     "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
     "onboard.control.laws.kalman_state": ("MULTIPLIER_STEPS", "MULTIPLIER_TOLERANCE"),
+    "onboard.control.laws.slope_bound": ("PERIOD_TICKS=SLOPE_PERIOD_TICKS",),
     "onboard.control.tracking_bound": (
         "RESIDUAL_FILTER_S=BOUND_RESIDUAL_FILTER_S",
         *("ESTIMATE_SIGMAS", "SPREAD", "OVERSHOOT"),

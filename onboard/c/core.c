@@ -57,8 +57,9 @@ void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t a
 
 void core_receive_chunk(Core *self, int64_t version, int32_t index, int32_t count, const uint8_t *digest,
                         const uint8_t *data, int32_t size) {
-    FeatureChunk chunk = {.version = version, .index = index, .count = count, .size = size, .data = data};
+    FeatureChunk chunk = {.version = version, .index = index, .count = count, .size = size};
     memcpy(chunk.digest, digest, sizeof chunk.digest);
+    memcpy(chunk.data, data, (size_t)size);
     reception_receive(&self->reception, &chunk);
 }
 

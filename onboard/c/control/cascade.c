@@ -68,20 +68,38 @@ static void track(Cascade *self, const ControlInputs *inputs) {
     }
 }
 
-/* CascadedController._see_ahead: the signals at the present, and with the motion of the target until `there` added */
-static void see_ahead(const ControlInputs *inputs, const PathPoint *there, ChannelState *channel) {
+/* CascadedController._set_motion: position and velocity (world NED) in the signals `column`, at the present attitude */
+static void set_motion(const ControlInputs *inputs, const real position[3], const real velocity[3], real *column) {
+    const real *R = inputs->state->rotation, *v = velocity;
+    memcpy(column, inputs->signals, SIGNAL_COUNT * sizeof(real));
+    for (int i = 0; i < 3; i++) {
+        column[SIGNAL_POSITION_N + i] = position[i];
+        column[SIGNAL_VELOCITY_N + i] = velocity[i];
+        column[SIGNAL_BODY_VELOCITY_X + i] = R[i] * v[0] + R[3 + i] * v[1] + R[6 + i] * v[2];
+    }
+}
+
+/* CascadedController._see_ahead: x_ahead = x + (x_d(t + t_ahead) - x_d(t)) */
+static void see_ahead(const ControlInputs *inputs, const PathPoint *there, real *column) {
     const PathPoint *now = &inputs->target->now;
     const VehicleState *state = inputs->state;
-    real *ahead = channel->signals_ahead, v[3];
-    memcpy(channel->signals, inputs->signals, sizeof channel->signals);
-    memcpy(ahead, inputs->signals, sizeof channel->signals_ahead);
+    real position[3], velocity[3];
     for (int i = 0; i < 3; i++) {
-        ahead[SIGNAL_POSITION_N + i] = state->position[i] + there->position[i] - now->position[i];
-        ahead[SIGNAL_VELOCITY_N + i] = v[i] = state->velocity[i] + (there->velocity[i] - now->velocity[i]);
+        position[i] = state->position[i] + there->position[i] - now->position[i];
+        velocity[i] = state->velocity[i] + there->velocity[i] - now->velocity[i];
     }
-    const real *R = state->rotation;
-    for (int i = 0; i < 3; i++) {
-        ahead[SIGNAL_BODY_VELOCITY_X + i] = R[i] * v[0] + R[3 + i] * v[1] + R[6 + i] * v[2];
+    set_motion(inputs, position, velocity, column);
+}
+
+/* CascadedController._look_ahead, of one channel: the states that its law sees */
+static void look_ahead(const ControlInputs *inputs, const PathPoint *there, bool reads_path, ChannelState *channel) {
+    const PathPoint *now = &inputs->target->now;
+    memcpy(channel->signals, inputs->signals, sizeof channel->signals);
+    if (reads_path) {
+        set_motion(inputs, there->position, there->velocity, channel->signals_ahead);
+        set_motion(inputs, now->position, now->velocity, channel->signals_path);
+    } else {
+        see_ahead(inputs, there, channel->signals_ahead);
     }
 }
 
@@ -101,9 +119,11 @@ static void read_channel(ChannelState *channel, const ControlInputs *inputs, con
 static void read_inputs(Cascade *self, const ControlInputs *inputs) {
     read_channel(self->channels + PLACE, inputs, inputs->position, inputs->state->velocity);
     read_channel(self->channels + TURN, inputs, inputs->attitude, inputs->state->rates);
-    if (augmentation_has_features(self->augmentations + PLACE) || augmentation_has_features(self->augmentations + TURN)) {
-        see_ahead(inputs, &inputs->target->ahead, self->channels + PLACE);
-        see_ahead(inputs, &inputs->target->attitude_ahead, self->channels + TURN);
+    const Augmentation *place = self->augmentations + PLACE, *turn = self->augmentations + TURN;
+    if (augmentation_has_features(place) || augmentation_has_features(turn)) {
+        const Target *target = inputs->target;
+        look_ahead(inputs, &target->ahead, augmentation_reads_path(place), self->channels + PLACE);
+        look_ahead(inputs, &target->attitude_ahead, augmentation_reads_path(turn), self->channels + TURN);
     }
     track(self, inputs);
 }

@@ -8,8 +8,8 @@
 #include "control/features.h"
 #include "control/laws/kalman_state.h"
 
-/* Recent states of a swap: those of the ring, the present and the look-ahead state. */
-#define RECENT_MAX (RING_MAX + 2)
+/* States of a swap: those of the ring, the present one, the one ahead, and that on the path now. */
+#define RECENT_MAX (RING_MAX + 3)
 
 /* Ring buffer of recent signal vectors, and of the filtered residual at each. */
 typedef struct {

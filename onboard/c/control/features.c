@@ -136,6 +136,70 @@ void features_evaluate(const Features *self, const real *z, real *Phi) {
     }
 }
 
+/* dz/dx of an input: zero where it is clipped */
+static real slope_of_input(const Features *self, const real *z, int32_t input) {
+    return real_abs(z[input]) < INPUT_LIMIT ? self->inverse[input] : REAL(0.0);
+}
+
+/* NetworkFeatures.slope: D_L W_L ... D_1 W_1 dz/dx with D_i = diag(1 - h_i^2), h_i the outputs of layer i */
+static void slope_of_network(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J,
+                             real *work) {
+    real levels[2][WIDTH_MAX];
+    const Network *network = &self->network;
+    const real *row = network->parameters, *below = z, *J_below = NULL;
+    int count = self->selection.count;
+    for (int l = 0; l < network->layers; l++) {
+        real *above = levels[l % 2], *J_above = (network->layers - 1 - l) % 2 == 0 ? J : work;
+        for (int i = 0; i < network->width[l]; i++, row += count + 1) {
+            above[i] = real_tanh(dot(row, below, count) + row[count]);
+            real steepness = REAL(1.0) - above[i] * above[i];
+            for (int j = 0; j < n; j++) {
+                real sum = REAL(0.0);
+                if (l == 0) {
+                    sum = row[inputs[j]] * slope_of_input(self, z, inputs[j]);
+                } else {
+                    for (int m = 0; m < count; m++) {
+                        sum += row[m] * J_below[m * n + j];
+                    }
+                }
+                J_above[i * n + j] = sum * steepness;
+            }
+        }
+        count = network->width[l];
+        below = above;
+        J_below = J_above;
+    }
+}
+
+/* RadialFeatures.slope: dphi_i/dx = (c_i - z)' / (width^2 m) phi_i dz/dx */
+static void slope_of_radial(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J) {
+    int m = self->selection.count;
+    real Phi[RBF_COUNT + 1];
+    evaluate_radial(self, z, Phi);
+    for (int row = 0; row < RBF_COUNT; row++) {
+        const real *exponent = self->exponent + row * (2 * m + 1);
+        for (int j = 0; j < n; j++) {
+            int32_t i = inputs[j];
+            real towards = exponent[i] + REAL(2.0) * exponent[m + i] * z[i];
+            J[row * n + j] = towards * Phi[row] * slope_of_input(self, z, i);
+        }
+    }
+}
+
+/* Features.slope */
+void features_slope(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J, real *work) {
+    switch (self->kind) {
+        case ADAPTIVE_FEATURES_NETWORK:
+            slope_of_network(self, z, inputs, n, J, work);
+            break;
+        case ADAPTIVE_FEATURES_RBF:
+            slope_of_radial(self, z, inputs, n, J);
+            break;
+        case ADAPTIVE_FEATURES_BIAS: /* no feature but the constant */
+            break;
+    }
+}
+
 void features_of_states(const Features *self, const real *states, int32_t n, real *Phi) {
     real z[INPUTS_MAX], column[FEATURES_MAX];
     for (int i = 0; i < n; i++) {

@@ -35,7 +35,7 @@ void guard_init(Guard *self, const GuardConfig *config, const Augmentation *augm
         if (self->learns[channel]) {
             const Adaptive *learner = &augmentations[channel].adaptive;
             init_watch(self, channel, learner, gains[channel]);
-            version_test_init(self->tests + channel, &config->test, channel, &learner->loop_gains);
+            version_test_init(self->tests + channel, &config->test, channel, &learner->slope_limits);
         }
     }
     self->level = LEVEL_MAP;

@@ -60,24 +60,32 @@ static void first_plan(const SwapConfig *config, const KalmanLastLayer *law, con
     }
 }
 
-/* The change of nu at the n states; unless the swap is naive, b takes up that at the present state, the last but one. */
-static void changes(const KalmanLastLayer *law, bool continuous, int32_t n, SwapWorkspace *work, SwapPlan *plan) {
+/* The change of nu at the n states. Of a law that learns, the gap is closed in the new features; unless the swap is naive, b
+ * takes up the change at the present state. The last three states are the present one, the path ahead, where nu is nu_cmd, and
+ * the path now, whose change does not count. */
+static void changes(const KalmanLastLayer *law, bool naive, int32_t n, SwapWorkspace *work, SwapPlan *plan) {
+    const int32_t here = n - 3, ahead = n - 2, path = n - 1;
     real *b = plan->posterior.X + 3 * (plan->posterior.size - 1);
-    kalman_evaluate(&law->config, law->theta, &law->state, work->Phi, n, work->nu);
+    bool learns = law->config.composite_gain > REAL(0.0);
+    kalman_layer_at(law, work->Phi, n, work->nu);
     kalman_evaluate(&law->config, plan->theta, &plan->posterior, work->Phi_bar, n, work->change);
     for (int axis = 0; axis < 3; axis++) {
         real *row = work->change + axis * n;
+        if (learns) {
+            row[ahead] += row[here] - row[path];
+        }
         for (int i = 0; i < n; i++) {
             row[i] -= work->nu[axis * n + i];
         }
-        real here = continuous ? row[n - 2] : REAL(0.0);
-        b[axis] -= here;
+        real taken_up = learns && !naive ? row[here] : REAL(0.0);
+        b[axis] -= taken_up;
         for (int i = 0; i < n; i++) {
-            row[i] -= here;
+            row[i] -= taken_up;
         }
+        row[path] = REAL(0.0);
     }
     plan->jump = largest_column(work->change, n);
-    plan->step = column_norm(work->change, n, n - 1);
+    plan->step = column_norm(work->change, n, ahead);
 }
 
 static bool all_finite(const real *values, int count) {
@@ -91,29 +99,26 @@ static bool all_finite(const real *values, int count) {
 
 /* plan_posterior_swap */
 void plan_posterior_swap(const SwapConfig *config, const KalmanLastLayer *law, const Features *old,
-                         const Features *new_features, const LoopGains *gains, const RecentStates *recent,
-                         const real now[SIGNAL_COUNT], const real ahead[SIGNAL_COUNT], const SwapTimes *times,
-                         SwapWorkspace *work, SwapPlan *plan) {
+                         const Features *new_features, const SlopeLimits *limits, const RecentStates *recent,
+                         const real *now, const SwapTimes *times, SwapWorkspace *work, SwapPlan *plan) {
     int k = new_features->feature_count;
     KalmanState *state = &plan->posterior;
     first_plan(config, law, new_features, work, plan);
     if (plan->refusal != REFUSAL_NONE) {
         return;
     }
-    int kept = recent_in_order(recent, work->states, work->residuals), n = kept + 2;
-    memcpy(work->states + kept * SIGNAL_COUNT, now, SIGNAL_COUNT * sizeof(real));
-    memcpy(work->states + (kept + 1) * SIGNAL_COUNT, ahead, SIGNAL_COUNT * sizeof(real));
+    int kept = recent_in_order(recent, work->states, work->residuals), n = kept + 3;
+    memcpy(work->states + kept * SIGNAL_COUNT, now, 3 * SIGNAL_COUNT * sizeof(real));
     features_of_states(old, work->states, n, work->Phi);
     features_of_states(new_features, work->states, n, work->Phi_bar);
-    bounded_theta(new_features, new_features->last_layer, gains, law->config.slope_share, work->states, work->Phi_bar, n,
-                  plan->theta);
+    bounded_theta(new_features, new_features->last_layer, limits, work->states, work->Phi_bar, n, plan->theta);
     bool off = law->config.composite_gain == REAL(0.0); /* a law that is off flies the trained map */
     if (config->naive && law->feature_count == k) {
         keep_all(law, plan->theta, state);
     } else {
         posterior(law, plan->theta, work->Phi_bar, n, k, work->residuals, off ? 0 : kept, times, state);
     }
-    changes(law, !config->naive && !off, n, work, plan);
+    changes(law, config->naive, n, work, plan);
     for (int i = 0; i < 3 * k; i++) {
         plan->W[i] = plan->theta[i] + state->X[i];
     }

@@ -15,12 +15,11 @@ typedef struct {
     real since;   /* from the newest one to the present */
 } SwapTimes;
 
-/* Plan the swap from `old` features with the state of `law` to `new_features`, with the theta_n that came with them. now,
- * ahead: the present state and the one ahead. */
+/* Plan the swap from `old` features with the state of `law` to `new_features`, with the theta_n that came with them. now
+ * [3, SIGNAL_COUNT]: the present state, the path ahead, and the path now. */
 void plan_posterior_swap(const SwapConfig *config, const KalmanLastLayer *law, const Features *old,
-                         const Features *new_features, const LoopGains *gains, const RecentStates *recent,
-                         const real now[SIGNAL_COUNT], const real ahead[SIGNAL_COUNT], const SwapTimes *times,
-                         SwapWorkspace *work, SwapPlan *plan);
+                         const Features *new_features, const SlopeLimits *limits, const RecentStates *recent,
+                         const real *now, const SwapTimes *times, SwapWorkspace *work, SwapPlan *plan);
 
 /* X = [W - theta; b] and S given the residuals y [n, 3] at n states, the oldest first, whose features stand in the first n
  * columns of Phi [k, columns]. */

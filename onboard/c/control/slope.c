@@ -8,22 +8,26 @@
 /* Roll moves the vehicle east and pitch north; yaw gets the gains of the vertical axis. */
 static const int MOVED_BY[3] = {1, 0, 2};
 
-static void add_group(LoopGains *out, Signal first, const real gain[3]) {
+/* The limit of a kind: a share of the loop's gain. */
+static void add_group(SlopeLimits *out, Signal first, real share, const real gain[3]) {
     out->first[out->groups] = (int32_t)first;
-    memcpy(out->gain + 3 * out->groups, gain, 3 * sizeof(real));
+    for (int axis = 0; axis < 3; axis++) {
+        out->limit[3 * out->groups + axis] = share * gain[axis];
+    }
     out->groups++;
 }
 
-/* LoopGains.of */
-void loop_gains_of(int32_t channel, const ChannelGains *position, const ChannelGains *attitude, LoopGains *out) {
+/* SlopeLimits.of */
+void slope_limits_of(int32_t channel, const ChannelGains *position, const ChannelGains *attitude,
+                     const SlopeShares *shares, SlopeLimits *out) {
     real stiffness[3], rate[3], turn[3], turn_rate[3], place[3], motion[3];
     out->groups = 0;
     gains_stiffness(position, stiffness);
     gains_rate_gain(position, rate);
     if (channel == 0) {
-        add_group(out, SIGNAL_POSITION_N, stiffness);
-        add_group(out, SIGNAL_VELOCITY_N, rate);
-        add_group(out, SIGNAL_BODY_VELOCITY_X, rate);
+        add_group(out, SIGNAL_POSITION_N, shares->place, stiffness);
+        add_group(out, SIGNAL_VELOCITY_N, shares->motion, rate);
+        add_group(out, SIGNAL_BODY_VELOCITY_X, shares->motion, rate);
         return;
     }
     gains_stiffness(attitude, turn);
@@ -32,17 +36,17 @@ void loop_gains_of(int32_t channel, const ChannelGains *position, const ChannelG
         place[axis] = turn[axis] * stiffness[MOVED_BY[axis]] / GRAVITY;
         motion[axis] = turn[axis] * rate[MOVED_BY[axis]] / GRAVITY;
     }
-    add_group(out, SIGNAL_ROLL, turn);
-    add_group(out, SIGNAL_RATE_P, turn_rate);
-    add_group(out, SIGNAL_POSITION_N, place);
-    add_group(out, SIGNAL_VELOCITY_N, motion);
-    add_group(out, SIGNAL_BODY_VELOCITY_X, motion);
+    add_group(out, SIGNAL_ROLL, shares->turn, turn);
+    add_group(out, SIGNAL_RATE_P, shares->turn, turn_rate);
+    add_group(out, SIGNAL_POSITION_N, shares->place, place);
+    add_group(out, SIGNAL_VELOCITY_N, shares->motion, motion);
+    add_group(out, SIGNAL_BODY_VELOCITY_X, shares->motion, motion);
 }
 
-const real *loop_gains_at(const LoopGains *self, Signal first) {
+const real *slope_limits_at(const SlopeLimits *self, Signal first) {
     for (int group = 0; group < self->groups; group++) {
         if (self->first[group] == (int32_t)first) {
-            return self->gain + 3 * group;
+            return self->limit + 3 * group;
         }
     }
     return NULL;
@@ -130,7 +134,7 @@ static real of_kind(const FeatureSelection *selection, const real *row, int32_t 
 }
 
 /* largest_shares */
-void largest_shares(const Features *features, const real *theta, const LoopGains *gains, const real *states, int32_t n,
+void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states, int32_t n,
                     real shares[3]) {
     real slope[3 * INPUTS_MAX];
     shares[0] = shares[1] = shares[2] = REAL(0.0);
@@ -138,8 +142,8 @@ void largest_shares(const Features *features, const real *theta, const LoopGains
         slopes(features, theta, states + i * SIGNAL_COUNT, slope);
         for (int axis = 0; axis < 3; axis++) {
             const real *row = slope + axis * features->selection.count;
-            for (int group = 0; group < gains->groups; group++) {
-                real share = of_kind(&features->selection, row, gains->first[group]) / gains->gain[3 * group + axis];
+            for (int group = 0; group < limits->groups; group++) {
+                real share = of_kind(&features->selection, row, limits->first[group]) / limits->limit[3 * group + axis];
                 shares[axis] = real_largest(shares[axis], share);
             }
         }
@@ -147,14 +151,14 @@ void largest_shares(const Features *features, const real *theta, const LoopGains
 }
 
 /* bounded_theta */
-void bounded_theta(const Features *features, const real *theta_n, const LoopGains *gains, real share_max,
-                   const real *states, const real *Phi, int32_t n, real *theta) {
+void bounded_theta(const Features *features, const real *theta_n, const SlopeLimits *limits, const real *states,
+                   const real *Phi, int32_t n, real *theta) {
     int last = features->feature_count - 1;
     real shares[3];
-    largest_shares(features, theta_n, gains, states, n, shares);
+    largest_shares(features, theta_n, limits, states, n, shares);
     memcpy(theta, theta_n, (size_t)(3 * features->feature_count) * sizeof(real));
     for (int axis = 0; axis < 3; axis++) {
-        real factor = share_max / real_max(shares[axis], REAL(1e-12));
+        real factor = REAL(1.0) / real_largest(shares[axis], REAL(1.0));
         if (factor >= REAL(1.0)) { /* not NaN: theta is not finite then, and refused */
             continue;
         }

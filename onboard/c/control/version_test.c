@@ -12,11 +12,11 @@ enum { PLACE_ROW = 0, VELOCITY_ROW = 3, ANGLE_ROW = 6, BODY_VELOCITY_ROW = 9, MO
 #define ANGLE_REACH_RAD REAL(0.2)
 
 /* VersionTest.__init__ */
-void version_test_init(VersionTest *self, const VersionTestConfig *config, int32_t channel, const LoopGains *gains) {
+void version_test_init(VersionTest *self, const VersionTestConfig *config, int32_t channel, const SlopeLimits *limits) {
     memset(self, 0, sizeof *self);
     self->config = *config;
     self->channel = channel;
-    self->gains = *gains;
+    self->slope_limits = *limits;
     for (int axis = 0; axis < BOX_AXES; axis++) {
         for (int point = 0; point < BOX_POINTS; point++) {
             self->corners[axis * BOX_POINTS + point] = REAL(2.0) * halton(point + 1, axis) - REAL(1.0);
@@ -94,7 +94,7 @@ static real spread_over(const Features *features, const real *theta, const real 
     return spread;
 }
 
-/* VersionTest._reach: the largest change from here, and the largest slope along the path as a share of the loop's gain */
+/* VersionTest._reach: the largest change from here, and the largest slope along the path as a share of its limit */
 static void reach(VersionTest *self, const Features *features, const real *theta, const real *recent, int32_t n) {
     real here[3], before[3], step[3], steps[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     vector_subtract(self->path + SIGNAL_COUNT + SIGNAL_POSITION_N, self->path + SIGNAL_POSITION_N, step);
@@ -112,21 +112,21 @@ static void reach(VersionTest *self, const Features *features, const real *theta
     real spread = spread_over(features, theta, here, self->path, PATH_POINTS, REAL(0.0));
     spread = spread_over(features, theta, here, recent, n, spread);
     self->found.spread = spread_over(features, theta, here, self->box, BOX_POINTS, spread);
-    const real *place_gain = loop_gains_at(&self->gains, SIGNAL_POSITION_N);
+    const real *place_limit = slope_limits_at(&self->slope_limits, SIGNAL_POSITION_N);
     self->found.along = REAL(0.0);
     for (int axis = 0; axis < 3; axis++) {
-        self->found.along = real_largest(self->found.along, steps[axis] / apart / place_gain[axis]);
+        self->found.along = real_largest(self->found.along, steps[axis] / apart / place_limit[axis]);
     }
 }
 
-/* The largest slope over all states, as a share of the loop's gains. */
+/* The largest slope over all states, as a share of its limit. */
 static real slope_over(VersionTest *self, const Features *features, const real *theta, const real *recent, int32_t n) {
     const real *states[3] = {self->path, self->box, recent};
     const int32_t counts[3] = {PATH_POINTS, BOX_POINTS, n};
     real largest = REAL(0.0);
     for (int i = 0; features->kind == ADAPTIVE_FEATURES_NETWORK && i < 3; i++) {
         real shares[3];
-        largest_shares(features, theta, &self->gains, states[i], counts[i], shares);
+        largest_shares(features, theta, &self->slope_limits, states[i], counts[i], shares);
         largest = real_largest(real_largest(real_largest(largest, shares[0]), shares[1]), shares[2]);
     }
     return largest;

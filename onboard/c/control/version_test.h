@@ -6,7 +6,7 @@
 #include "control/features.h"
 #include "control/slope.h"
 
-/* What the last test found. Those of the slopes are shares of the loop's gains, the last one of what is allowed. */
+/* What the last test found. Those of the slopes are shares of their limits, the last one of what is allowed. */
 typedef struct {
     real bound;  /* norm(theta) norm(Phi), units of u */
     real spread; /* largest change of the map from here, units of u */
@@ -19,14 +19,14 @@ typedef struct {
 typedef struct {
     VersionTestConfig config;
     int32_t channel; /* 0, 1 */
-    LoopGains gains;
+    SlopeLimits slope_limits;
     real corners[BOX_AXES * BOX_POINTS]; /* of the unit box, [BOX_AXES, BOX_POINTS] */
     real path[PATH_POINTS * SIGNAL_COUNT];  /* states on the line ahead, from here on; of the last test */
     real box[BOX_POINTS * SIGNAL_COUNT];    /* states in the box; of the last test */
     VersionFindings found;
 } VersionTest;
 
-void version_test_init(VersionTest *self, const VersionTestConfig *config, int32_t channel, const LoopGains *gains);
+void version_test_init(VersionTest *self, const VersionTestConfig *config, int32_t channel, const SlopeLimits *limits);
 
 /* Why a map theta'Phi, theta [k, 3], must not fly; REFUSAL_NONE if it may. now: the present state. recent
  * [n, SIGNAL_COUNT]: those of the last second; residuals [n, 3]: measured there. */

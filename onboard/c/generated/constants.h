@@ -31,6 +31,7 @@
 #define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
 #define MULTIPLIER_STEPS 8 /* onboard.control.laws.kalman_state */
 #define MULTIPLIER_TOLERANCE REAL(1e-09) /* onboard.control.laws.kalman_state */
+#define SLOPE_PERIOD_TICKS 4 /* onboard.control.laws.slope_bound */
 #define BOUND_RESIDUAL_FILTER_S REAL(0.02) /* onboard.control.tracking_bound */
 #define ESTIMATE_SIGMAS REAL(2.0) /* onboard.control.tracking_bound */
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */

@@ -54,9 +54,10 @@ class World:
         self.push = 0.0
         """Added to e in every tick, as a share of SIZES: a loop that goes wrong for a reason of its own."""
 
-    def state(self, side: int, dt: float, adapt: bool) -> ChannelState:
-        """The channel's inputs of a tick."""
-        columns = np.stack([self.signals_at(self.time_s), self.signals_at(self.time_s + 0.1)], axis=1)
+    def state(self, side: int, dt: float, adapt: bool, reads_path: bool) -> ChannelState:
+        """The channel's inputs of a tick; the vehicle is a little late on its path."""
+        times = (self.time_s, self.time_s + 0.1, self.time_s + 0.01)[: 3 if reads_path else 2]
+        columns = np.stack([self.signals_at(t) for t in times], axis=1)
         z = self._features[side].select(columns)
         Delta = (self.truth[side].last_layer.T @ self._features[side].evaluate(z))[:, 0]
         residual = self.mood * Delta + self.noise * SIZES[side] * self.rng.normal(size=3)
@@ -109,7 +110,7 @@ class Pair:
         dt, world = periods * DT, self.world
         world.time_s += dt
         for side in (0, 1):
-            state = world.state(side, dt, adapt)
+            state = world.state(side, dt, adapt, getattr(self.laws[side], "reads_path", False))
             nu = self._step_channel(side, state, demand * SIZES[side], thrust_n)
             world.move(side, dt, nu, state.residual)
         self.theirs.judge(dt, adapt)

@@ -47,13 +47,16 @@ int run_filter(KalmanLastLayer *layer, const real *turn, int steps, int every, r
 
 /* The law itself. */
 int run_law(KalmanLastLayer *layer, const real *turn, int steps, int every, real *S) {
-    real phi[STATES_MAX], now[3], ahead[3];
+    real phi[STATES_MAX], Phi[3 * FEATURES_MAX], nu[3], nu_cmd[3];
     const real e[6] = {REAL(0.0)};
-    int kept = 0;
+    int kept = 0, k = layer->feature_count;
     for (int step = 0; step < steps; step++) {
         features(turn, layer->state.size, step, phi);
         const real residual[3] = {phi[0], phi[1] * phi[2], REAL(3.0) * phi[3]};
-        kalman_layer_step(layer, phi + 1, phi + 1, e, residual, DT, now, ahead);
+        for (int i = 0; i < 3; i++) { /* the vehicle is on the path, and sees no other state ahead */
+            memcpy(Phi + i * k, phi + 1, (size_t)k * sizeof(real));
+        }
+        kalman_layer_step(layer, Phi, e, residual, DT, nu, nu_cmd);
         kept = keep(&layer->state, step, every, S, kept);
     }
     return kept;

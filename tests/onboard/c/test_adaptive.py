@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from configs.parts import part_names, read_part
 from onboard.c.library import Core
-from onboard.control.features import BiasFeatures, NetworkFeatures
+from onboard.control.features import NetworkFeatures
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.kalman_last_layer import KalmanConfig
 from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.feature_set import ChannelFeatures
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_COUNT
@@ -27,7 +27,7 @@ from tests.onboard.control.fixture import DT, FEATURES
 
 LAWS = {
     "gradient": law_config(),
-    "covariance": kalman_config(slope_share=0.02),
+    "covariance": kalman_config(slope=SlopeShares(place=0.1, motion=0.02, turn=0.02)),
     "off": kalman_config(composite_gain=0.0, tracking_gain=0.0),
     "on the ball": kalman_config(weight_norm_max=2.0, prior=2.0, confidence=False),
 }
@@ -51,20 +51,37 @@ def adaptive_config(kind: str, law: str = "covariance", **swap: Any) -> Adaptive
     return AdaptiveConfig(kind="adaptive", features=kind, law=LAWS[law], swap=swapping)  # type: ignore[arg-type]
 
 
-def both(core: Core, config: AdaptiveConfig, seed: int) -> tuple[Any, AdaptiveAugmentation]:
-    rng, loop_gains = np.random.default_rng(seed), LoopGains.of("position", GAINS, GAINS)
-    theirs = AdaptiveAugmentation(config, GAINS, FEATURES.untrained, "position", rng, loop_gains)
-    ours, gains, c_gains = core.Adaptive(), configured(core, GAINS), core.LoopGains()
-    core.loop_gains_of(0, gains, gains, c_gains)
+def start(core: Core, config: AdaptiveConfig, seed: int) -> Any:
+    """C's Adaptive of the position channel, with the slopes that its law allows."""
+    ours, gains, limits, c_config = (
+        core.Adaptive(),
+        configured(core, GAINS),
+        core.SlopeLimits(),
+        configured(core, config),
+    )
+    core.slope_limits_of(0, gains, gains, configured(core, config.slope_shares), limits)
     if config.features == "network":
-        start = channel(seed)
-        theirs.features, ours.features = NetworkFeatures(start), c_network_features(core, start)
+        ours.features = c_network_features(core, channel(seed))
     else:
-        theirs.features = BiasFeatures()
         core.features_init_bias(ours.features)
-    core.adaptive_init(ours, configured(core, config), gains, c_gains)
+    core.adaptive_init(ours, c_config, gains, limits)
+    return ours
+
+
+def states_of(theirs: AdaptiveAugmentation) -> int:
+    """How many states the law sees."""
+    return 3 if theirs.reads_path else 2
+
+
+def both(core: Core, config: AdaptiveConfig, seed: int) -> tuple[Any, AdaptiveAugmentation]:
+    rng, limits = np.random.default_rng(seed), SlopeLimits.of("position", GAINS, GAINS, config.slope_shares)
+    theirs = AdaptiveAugmentation(config, GAINS, FEATURES.untrained, "position", rng, limits)
+    if config.features == "network":
+        theirs._use(NetworkFeatures(channel(seed)))
+    ours = start(core, config, seed)
     same(np.diag(view(ours.tracking_weights.e_2)), theirs.tracking_weights[3:])
     assert core.adaptive_learns(ours) == theirs.learns
+    assert core.adaptive_reads_path(ours) == theirs.reads_path
     law = theirs.last_layer.config
     rates = core.adaptive_composite_gain(ours), core.adaptive_tracking_gain(ours), core.adaptive_jump_max(ours)
     assert rates == (law.composite_gain, law.tracking_gain, theirs.jump_max)
@@ -104,10 +121,10 @@ def same_learnt(core: Core, ours: Any, theirs: AdaptiveAugmentation, rtol: float
 def test_adaptive(core: Core, given_ticks: Any, seed: int, kind: str, law: str) -> None:
     ours, theirs = both(core, adaptive_config(kind, law), seed)
     for index, tick in enumerate(given_ticks):
-        step_both(core, ours, theirs, state_of(tick, seed + index))
+        step_both(core, ours, theirs, state_of(tick, seed + index, states_of(theirs)))
     theirs.reset()
     core.adaptive_reset(ours)
-    step_both(core, ours, theirs, state_of(given_ticks[0], seed))
+    step_both(core, ours, theirs, state_of(given_ticks[0], seed, states_of(theirs)))
     same_learnt(core, ours, theirs, 1e-11)
 
 
@@ -134,11 +151,14 @@ def plan_both(core: Core, ours: Any, theirs: AdaptiveAugmentation, offered: Chan
     return plan.refusal
 
 
-def path_state(tick: int, rng: np.random.Generator, adapt: bool = True, periods: int = 1) -> ChannelState:
-    """A tick along a path on which the signals move together, and a residual that they explain in part."""
-    state = ChannelState(periods * DT, adapt, signals=np.zeros((SIGNAL_COUNT, 2)))
+def path_state(tick: int, rng: np.random.Generator, states: int, adapt: bool = True, periods: int = 1) -> ChannelState:
+    """A tick along a path on which the signals move together, and a residual that they explain in part.
+
+    The vehicle is late on the path.
+    """
+    state = ChannelState(periods * DT, adapt, signals=np.zeros((SIGNAL_COUNT, states)))
     rows = np.arange(SIGNAL_COUNT)
-    for column, t in enumerate((tick * DT, tick * DT + 0.15)):
+    for column, t in enumerate((tick * DT, tick * DT + 0.15, tick * DT + 0.03)[:states]):
         state.signals[:, column] = np.sin((0.5 + 0.2 * rows) * t + rows)
     state.residual[:] = 2.0 * state.signals[:3, 0] + 0.3 * rng.normal(size=3)
     state.model_error[:] = 0.05 * rng.normal(size=6)
@@ -162,7 +182,7 @@ def test_a_flight_with_swaps(core: Core, seed: int, law: str, naive: bool, size:
     rtol = 1e-11
     for tick in range(130 if SANITIZED else 330):
         missed = tick % 60 == 17 or tick % 94 == 49  # the latter before a swap, some in a tick that does not adapt
-        state = path_state(tick, rng, tick % 50 < 46, 3 if missed else 1)
+        state = path_state(tick, rng, states_of(theirs), tick % 50 < 46, 3 if missed else 1)
         step_both(core, ours, theirs, state, rtol)
         if tick % 47 == 2:
             widths = (8, 12) if tick % 3 == 0 else (16, 19)
@@ -196,7 +216,7 @@ def test_what_these_swaps_reach(core: Core) -> None:
         ours, theirs = both(core, adaptive_config("network", law, **limits), 4)
         rng = np.random.default_rng(4)
         for tick in range(20):
-            step_both(core, ours, theirs, path_state(tick, rng))
+            step_both(core, ours, theirs, path_state(tick, rng, states_of(theirs)))
         offered = channel(5)
         found.add(plan_both(core, ours, theirs, dataclasses.replace(offered, last_layer=size * offered.last_layer)))
     assert found == {"", "swap_jump", "weight_norm", "lipschitz"}
@@ -220,7 +240,7 @@ def test_features_that_fly_already(core: Core) -> None:
     ours, theirs = both(core, adaptive_config("network", jump_max=1e9), 3)
     rng = np.random.default_rng(3)
     for tick in range(30):
-        step_both(core, ours, theirs, path_state(tick, rng))
+        step_both(core, ours, theirs, path_state(tick, rng, states_of(theirs)))
     offered = channel(4)
     assert (core.adaptive_flies(ours, c_channel(core, offered)), theirs.flies(offered)) == (False, False)
     assert plan_both(core, ours, theirs, offered) == ""
@@ -241,7 +261,7 @@ def test_w_of_an_earlier_flight(core: Core, law: str) -> None:
     theirs.last_layer.replace(W, W)
     core.adaptive_start_from(ours, array(core, W))
     same_learnt(core, ours, theirs, 1e-12)
-    step_both(core, ours, theirs, path_state(0, np.random.default_rng(1)))
+    step_both(core, ours, theirs, path_state(0, np.random.default_rng(1), states_of(theirs)))
 
 
 @pytest.mark.parametrize("law", [LAWS["covariance"], *shipped_laws()])
@@ -249,13 +269,10 @@ def test_s_stays_symmetric_and_positive_definite_over_swaps_in_float(core32: Cor
     """The posterior is found by the filter, in float, from S0 on: after each swap, and 100 ticks later."""
     config = adaptive_config("network", jump_max=1e9, ring_size=40, ring_period_ticks=5)
     config = config.model_copy(update={"law": law})
-    ours, gains, c_gains = core32.Adaptive(), configured(core32, GAINS), core32.LoopGains()
-    core32.loop_gains_of(0, gains, gains, c_gains)
-    ours.features = c_network_features(core32, channel(1))
-    core32.adaptive_init(ours, configured(core32, config), gains, c_gains)
+    ours = start(core32, config, 1)
     rng, new, plan, work = np.random.default_rng(2), core32.Features(), core32.SwapPlan(), core32.SwapWorkspace()
     for tick in range(400):
-        state = c_state(core32, path_state(tick, rng))
+        state = c_state(core32, path_state(tick, rng, 3))
         core32.adaptive_step(ours, state, core32.ChannelTelemetry(), np.empty(3, np.float32))
         if tick % 100 == 99:
             same_definite(ours.kalman_layer.state)

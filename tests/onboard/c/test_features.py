@@ -71,6 +71,48 @@ def test_the_largest_network_and_as_many_inputs_as_signals(core: Core) -> None:
     evaluate(core, c_network_features(core, source), NetworkFeatures(source), signals(2, 2))
 
 
+# --- their slope ---
+
+
+def slope_both(core: Core, ours: Any, theirs: Any, state: Any, chosen: list[int]) -> None:
+    """dPhi/dx over the chosen inputs at one state, [k - 1, n]."""
+    z = theirs.select(np.stack([state, state], axis=1))
+    theirs.evaluate(z)
+    expected = theirs.slope(0, np.array(chosen))
+    J, work = np.full(128 * len(chosen), np.nan), np.empty(128 * len(chosen))
+    core.features_slope(ours, np.ascontiguousarray(z[:, 0]), np.array(chosen, np.int32), len(chosen), J, work)
+    same(J[: expected.size], expected, 1e-11)
+
+
+CHOSEN = st.lists(st.integers(0, len(INPUTS) - 1), min_size=1, max_size=len(INPUTS), unique=True)
+
+
+@SETTINGS
+@given(seed=SEEDS, widths=WIDTHS, chosen=CHOSEN, size=st.sampled_from([1.0, 6.0]))
+def test_the_slope_of_a_network(core: Core, seed: int, widths: tuple[int, ...], chosen: list[int], size: float) -> None:
+    """With the larger signals, some inputs are clipped."""
+    source = channel(seed, widths)
+    slope_both(core, c_network_features(core, source), NetworkFeatures(source), signals(seed, 1, size)[0], chosen)
+
+
+@SETTINGS
+@given(seed=SEEDS, width=st.floats(0.3, 3.0), chosen=CHOSEN, size=st.sampled_from([0.5, 3.0]))
+def test_the_slope_of_radial_functions(core: Core, seed: int, width: float, chosen: list[int], size: float) -> None:
+    offset, scale = np.full(len(INPUTS), 0.1), np.full(len(INPUTS), 0.7)
+    selection, ours = core.FeatureSelection(), core.Features()
+    put_selection(selection, INPUTS, offset, scale)
+    core.features_init_radial(ours, selection, width)
+    slope_both(core, ours, RadialFeatures(INPUTS, offset, scale, width), signals(seed, 1, size)[0], chosen)
+
+
+def test_the_slope_of_the_largest_network_and_at_the_limit_of_an_input(core: Core) -> None:
+    rng = np.random.default_rng(3)
+    start = random_channel(SIGNAL_NAMES, np.zeros(21), np.ones(21), (128, 128, 128, 128), rng)
+    state = rng.normal(size=SIGNAL_COUNT)
+    state[:2] = 3.0, -3.0
+    slope_both(core, c_network_features(core, start), NetworkFeatures(start), state, list(range(15)))
+
+
 # --- 16 bits ---
 
 

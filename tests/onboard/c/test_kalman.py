@@ -99,11 +99,15 @@ def layers(core: Core, config: KalmanConfig, k: int) -> tuple[Any, KalmanLastLay
 
 
 def columns(rng: np.random.Generator, k: int) -> np.ndarray[Any, Any]:
-    """Features [k, 2] of two states near one another."""
-    here = rng.normal(size=k)
-    Phi = np.tanh(np.stack([here, here + 0.3 * rng.normal(size=k)], axis=1))
+    """Features [k, 3] of three states near one another."""
+    Phi = np.tanh(rng.normal(size=(k, 1)) + [0.0, 0.3, 0.3] * rng.normal(size=(k, 3)))
     Phi[-1] = 1.0
     return Phi
+
+
+def of_tick(Phi: Any) -> np.ndarray[Any, Any]:
+    """The same as C has it, [3, k]."""
+    return np.ascontiguousarray(Phi.T)
 
 
 def step_layers(
@@ -112,13 +116,19 @@ def step_layers(
     """One step in both; compares what they learnt and nu, as the step returns it and as it is evaluated afterwards."""
     with np.errstate(invalid="ignore"):
         expected = theirs.step(Phi, e, residual.tolist(), dt)
-    now, ahead = np.empty(3), np.empty(3)
-    here, there = (np.ascontiguousarray(column) for column in Phi.T)
-    core.kalman_layer_step(ours, here, there, e, residual, dt, now, ahead)
+    nu, nu_cmd = np.empty(3), np.empty(3)
+    core.kalman_layer_step(ours, of_tick(Phi), e, residual, dt, nu, nu_cmd)
     same_layers(core, ours, theirs, rtol)
-    same(np.stack([now, ahead], axis=1), expected, rtol, scale=1.0)
-    core.kalman_layer_estimate(ours, here, there, now, ahead)
-    same(np.stack([now, ahead], axis=1), theirs.estimate(Phi), 10.0 * rtol, scale=1.0)
+    same(np.stack([nu, nu_cmd], axis=1), expected, rtol, scale=1.0)
+    core.kalman_layer_estimate(ours, of_tick(Phi), nu, nu_cmd)
+    same(np.stack([nu, nu_cmd], axis=1), theirs.estimate(Phi), 10.0 * rtol, scale=1.0)
+
+
+def close_both(core: Core, ours: Any, theirs: KalmanLastLayer, Phi: Any) -> None:
+    """The deviation from the path counts in full."""
+    theirs.close_gap(Phi)
+    core.kalman_layer_close_gap(ours, of_tick(Phi))
+    same(view(ours.gap), theirs._gap, 1e-12, scale=1.0)
 
 
 def same_layers(core: Core, ours: Any, theirs: KalmanLastLayer, rtol: float) -> None:
@@ -128,6 +138,7 @@ def same_layers(core: Core, ours: Any, theirs: KalmanLastLayer, rtol: float) -> 
     core.kalman_layer_W(ours, W)
     same(W, theirs.W, rtol, scale=1.0)
     same(core.kalman_layer_weight_norm(ours) ** 2, theirs.weight_norm**2, rtol, scale=1.0)
+    same(view(ours.gap), theirs._gap, rtol, scale=1.0)
 
 
 LAWS = st.fixed_dictionaries(
@@ -157,6 +168,7 @@ def test_the_law(core: Core, seed: int, k: int, law: Any) -> None:
         theirs.adopt(theta, X, S)
         core.kalman_layer_adopt(ours, theta, X, S, k)
         same_layers(core, ours, theirs, 1e-12)
+        close_both(core, ours, theirs, columns(rng, k))
         Phi, e, residual = columns(rng, k), 0.1 * rng.normal(size=6), 3.0 * rng.normal(size=3)
         step_layers(core, ours, theirs, Phi, e, residual, DT * int(rng.choice([1, 4])), 1e-12)
 
@@ -169,14 +181,15 @@ def test_the_law_over_some_seconds(core: Core, seed: int, k: int, law: Any) -> N
     rng = np.random.default_rng(seed)
     turn = rng.uniform(0.5, 6.0, k)
     for index in range(STEPS):
+        t = index * DT + np.array([0.0, 0.15, 0.03])
+        Phi = np.tanh(2.0 * np.sin(turn[:, None] * t + turn[:, None]))
+        Phi[-1] = 1.0
         if index % 90 == 70:
             W, theta = rng.normal(size=(k, 3)), rng.normal(size=(k, 3))
             theirs.replace(W, theta)
             core.kalman_layer_replace(ours, W, theta, k)
             same_layers(core, ours, theirs, 1e-11)
-        t = index * DT + np.array([0.0, 0.15])
-        Phi = np.tanh(2.0 * np.sin(turn[:, None] * t + turn[:, None]))
-        Phi[-1] = 1.0
+            close_both(core, ours, theirs, Phi)
         residual = 2.0 * Phi[0, 0] + 0.3 * rng.normal(size=3)
         if index % 40 == 39:
             residual[index % 3] = [np.nan, np.inf, 1e200][index % 7 % 3]
@@ -185,23 +198,26 @@ def test_the_law_over_some_seconds(core: Core, seed: int, k: int, law: Any) -> N
 
 
 def test_what_these_sequences_reach(core: Core) -> None:
-    """The limit of the gain binds or not, X is projected or not, nu fades ahead or not: none is idle above."""
+    """The limit of the gain binds or not, X is projected or not, nu fades ahead or not, and there is a gap or none."""
     seen: set[str] = set()
     for noise, radius in ((0.05, 40.0), (5.0, 40.0), (0.05, 0.5)):
         ours, _ = layers(core, kalman_config(noise=noise, weight_norm_max=radius), 6)
         rng = np.random.default_rng(1)
         for _ in range(50):
-            Phi, now, ahead, fresh = columns(rng, 6), np.empty(3), np.empty(3), np.empty(3)
-            here, there = (np.ascontiguousarray(column) for column in Phi.T)
-            core.kalman_layer_step(ours, here, there, np.zeros(6), 3.0 * rng.normal(size=3), DT, now, ahead)
+            Phi, nu, nu_cmd = columns(rng, 6), np.empty(3), np.empty(3)
+            if rng.uniform() < 0.2:  # on the path
+                Phi[:, 2] = Phi[:, 0]
+                core.kalman_layer_close_gap(ours, of_tick(Phi))
+            core.kalman_layer_step(ours, of_tick(Phi), np.zeros(6), 3.0 * rng.normal(size=3), DT, nu, nu_cmd)
             phi = np.append(Phi[:, 0], 1.0)
             s = phi @ covariance(ours.state) @ phi
             seen.add("limited" if s / (20.0 * DT) > noise**2 else "free")
             seen.add("on the ball" if ours.X_norm2 > 0.999 * radius**2 else "inside")
             plain = view(ours.state.X)[:21].reshape(7, 3).T @ np.append(Phi[:, 1], 1.0)
-            seen.add("fades" if np.abs(ahead - plain).max() > 1e-6 else "does not fade")
-            core.kalman_layer_estimate(ours, here, there, fresh, ahead)
-    assert seen == {"limited", "free", "on the ball", "inside", "fades", "does not fade"}
+            gap = view(ours.gap)
+            seen.add("fades" if np.abs(nu_cmd - gap - plain).max() > 1e-6 else "does not fade")
+            seen.add("gap" if np.abs(gap).max() > 0.01 else "no gap")
+    assert seen == {"limited", "free", "on the ball", "inside", "fades", "does not fade", "gap", "no gap"}
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
@@ -216,9 +232,10 @@ def test_a_step_that_is_not_finite_only_predicts(core: Core, bad: float) -> None
     same_state(ours.state, theirs.state, 1e-12)
     Phi = columns(rng, 4)
     Phi[1, 0] = bad
-    now, ahead, before = np.empty(3), np.empty(3), covariance(ours.state).copy()
-    core.kalman_layer_step(ours, Phi[:, 0].copy(), Phi[:, 1].copy(), np.zeros(6), np.zeros(3), DT, now, ahead)
+    before, gap = covariance(ours.state).copy(), view(ours.gap).copy()
+    core.kalman_layer_step(ours, of_tick(Phi), np.zeros(6), np.zeros(3), DT, np.empty(3), np.empty(3))
     assert np.isfinite(view(ours.state.X)).all()
+    np.testing.assert_array_equal(view(ours.gap), gap)
     same(covariance(ours.state), before, 1e-2)
 
 
@@ -244,16 +261,16 @@ def test_projection(core: Core, seed: int, n: int, far: float, spread: float) ->
 def test_in_float_the_law_stays_near_that_in_double(core32: Core, seed: int) -> None:
     config, rng = kalman_config(noise=0.3), np.random.default_rng(seed)
     ours, theirs = core32.KalmanLastLayer(), KalmanLastLayer(config, 20, weights_of(GAINS, (1.0, 0.1)))
-    PB, now, ahead = core32.TrackingWeights(), np.empty(3, np.float32), np.empty(3, np.float32)
+    PB, nu, nu_cmd = core32.TrackingWeights(), np.empty(3, np.float32), np.empty(3, np.float32)
     core32.tracking_weights(configured(core32, GAINS), array(core32, (1.0, 0.1)), PB)
     core32.kalman_layer_init(ours, configured(core32, config), 20, PB)
     for index in range(STEPS):
         Phi, e, residual = columns(rng, 20), 0.1 * rng.normal(size=6), 3.0 * rng.normal(size=3)
         expected = theirs.step(Phi, e, residual.tolist(), DT)
-        given_ = [array(core32, one) for one in (Phi[:, 0], Phi[:, 1], e, residual)]
-        core32.kalman_layer_step(ours, *given_, DT, now, ahead)
+        given_ = [array(core32, one) for one in (of_tick(Phi), e, residual)]
+        core32.kalman_layer_step(ours, *given_, DT, nu, nu_cmd)
         if index > 10:  # before, the confidence is the difference of two numbers that are nearly equal
-            same(np.stack([now, ahead], axis=1), expected, 1e-4, scale=1.0)
+            same(np.stack([nu, nu_cmd], axis=1), expected, 1e-4, scale=1.0)
     same(covariance(ours.state), theirs.state.S, 1e-4)
 
 

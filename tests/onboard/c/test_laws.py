@@ -35,10 +35,11 @@ def ticks(most: int = 6) -> st.SearchStrategy[Any]:
     return st.lists(one, min_size=1, max_size=most)
 
 
-def state_of(tick: Any, seed: int = 0) -> ChannelState:
+def state_of(tick: Any, seed: int = 0, states: int = 2) -> ChannelState:
+    """states: 3 for a law that reads its map on the path."""
     values, adapt, saturated, periods = tick
     parts = np.split(np.array(values), [6, 12, 15, 18])
-    signals = np.random.default_rng(seed).normal(size=(SIGNAL_COUNT, 2))
+    signals = np.random.default_rng(seed).normal(size=(SIGNAL_COUNT, states))
     return ChannelState(periods * DT, adapt, saturated, **dict(zip(VALUES, parts, strict=True)), signals=signals)
 
 
@@ -48,7 +49,8 @@ def c_state(core: Core, state: ChannelState) -> Any:
     for name in VALUES:
         view(getattr(target, name))[:] = getattr(state, name)
     target.lap_phase, target.lap_s = state.lap_phase, state.lap_s
-    view(target.signals)[:], view(target.signals_ahead)[:] = state.signals.T
+    for name, column in zip(("signals", "signals_ahead", "signals_path"), state.signals.T, strict=False):
+        view(getattr(target, name))[:] = column
     return target
 
 

@@ -1,4 +1,4 @@
-"""The slope of a map, its bound by the loop's gains, and the posterior of a swap: the C core against numpy's."""
+"""The slope of a map, its limits by the loop's gains, and the posterior of a swap: the C core against numpy's."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from onboard.control.features import NetworkFeatures
 from onboard.control.laws.kalman_last_layer import prior_variance
 from onboard.control.posterior_swap import posterior
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import PLACE, LoopGains, bounded_theta, largest_shares, slopes
+from onboard.control.slope import PLACE, SlopeLimits, SlopeShares, bounded_theta, largest_shares, slopes
 from protocol.feature_config import ChannelName
 from protocol.signals import SIGNAL_INDEX
 from tests.onboard.c.channels import INPUTS, c_network_features, channel, signals
@@ -27,24 +27,25 @@ SEEDS = st.integers(0, 2**31)
 SIDES: tuple[ChannelName, ...] = ("position", "attitude")
 
 
-def loop_gains(core: Core, side: int) -> tuple[Any, LoopGains]:
-    ours = core.LoopGains()
-    core.loop_gains_of(side, configured(core, POSITION), configured(core, ATTITUDE), ours)
-    return ours, LoopGains.of(SIDES[side], POSITION, ATTITUDE)
+def slope_limits(core: Core, side: int, share: float = 1.0) -> tuple[Any, SlopeLimits]:
+    """Of both cores; the kinds of input differ in their shares."""
+    ours, shares = core.SlopeLimits(), SlopeShares(place=5.0 * share, motion=2.0 * share, turn=share)
+    core.slope_limits_of(side, configured(core, POSITION), configured(core, ATTITUDE), configured(core, shares), ours)
+    return ours, SlopeLimits.of(SIDES[side], POSITION, ATTITUDE, shares)
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_loop_gains(core: Core, side: int) -> None:
-    ours, theirs = loop_gains(core, side)
+def test_slope_limits(core: Core, side: int) -> None:
+    ours, theirs = slope_limits(core, side)
     assert ours.groups == len(theirs.groups)
-    for index, (names, gain) in enumerate(theirs.groups):
+    for index, (names, limit) in enumerate(theirs.groups):
         first = ours.first[index]
         assert [SIGNAL_INDEX[name] for name in names] == [first, first + 1, first + 2]
-        same(view(ours.gain)[3 * index : 3 * index + 3], gain)
-        same(np.ctypeslib.as_array(core.loop_gains_at(ours, first), (3,)), gain)
-    place = next(gain for names, gain in theirs.groups if names == PLACE)
-    same(np.ctypeslib.as_array(core.loop_gains_at(ours, core.SIGNAL_POSITION_N), (3,)), place)
-    assert not core.loop_gains_at(ours, core.SIGNAL_BATTERY_VOLTAGE)
+        same(view(ours.limit)[3 * index : 3 * index + 3], limit)
+        same(np.ctypeslib.as_array(core.slope_limits_at(ours, first), (3,)), limit)
+    place = next(limit for names, limit in theirs.groups if names == PLACE)
+    same(np.ctypeslib.as_array(core.slope_limits_at(ours, core.SIGNAL_POSITION_N), (3,)), place)
+    assert not core.slope_limits_at(ours, core.SIGNAL_BATTERY_VOLTAGE)
 
 
 @SETTINGS
@@ -70,18 +71,18 @@ def test_slopes(core: Core, seed: int, widths: tuple[int, ...]) -> None:
 )
 def test_bounded_theta(core: Core, seed: int, widths: tuple[int, ...], side: int, n: int, share: float) -> None:
     source, at = channel(seed, widths), signals(seed, n)
-    gains, their_gains = loop_gains(core, side)
+    limits, their_limits = slope_limits(core, side, share)
     features, theirs = c_network_features(core, source), NetworkFeatures(source)
     shares = np.empty(3)
-    core.largest_shares(features, array(core, source.last_layer), gains, array(core, at), n, shares)
-    same(shares, largest_shares(source, source.last_layer, their_gains, at.T), rtol=1e-11)
+    core.largest_shares(features, array(core, source.last_layer), limits, array(core, at), n, shares)
+    same(shares, largest_shares(source, source.last_layer, their_limits, at.T), rtol=1e-11)
     Phi = theirs.evaluate(theirs.select(at.T))
     ours = np.empty((source.feature_count, n))
     core.features_of_states(features, array(core, at), n, ours)
     same(ours, Phi, rtol=1e-11)
-    expected, _ = bounded_theta(source, their_gains, share, at.T, Phi)
+    expected, _ = bounded_theta(source, their_limits, at.T, Phi)
     theta = np.empty(expected.shape)
-    core.bounded_theta(features, features.last_layer, gains, share, array(core, at), ours, n, theta)
+    core.bounded_theta(features, features.last_layer, limits, array(core, at), ours, n, theta)
     same(theta, expected, rtol=1e-11)
 
 
@@ -89,11 +90,11 @@ def test_a_state_that_is_not_finite_leaves_no_finite_share(core: Core) -> None:
     """It must not vanish between finite ones."""
     source, at = channel(1), signals(1, 3)
     at[1] = np.nan
-    gains, their_gains = loop_gains(core, 0)
+    limits, their_limits = slope_limits(core, 0)
     features, shares = c_network_features(core, source), np.empty(3)
-    core.largest_shares(features, array(core, source.last_layer), gains, array(core, at), 3, shares)
+    core.largest_shares(features, array(core, source.last_layer), limits, array(core, at), 3, shares)
     assert np.isnan(shares).all()
-    assert np.isnan(largest_shares(source, source.last_layer, their_gains, at.T)).all()
+    assert np.isnan(largest_shares(source, source.last_layer, their_limits, at.T)).all()
 
 
 @SETTINGS

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from onboard.c.library import Core
 from onboard.control.features import BiasFeatures, Features, NetworkFeatures
-from onboard.control.slope import LoopGains
+from onboard.control.slope import SlopeLimits, SlopeShares
 from onboard.control.version_test import VersionTest, VersionTestConfig, ahead
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
@@ -21,16 +21,18 @@ from tests.onboard.control.test_guard import cliff, version
 
 SIDES: Any = ("position", "attitude")
 RTOL = 1e-11
+SHARES = SlopeShares(place=1.0, motion=0.8, turn=0.6)
 
 
 class Both:
     """The two tests, side by side."""
 
     def __init__(self, core: Core, config: VersionTestConfig, side: int) -> None:
-        self.core, self.ours, gains = core, core.VersionTest(), core.LoopGains()
-        core.loop_gains_of(side, configured(core, GAINS), configured(core, GAINS), gains)
-        core.version_test_init(self.ours, configured(core, config), side, gains)
-        self.theirs = VersionTest(config, side, LoopGains.of(SIDES[side], GAINS, GAINS))
+        self.core, self.ours, limits = core, core.VersionTest(), core.SlopeLimits()
+        gains, shares = configured(core, GAINS), configured(core, SHARES)
+        core.slope_limits_of(side, gains, gains, shares, limits)
+        core.version_test_init(self.ours, configured(core, config), side, limits)
+        self.theirs = VersionTest(config, side, SlopeLimits.of(SIDES[side], GAINS, GAINS, SHARES))
 
     def refusal(self, ours: Any, features: Features, theta: Any, now: Any, recent: Any, residuals: Any) -> str:
         """The refusal of both; recent: [n, SIGNAL_COUNT]."""

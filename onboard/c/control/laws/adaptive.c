@@ -10,11 +10,34 @@ static bool has_covariance(const Adaptive *self) {
     return self->config.law.kind == LAW_KALMAN;
 }
 
+/* Whether the slope of W'Phi is bounded while W is learnt. */
+static bool is_bounded(const Adaptive *self) {
+    return has_covariance(self) && self->config.law.kalman.composite_gain > REAL(0.0);
+}
+
+/* AdaptiveAugmentation.reads_path */
+bool adaptive_reads_path(const Adaptive *self) {
+    return has_covariance(self);
+}
+
+/* AdaptiveConfig.slope_shares */
+SlopeShares adaptive_slope_shares(const AdaptiveConfig *config) {
+    const SlopeShares own = {.place = REAL(1.0), .motion = REAL(1.0), .turn = REAL(1.0)};
+    return config->law.kind == LAW_KALMAN ? config->law.kalman.slope : own;
+}
+
+/* AdaptiveAugmentation._use, of the present features */
+static void use_features(Adaptive *self) {
+    if (is_bounded(self)) {
+        slope_bound_init(&self->slope_bound, &self->features.selection, &self->slope_limits);
+    }
+}
+
 /* AdaptiveAugmentation.__init__ */
 void adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGains *gains,
-                   const LoopGains *loop_gains) {
+                   const SlopeLimits *slope_limits) {
     self->config = *config;
-    self->loop_gains = *loop_gains;
+    self->slope_limits = *slope_limits;
     tracking_weights(gains, config->error_weight, &self->tracking_weights);
     if (has_covariance(self)) {
         kalman_layer_init(&self->kalman_layer, &config->law.kalman, self->features.feature_count,
@@ -23,9 +46,9 @@ void adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGa
         last_layer_init(&self->last_layer, &config->law.gradient, self->features.feature_count,
                         &self->tracking_weights);
     }
+    use_features(self);
     recent_init(&self->recent, config->swap.ring_size);
     memset(self->signals, 0, sizeof self->signals);
-    memset(self->signals_ahead, 0, sizeof self->signals_ahead);
     self->ticks = 0;
     self->dt = REAL(0.0);
     vector_zero(self->Delta_hat);
@@ -42,14 +65,14 @@ static void filter_residual(Adaptive *self, const real residual[3], real dt) {
     }
 }
 
-/* AdaptiveAugmentation._report: eps_1: mean of norm(W'Phi(x) - Delta_hat); eps_3: norm(W'Phi(x_ahead) - W'Phi(x)) */
-static void report(Adaptive *self, const real now[3], const real ahead[3], real dt, ChannelTelemetry *telemetry) {
+/* AdaptiveAugmentation._report: eps_1: mean of norm(nu(x) - Delta_hat); eps_3: norm(nu_cmd - nu(x)) */
+static void report(Adaptive *self, const real nu[3], const real nu_cmd[3], real dt, ChannelTelemetry *telemetry) {
     real misfit[3], difference[3];
-    vector_subtract(now, self->Delta_hat, misfit);
-    vector_subtract(ahead, now, difference);
+    vector_subtract(nu, self->Delta_hat, misfit);
+    vector_subtract(nu_cmd, nu, difference);
     real share = real_min(dt / EPS_1_MEMORY_S, REAL(1.0));
     self->eps_1_squared += share * (vector_squared_length(misfit) - self->eps_1_squared);
-    vector_copy(now, telemetry->adaptive_now);
+    vector_copy(nu, telemetry->adaptive_now);
     vector_copy(self->Delta_hat, telemetry->residual);
     telemetry->weight_norm = has_covariance(self) ? kalman_layer_weight_norm(&self->kalman_layer)
                                                   : last_layer_weight_norm(&self->last_layer);
@@ -58,59 +81,68 @@ static void report(Adaptive *self, const real now[3], const real ahead[3], real 
     telemetry->eps_3 = vector_length(difference);
 }
 
-static void features_at(const Adaptive *self, const real signals[SIGNAL_COUNT], real *Phi) {
-    real z[INPUTS_MAX];
-    features_select(&self->features, signals, z);
-    features_evaluate(&self->features, z, Phi);
+/* Phi [2, k] at the signals of the last tick; of a law that reads its map on the path [3, k]. */
+static void features_of_tick(const Adaptive *self, real *Phi) {
+    int states = adaptive_reads_path(self) ? 3 : 2;
+    for (int i = 0; i < states; i++) {
+        real z[INPUTS_MAX];
+        features_select(&self->features, self->signals + i * SIGNAL_COUNT, z);
+        features_evaluate(&self->features, z, Phi + i * self->features.feature_count);
+    }
 }
 
-/* LastLayer.estimate or KalmanLastLayer.estimate */
-static void estimate(const Adaptive *self, const real *Phi, const real *Phi_ahead, real now[3], real ahead[3]) {
+/* LastLayer.estimate or KalmanLastLayer.estimate: nu and nu_cmd */
+static void estimate(const Adaptive *self, const real *Phi, real nu[3], real nu_cmd[3]) {
     if (has_covariance(self)) {
-        kalman_layer_estimate(&self->kalman_layer, Phi, Phi_ahead, now, ahead);
+        kalman_layer_estimate(&self->kalman_layer, Phi, nu, nu_cmd);
     } else {
-        last_layer_output(&self->last_layer, Phi, now);
-        last_layer_output(&self->last_layer, Phi_ahead, ahead);
+        last_layer_output(&self->last_layer, Phi, nu);
+        last_layer_output(&self->last_layer, Phi + self->features.feature_count, nu_cmd);
     }
 }
 
 /* LastLayer.learn or KalmanLastLayer.learn: the law with a covariance takes the unfiltered residual */
-static void learn(Adaptive *self, const ChannelState *channel, const real *Phi, const real *Phi_ahead, real now[3],
-                  real ahead[3]) {
+static void learn(Adaptive *self, const ChannelState *channel, const real *Phi, real nu[3], real nu_cmd[3]) {
     if (has_covariance(self)) {
-        kalman_layer_step(&self->kalman_layer, Phi, Phi_ahead, channel->model_error, channel->residual, channel->dt,
-                          now, ahead);
+        kalman_layer_step(&self->kalman_layer, Phi, channel->model_error, channel->residual, channel->dt, nu, nu_cmd);
     } else {
         last_layer_step(&self->last_layer, Phi, channel->model_error, self->Delta_hat, channel->dt);
-        estimate(self, Phi, Phi_ahead, now, ahead);
+        estimate(self, Phi, nu, nu_cmd);
     }
 }
 
 /* AdaptiveAugmentation.step */
 void adaptive_step(Adaptive *self, const ChannelState *channel, ChannelTelemetry *telemetry, real nu_ad[3]) {
-    real Phi[FEATURES_MAX], Phi_ahead[FEATURES_MAX], now[3], ahead[3];
-    memcpy(self->signals, channel->signals, sizeof self->signals);
-    memcpy(self->signals_ahead, channel->signals_ahead, sizeof self->signals_ahead);
-    features_at(self, channel->signals, Phi);
-    features_at(self, channel->signals_ahead, Phi_ahead);
+    real Phi[3 * FEATURES_MAX], nu[3], nu_cmd[3];
+    memcpy(self->signals, channel->signals, sizeof channel->signals);
+    memcpy(self->signals + SIGNAL_COUNT, channel->signals_ahead, sizeof channel->signals_ahead);
+    memcpy(self->signals + 2 * SIGNAL_COUNT, channel->signals_path, sizeof channel->signals_path);
+    features_of_tick(self, Phi);
     if (channel->adapt) {
         filter_residual(self, channel->residual, channel->dt);
-        learn(self, channel, Phi, Phi_ahead, now, ahead);
+        if (is_bounded(self)) {
+            slope_bound_step(&self->slope_bound, &self->features, self->signals, self->kalman_layer.theta,
+                             &self->kalman_layer.state);
+        }
+        learn(self, channel, Phi, nu, nu_cmd);
         if (self->ticks % self->config.swap.ring_period_ticks == 0) {
             recent_push(&self->recent, channel->signals, self->Delta_hat);
         }
         self->ticks++;
     } else {
-        estimate(self, Phi, Phi_ahead, now, ahead);
+        estimate(self, Phi, nu, nu_cmd);
     }
     self->dt = channel->dt;
-    report(self, now, ahead, channel->dt, telemetry);
-    vector_copy(ahead, nu_ad);
+    report(self, nu, nu_cmd, channel->dt, telemetry);
+    vector_copy(nu_cmd, nu_ad);
 }
 
 /* AdaptiveAugmentation.reset */
 void adaptive_reset(Adaptive *self) {
     vector_zero(self->Delta_hat);
+    if (has_covariance(self)) {
+        kalman_layer_close_gap(&self->kalman_layer, NULL);
+    }
 }
 
 /* AdaptiveAugmentation.learns */
@@ -175,20 +207,28 @@ static void take_over(Adaptive *self, const real *theta, const real *W, const re
     }
 }
 
+/* KalmanLastLayer.close_gap, with Phi of the last tick */
+static void close_gap(Adaptive *self, const real *Phi) {
+    if (has_covariance(self)) {
+        kalman_layer_close_gap(&self->kalman_layer, Phi);
+    }
+}
+
 /* AdaptiveAugmentation.restore */
 void adaptive_restore(Adaptive *self, const Learnt *learnt, const real nu[3]) {
-    real Phi[FEATURES_MAX], Phi_ahead[FEATURES_MAX], W[STATES_MAX * 3], now[3], ahead[3];
+    real Phi[3 * FEATURES_MAX], W[STATES_MAX * 3], now[3], nu_cmd[3];
     self->features = learnt->features;
+    use_features(self);
     int32_t rows = self->features.feature_count + (has_covariance(self) ? 1 : 0);
     memcpy(W, learnt->W, (size_t)(3 * rows) * sizeof(real));
     take_over(self, learnt->theta, W, learnt->S);
-    features_at(self, self->signals, Phi);
-    features_at(self, self->signals_ahead, Phi_ahead);
-    estimate(self, Phi, Phi_ahead, now, ahead);
+    features_of_tick(self, Phi);
+    estimate(self, Phi, now, nu_cmd);
     for (int axis = 0; axis < 3; axis++) {
         W[3 * (rows - 1) + axis] += nu[axis] - now[axis];
     }
     take_over(self, learnt->theta, W, learnt->S);
+    close_gap(self, Phi);
     self->eps_2 = REAL(0.0);
 }
 
@@ -259,18 +299,22 @@ void adaptive_plan(const Adaptive *self, const ChannelFeatures *channel, Feature
         int32_t period = config->ring_period_ticks;
         int64_t since = (self->ticks + period - 1) % period; /* of the newest state, in ticks */
         SwapTimes times = {self->dt, (real)period * self->dt, (real)since * self->dt};
-        plan_posterior_swap(config, &self->kalman_layer, &self->features, new_features, &self->loop_gains,
-                            &self->recent, self->signals, self->signals_ahead, &times, work, plan);
+        plan_posterior_swap(config, &self->kalman_layer, &self->features, new_features, &self->slope_limits,
+                            &self->recent, self->signals, &times, work, plan);
         return;
     }
-    int32_t n = recent_states(&self->recent, self->signals, self->signals_ahead, work->states);
+    int32_t n = recent_states(&self->recent, self->signals, self->signals + SIGNAL_COUNT, work->states);
     plan_swap(config, &self->features, self->last_layer.W, new_features, channel->last_layer,
               self->config.law.gradient.weight_norm_max, n, work, plan);
 }
 
 /* AdaptiveAugmentation.commit */
 void adaptive_commit(Adaptive *self, const Features *new_features, const SwapPlan *plan) {
+    real Phi[3 * FEATURES_MAX];
     self->features = *new_features;
+    use_features(self);
     take_over(self, plan->theta, has_covariance(self) ? plan->posterior.X : plan->W, plan->posterior.S);
+    features_of_tick(self, Phi);
+    close_gap(self, Phi);
     self->eps_2 = plan->jump;
 }

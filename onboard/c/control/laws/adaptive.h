@@ -8,7 +8,7 @@
 #include "control/laws/kalman_last_layer.h"
 #include "control/laws/last_layer.h"
 #include "control/laws/law.h"
-#include "control/slope.h"
+#include "control/laws/slope_bound.h"
 
 /* The features of a channel and all that its law has learnt with them. */
 typedef struct {
@@ -21,14 +21,14 @@ typedef struct {
 /* One channel's features, last layer, and swap. Of the two last layers only that of config.law.kind is used. */
 typedef struct {
     AdaptiveConfig config;
-    LoopGains loop_gains;
+    SlopeLimits slope_limits;
     Features features;
     TrackingWeights tracking_weights; /* of e in the tracking term */
     LastLayer last_layer;             /* LAW_GRADIENT */
     KalmanLastLayer kalman_layer;     /* LAW_KALMAN */
+    SlopeBound slope_bound;           /* LAW_KALMAN that learns */
     RecentStates recent;
-    real signals[SIGNAL_COUNT]; /* of the last tick */
-    real signals_ahead[SIGNAL_COUNT];
+    real signals[3 * SIGNAL_COUNT]; /* of the last tick: at the present, ahead, and on the path now (adaptive_reads_path) */
     int64_t ticks;
     real dt; /* of the last tick, s */
     real Delta_hat[3];
@@ -38,12 +38,19 @@ typedef struct {
 
 /* The features of the start are set with features_init_...(&self->features) before. */
 void adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGains *gains,
-                   const LoopGains *loop_gains);
+                   const SlopeLimits *slope_limits);
 
-/* Update W with Phi(x); nu_ad = W'Phi(x_ahead). */
+/* Largest slope of a trained map, as shares of the loop's gains. The gradient law reads its map at the vehicle: the loop's own
+ * gain. */
+SlopeShares adaptive_slope_shares(const AdaptiveConfig *config);
+
+/* Whether the map is read on the path ahead, and not at the state ahead. */
+bool adaptive_reads_path(const Adaptive *self);
+
+/* Update W with Phi(x); nu_ad is nu_cmd. */
 void adaptive_step(Adaptive *self, const ChannelState *channel, ChannelTelemetry *telemetry, real nu_ad[3]);
 
-/* Reset the filter. W and the features stay. */
+/* Reset the filters. W and the features stay. */
 void adaptive_reset(Adaptive *self);
 
 /* Whether the features may be replaced by trained ones. */

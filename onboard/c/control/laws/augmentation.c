@@ -19,10 +19,11 @@ static void start_features(Features *features, const AdaptiveConfig *config, con
 
 static void init_adaptive(Adaptive *self, const CascadeSettings *settings, int32_t channel, const ChannelSettings *own,
                           const ChannelFeatures *start) {
-    LoopGains loop_gains;
-    loop_gains_of(channel, &settings->position.gains, &settings->attitude.gains, &loop_gains);
+    SlopeLimits limits;
+    SlopeShares shares = adaptive_slope_shares(&own->augmentation.adaptive);
+    slope_limits_of(channel, &settings->position.gains, &settings->attitude.gains, &shares, &limits);
     start_features(&self->features, &own->augmentation.adaptive, start);
-    adaptive_init(self, &own->augmentation.adaptive, &own->gains, &loop_gains);
+    adaptive_init(self, &own->augmentation.adaptive, &own->gains, &limits);
 }
 
 /* _augmentation */
@@ -111,6 +112,11 @@ void augmentation_reset(Augmentation *self) {
 /* isinstance(augmentation, AdaptiveAugmentation) */
 bool augmentation_has_features(const Augmentation *self) {
     return self->kind == AUGMENTATION_ADAPTIVE;
+}
+
+/* AdaptiveAugmentation.reads_path */
+bool augmentation_reads_path(const Augmentation *self) {
+    return augmentation_has_features(self) && adaptive_reads_path(&self->adaptive);
 }
 
 /* AdaptiveAugmentation.learns */

@@ -35,6 +35,9 @@ void augmentation_reset(Augmentation *self);
 /* Whether the law has features of some kind, and needs to see ahead. */
 bool augmentation_has_features(const Augmentation *self);
 
+/* Whether the law reads its map on the path, and not at the state ahead. */
+bool augmentation_reads_path(const Augmentation *self);
+
 /* Whether the features may be replaced by trained ones. */
 bool augmentation_learns(const Augmentation *self);
 

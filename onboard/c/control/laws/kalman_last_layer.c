@@ -39,6 +39,7 @@ static void start(KalmanLastLayer *self, const real *theta, int32_t feature_coun
     memcpy(self->theta, theta, (size_t)count * sizeof(real));
     self->theta_norm2 = dot(theta, theta, count);
     self->X_norm2 = REAL(0.0);
+    vector_zero(self->gap);
     kalman_start(&self->config, self->config.prior_rate, feature_count, &self->state);
 }
 
@@ -119,28 +120,37 @@ static real confidence(const KalmanState *state, const real *Phi, int32_t stride
     return REAL(1.0) - unknown / prior;
 }
 
+/* out = W'Phi of one column; the numbers of Phi are `stride` apart */
+static void weighted(const real *W, const real *Phi, int32_t k, int32_t stride, real out[3]) {
+    vector_zero(out);
+    for (int i = 0; i < k; i++) {
+        for (int axis = 0; axis < 3; axis++) {
+            out[axis] += W[3 * i + axis] * Phi[i * stride];
+        }
+    }
+}
+
 /* nu of evaluate, of one column: theta'Phi + a X'Phi + b */
 static void nu_of(const real *theta, const KalmanState *state, const real *Phi, int32_t stride, real a, real nu[3]) {
     int k = state->size - 1;
+    real of_X[3];
+    weighted(theta, Phi, k, stride, nu);
+    weighted(state->X, Phi, k, stride, of_X);
     for (int axis = 0; axis < 3; axis++) {
-        real of_theta = REAL(0.0), of_X = REAL(0.0);
-        for (int i = 0; i < k; i++) {
-            of_theta += theta[3 * i + axis] * Phi[i * stride];
-            of_X += state->X[3 * i + axis] * Phi[i * stride];
-        }
-        nu[axis] = of_theta + a * of_X + state->X[3 * k + axis];
+        nu[axis] = nu[axis] + a * of_X[axis] + state->X[3 * k + axis];
     }
 }
 
 /* KalmanLastLayer.estimate */
-void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, real now[3],
-                           real ahead[3]) {
+void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu[3], real nu_cmd[3]) {
+    const real *Phi_ahead = Phi + self->feature_count;
     real a = REAL(1.0);
     if (self->config.confidence) {
         a = fade(confidence(&self->state, Phi, 1), confidence(&self->state, Phi_ahead, 1));
     }
-    nu_of(self->theta, &self->state, Phi, 1, REAL(1.0), now);
-    nu_of(self->theta, &self->state, Phi_ahead, 1, a, ahead);
+    nu_of(self->theta, &self->state, Phi, 1, REAL(1.0), nu);
+    nu_of(self->theta, &self->state, Phi_ahead, 1, a, nu_cmd);
+    vector_add(nu_cmd, self->gap, nu_cmd);
 }
 
 /* evaluate */
@@ -148,63 +158,42 @@ void kalman_evaluate(const KalmanConfig *config, const real *theta, const Kalman
                      real *nu) {
     real a = REAL(1.0), one[3];
     if (config->confidence) {
-        a = fade(confidence(state, Phi + n - 2, n), confidence(state, Phi + n - 1, n));
+        a = fade(confidence(state, Phi + n - 3, n), confidence(state, Phi + n - 2, n));
     }
     for (int i = 0; i < n; i++) {
-        nu_of(theta, state, Phi + i, n, i == n - 1 ? a : REAL(1.0), one);
+        nu_of(theta, state, Phi + i, n, i == n - 2 ? a : REAL(1.0), one);
         for (int axis = 0; axis < 3; axis++) {
             nu[axis * n + i] = one[axis];
         }
     }
 }
 
-/* Factor of I + mu S. */
-static bool factor_of(const real *S, int32_t n, real mu, real *factor) {
-    for (int i = 0; i < n * n; i++) {
-        factor[i] = mu * S[i];
+/* KalmanLastLayer.at */
+void kalman_layer_at(const KalmanLastLayer *self, const real *Phi, int32_t n, real *nu) {
+    kalman_evaluate(&self->config, self->theta, &self->state, Phi, n, nu);
+    for (int axis = 0; axis < 3; axis++) {
+        nu[axis * n + n - 2] += self->gap[axis];
     }
-    for (int i = 0; i < n; i++) {
-        factor[i * n + i] += REAL(1.0);
-    }
-    return cholesky_factor(factor, n);
 }
 
-/* tr(Y'S Z) of Y, Z [n, 3]. */
-static real trace_along(const real *S, const real *Y, const real *Z, int32_t n) {
-    real sum = REAL(0.0);
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j < n; j++) {
-            const real *y = Y + 3 * i, *z = Z + 3 * j;
-            sum += S[i * n + j] * (y[0] * z[0] + y[1] * z[1] + y[2] * z[2]);
-        }
+/* KalmanLastLayer.close_gap */
+void kalman_layer_close_gap(KalmanLastLayer *self, const real *Phi) {
+    vector_zero(self->gap);
+    if (Phi != NULL && self->config.composite_gain > REAL(0.0)) {
+        real here[3], path[3];
+        nu_of(self->theta, &self->state, Phi, 1, REAL(1.0), here);
+        nu_of(self->theta, &self->state, Phi + 2 * self->feature_count, 1, REAL(1.0), path);
+        vector_subtract(here, path, self->gap);
     }
-    return sum;
 }
 
-/* project: mu by Newton's method on 1 / norm. In place of the axes of S: Y = (I + mu S)^-1 X, Z = (I + mu S)^-1 Y, and the
- * slope of 1 / norm(Y) is tr(Y'S Z) / norm(Y)^3. */
+/* project */
 void project(real *X, const real *S, int32_t n, real radius, real *work) {
-    real Y[STATES_MAX * 3], Z[STATES_MAX * 3];
-    size_t size = (size_t)(3 * n) * sizeof(real);
-    real mu = REAL(0.0);
-    if (!(dot(X, X, 3 * n) > radius * radius)) {
-        return;
+    real Y[STATES_MAX * 3];
+    if (dot(X, X, 3 * n) > radius * radius) { /* NaN is not */
+        multiplier(S, X, n, 3, radius, Y, work);
+        memcpy(X, Y, (size_t)(3 * n) * sizeof(real));
     }
-    for (int step = 0; step <= PROJECTION_STEPS; step++) {
-        if (!factor_of(S, n, mu, work)) {
-            return; /* numbers that are not finite */
-        }
-        memcpy(Y, X, size);
-        cholesky_substitute(work, Y, n, 3);
-        if (step < PROJECTION_STEPS) {
-            memcpy(Z, Y, size);
-            cholesky_substitute(work, Z, n, 3);
-            real length = norm(Y, 3 * n);
-            real slope = trace_along(S, Y, Z, n) / (length * length * length);
-            mu += (REAL(1.0) / radius - REAL(1.0) / length) / slope;
-        }
-    }
-    memcpy(X, Y, size);
 }
 
 /* What a step knows of one column: Phi'S Phi, the bias row of S Phi, and nu's parts. */
@@ -219,12 +208,7 @@ static void look_along(const KalmanLastLayer *self, const real *Phi, Along *out)
     int k = self->feature_count;
     kalman_state_along(&self->state, Phi, k, out->g, out->x);
     out->form = dot(Phi, out->g, k);
-    vector_zero(out->theta);
-    for (int i = 0; i < k; i++) {
-        for (int axis = 0; axis < 3; axis++) {
-            out->theta[axis] += self->theta[3 * i + axis] * Phi[i];
-        }
-    }
+    weighted(self->theta, Phi, k, 1, out->theta);
 }
 
 /* KalmanLastLayer._tracking: factor of e'PB in the innovation, implicit in the effect of the tracking term on e_2 one tick
@@ -235,13 +219,22 @@ static real tracking(const KalmanLastLayer *self, real share, real dt) {
 }
 
 /* a after the correction, from forms before it: `of_here` and `of_ahead` are what it changed along each column */
-static real faded(const KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, const Along *h, const Along *a,
-                  real of_here, real of_ahead, real v) {
+static real faded(const KalmanLastLayer *self, const real *Phi, const Along *h, const Along *a, real of_here,
+                  real of_ahead, real v) {
     int k = self->feature_count;
+    const real *Phi_ahead = Phi + k;
     real prior_here = self->prior_variance * dot(Phi, Phi, k);
     real prior_ahead = self->prior_variance * dot(Phi_ahead, Phi_ahead, k);
     return fade(REAL(1.0) - (h->form - of_here * of_here * v) / prior_here,
                 REAL(1.0) - (a->form - of_ahead * of_ahead * v) / prior_ahead);
+}
+
+/* The gap takes up a misfit as the law does: `on_path` is W'Phi_p after the correction, `share` s / (R_t + s) */
+static void move_gap(KalmanLastLayer *self, const real map_here[3], const real on_path[3], real share, real keep) {
+    for (int axis = 0; axis < 3; axis++) {
+        real kept = keep * self->gap[axis];
+        self->gap[axis] = kept + share * (map_here[axis] - on_path[axis] - kept);
+    }
 }
 
 /* r - nu - t e'PB, with nu before the correction */
@@ -272,21 +265,26 @@ static bool correct(KalmanLastLayer *self, const Along *here, const real d[3], r
 }
 
 /* KalmanLastLayer.step */
-void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, const real e[6],
-                       const real residual[3], real dt, real now[3], real ahead[3]) {
+void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], const real residual[3], real dt,
+                       real nu[3], real nu_cmd[3]) {
     KalmanState *state = &self->state;
     int k = self->feature_count;
+    const real *Phi_ahead = Phi + k, *Phi_path = Phi + 2 * k;
     real lambda = self->config.composite_gain;
     if (lambda == REAL(0.0)) {
-        kalman_layer_estimate(self, Phi, Phi_ahead, now, ahead);
+        kalman_layer_estimate(self, Phi, nu, nu_cmd);
         return;
     }
     Along h, a; /* here, ahead */
+    real theta_path[3], x_path[3];
     kalman_state_predict(state, dt);
     look_along(self, Phi, &h);
     look_along(self, Phi_ahead, &a);
-    /* Quadratic forms of S along the bias (b), here (h) and ahead (a). */
-    real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ba = a.g[k], bb = state->S[k * state->size + k];
+    weighted(self->theta, Phi_path, k, 1, theta_path);
+    weighted(state->X, Phi_path, k, 1, x_path);
+    /* Quadratic forms of S along the bias (b), here (h), ahead (a) and on the path now (p). */
+    real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ph = dot(Phi_path, h.g, k), ba = a.g[k];
+    real bp = dot(state->S + k * state->size, Phi_path, k), bb = state->S[k * state->size + k];
     real s = h.form + REAL(2.0) * bh + bb;
     real v = real_max(self->noise_variance, s / (lambda * dt)) + s;
     real d[3], b[3];
@@ -297,15 +295,21 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real *Phi_a
         self->X_norm2 = squares_of_X(self);
     }
     if (!sensible || !correct(self, &h, d, v)) {
-        kalman_layer_estimate(self, Phi, Phi_ahead, now, ahead);
+        kalman_layer_estimate(self, Phi, nu, nu_cmd);
         return;
     }
     /* What the correction changed along each column, without another product. */
-    real of_here = (h.form + bh) / v, of_ahead = (ah + ba) / v, of_bias = (bh + bb) / v;
-    real share = self->config.confidence ? faded(self, Phi, Phi_ahead, &h, &a, of_here, of_ahead, v) : REAL(1.0);
+    real of_here = (h.form + bh) / v, of_ahead = (ah + ba) / v, of_path = (ph + bp) / v, of_bias = (bh + bb) / v;
+    real map_here[3], on_path[3];
+    for (int axis = 0; axis < 3; axis++) {
+        map_here[axis] = h.theta[axis] + h.x[axis] + of_here * d[axis];
+        on_path[axis] = theta_path[axis] + x_path[axis] + of_path * d[axis];
+    }
+    move_gap(self, map_here, on_path, s / v, REAL(1.0) - self->config.fast_bias_rate * dt * (bh + bb) / s);
+    real share = self->config.confidence ? faded(self, Phi, &h, &a, of_here, of_ahead, v) : REAL(1.0);
     for (int axis = 0; axis < 3; axis++) {
         real bias = b[axis] + of_bias * d[axis];
-        now[axis] = h.theta[axis] + h.x[axis] + of_here * d[axis] + bias;
-        ahead[axis] = a.theta[axis] + share * (a.x[axis] + of_ahead * d[axis]) + bias;
+        nu[axis] = map_here[axis] + bias;
+        nu_cmd[axis] = a.theta[axis] + share * (a.x[axis] + of_ahead * d[axis]) + bias + self->gap[axis];
     }
 }

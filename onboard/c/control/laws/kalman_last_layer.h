@@ -2,9 +2,11 @@
  * onboard/control/laws/kalman_last_layer.py, which explains it. X = [W - theta; b].
  *
  *     nu     = W'Phi + b                                                   at the present state
- *     nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b                       at the state ahead
+ *     nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b + gap                 a: on the path, t_ahead from now
+ *     gap   += s / (R_t + s) (W'Phi - W'Phi_p - gap) - s_b dt gap          p: on the path, now
  *     [W; b] += S phi (r - nu - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
- */
+ *
+ * `Phi` of a tick is [3, k]: the features at the present state, on the path ahead, and on the path now. */
 #ifndef DMRAC_KALMAN_LAST_LAYER_H
 #define DMRAC_KALMAN_LAST_LAYER_H
 
@@ -23,6 +25,7 @@ typedef struct {
     real theta_norm2;
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
+    real gap[3]; /* what the map says here beside the path, as far as it counts */
     real work[STATES_MAX * STATES_MAX]; /* of the projection; it keeps nothing between two steps */
 } KalmanLastLayer;
 
@@ -45,19 +48,25 @@ void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *thet
 /* Take over theta [k, 3], X [k + 1, 3] and S [k + 1, k + 1] that belong to new features. None of them may lie within `self`. */
 void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S, int32_t feature_count);
 
-/* nu at the present state and ahead, with Phi [k] of each. */
-void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, real now[3],
-                           real ahead[3]);
+/* nu and nu_cmd with Phi of a tick. */
+void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu[3], real nu_cmd[3]);
 
-/* One tick: predict, correct, project; nu at the present state and ahead. e = x_rm - x; the residual is unfiltered, units
+/* nu [3, n] at the features Phi [k, n]. The last three are those of a tick: nu_cmd is the last but one. */
+void kalman_layer_at(const KalmanLastLayer *self, const real *Phi, int32_t n, real *nu);
+
+/* The deviation from the path counts in full: after a swap. Phi of a tick; NULL: there is none. A law that is off takes up
+ * no misfit, so there the map is read on the path alone. */
+void kalman_layer_close_gap(KalmanLastLayer *self, const real *Phi);
+
+/* One tick: predict, correct, project; nu and nu_cmd with Phi of the tick. e = x_rm - x; the residual is unfiltered, units
  * of u. */
-void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real *Phi_ahead, const real e[6],
-                       const real residual[3], real dt, real now[3], real ahead[3]);
+void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], const real residual[3], real dt,
+                       real nu[3], real nu_cmd[3]);
 
 /* Start a filter of k features from X = 0 and S = S0: W reverts at `prior_rate`, b at the rate of the config. */
 void kalman_start(const KalmanConfig *config, real prior_rate, int32_t feature_count, KalmanState *out);
 
-/* nu [3, n] at the features Phi [k, n]; the last two are the present state and the one ahead, where it fades. */
+/* nu [3, n] at the features Phi [k, n]; the last three are those of a tick: the second of them, ahead, fades. */
 void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi, int32_t n,
                      real *nu);
 

@@ -76,3 +76,52 @@ void kalman_state_correct(KalmanState *self, const real *g, const real innovatio
         }
     }
 }
+
+/* Factor of I + mu S. */
+static bool factor_of(const real *S, int32_t n, real mu, real *factor) {
+    for (int i = 0; i < n * n; i++) {
+        factor[i] = mu * S[i];
+    }
+    for (int i = 0; i < n; i++) {
+        factor[i * n + i] += REAL(1.0);
+    }
+    return cholesky_factor(factor, n);
+}
+
+/* tr(Y'S Z) of Y, Z [n, columns]. */
+static real trace_along(const real *S, const real *Y, const real *Z, int32_t n, int32_t columns) {
+    real sum = REAL(0.0);
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n; j++) {
+            sum += S[i * n + j] * dot(Y + columns * i, Z + columns * j, columns);
+        }
+    }
+    return sum;
+}
+
+/* multiplier: Newton's method on 1 / norm. In place of the axes of S: Y = (I + mu S)^-1 X, Z = (I + mu S)^-1 Y, and the
+ * slope of 1 / norm(Y) is tr(Y'S Z) / norm(Y)^3. */
+real multiplier(const real *S, const real *X, int32_t n, int32_t columns, real radius, real *Y, real *work) {
+    real Z[STATES_MAX * 3];
+    size_t size = (size_t)(columns * n) * sizeof(real);
+    real mu = REAL(0.0), next = REAL(0.0);
+    memcpy(Y, X, size);
+    for (int step = 0; factor_of(S, n, next, work); step++) {
+        mu = next;
+        memcpy(Y, X, size);
+        cholesky_substitute(work, Y, n, columns);
+        real norm2 = dot(Y, Y, columns * n);
+        if (step == MULTIPLIER_STEPS || !(norm2 > (REAL(1.0) + MULTIPLIER_TOLERANCE) * radius * radius)) {
+            break;
+        }
+        memcpy(Z, Y, size);
+        cholesky_substitute(work, Z, n, columns);
+        real length = real_sqrt(norm2);
+        real slope = trace_along(S, Y, Z, n, columns) / (norm2 * length);
+        if (!(slope > REAL(0.0))) {
+            break;
+        }
+        next = mu + (REAL(1.0) / radius - REAL(1.0) / length) / slope;
+    }
+    return mu;
+}

@@ -37,4 +37,9 @@ void kalman_state_along(const KalmanState *self, const real *column, int32_t cou
 /* X <- X + g innovation' / v, S <- S - g g' / v, with g [n] = S phi, innovation = y - X'phi and v = R + phi'S phi. */
 void kalman_state_correct(KalmanState *self, const real *g, const real innovation[3], real v);
 
+/* mu >= 0, and Y = (I + mu S)^-1 X whose norm is the radius, for S [n, n] and X [n, columns] with a larger norm; n at most
+ * STATES_MAX, at most 3 columns. Where rounding, or numbers that are not finite, leave S not positive semidefinite, the search
+ * may end early: mu is smaller then, at least zero. `work`: n^2 numbers. */
+real multiplier(const real *S, const real *X, int32_t n, int32_t columns, real radius, real *Y, real *work);
+
 #endif

@@ -20,7 +20,8 @@ typedef struct {
     real lap_phase;                   /* share of the lap flown, in [0, 1); negative while the path does not repeat */
     real lap_s;                       /* duration of a lap, s */
     real signals[SIGNAL_COUNT];       /* at the present */
-    real signals_ahead[SIGNAL_COUNT]; /* predicted for t_ahead later */
+    real signals_ahead[SIGNAL_COUNT]; /* predicted for t_ahead later; of a law that reads its map on the path, there */
+    real signals_path[SIGNAL_COUNT];  /* of such a law only: on the path now */
 } ChannelState;
 
 #endif
