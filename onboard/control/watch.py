@@ -164,15 +164,11 @@ class ChannelWatch:
         margin, (misfit_floor, error_floor) = self._config.margin, self._floors
         if sqrt(self._misfits[one]) > margin * sqrt(self._misfits[other]) + misfit_floor:
             return "misfit"
-        if one == 0 and self._trial_lost:
+        if one == 0 and self.loses(self._config.trial_s):
             return "misfit over its trial"
         if one == 0 and sqrt(self._errors[0]) > margin * sqrt(self._errors[1]) + error_floor:
             return "model error"
         return ""
-
-    @property
-    def _trial_lost(self) -> bool:
-        return self.evidence_s >= self._config.trial_s and self.loses(self._config.trial_s)
 
     def loses(self, evidence_s: float) -> bool:
         """Whether so much evidence says that the map is worse than the bias."""

@@ -39,7 +39,7 @@ def test_each_part_of_the_guard_is_needed(seed):
     """Nothing; the room alone; room and probation; all."""
     parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
     flights = [fly_attack("steep_again", seed, duration_s=20.0, assignments=(*JET, *off)) for off in parts]
-    nothing, room, probation, all_on = flights
+    _, room, probation, all_on = flights
     assert [bool(flight.lost) for flight in flights] == [True, False, False, False]
     assert room.error_m > 1.5 * probation.error_m
     assert room.swaps > probation.swaps > all_on.swaps, "the test refuses what probation would have to take back"
