@@ -281,7 +281,8 @@ static void read_KalmanConfig(Cursor *from, KalmanConfig *out) {
     out->residual_filter_s = read_real(from);
     out->confidence = read_int(from) != 0;
     out->slope_share = read_real(from);
-    out->flight_slope_share = read_real(from);
+    out->stiffness_share = read_real(from);
+    out->damping_share = read_real(from);
 }
 
 static void read_AdaptiveLaw(Cursor *from, AdaptiveLaw *out) {
@@ -438,7 +439,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xfe, 0x74, 0xcd, 0xff, 0x30, 0x60, 0xbd, 0xde};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xda, 0xff, 0x69, 0x8e, 0x87, 0x38, 0x26, 0x3a};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 3980
+#define CONFIG_IMAGE_BYTES 3996
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -249,7 +249,8 @@ typedef struct {
     real residual_filter_s; /* 64: time constant of Delta_hat */
     bool confidence; /* 72: false: ablation, a = 1 */
     real slope_share; /* 80: largest slope of theta'Phi, as a share of the loop's own gains */
-    real flight_slope_share; /* 88: the same of W'Phi in flight, over all inputs; large: ablation */
+    real stiffness_share; /* 88: in flight, of W'Phi: over place and angles, share of K_1; large: ablation */
+    real damping_share; /* 96: the same over velocities and rates, share of K_2 */
 } KalmanConfig;
 
 typedef enum { LAW_GRADIENT, LAW_KALMAN } AdaptiveLawKind;
@@ -273,8 +274,8 @@ typedef struct {
     AdaptiveFeatures features; /* 0 */
     real rbf_width; /* 8: width of the Gaussians, scaled units per sqrt(input) */
     AdaptiveLaw law; /* 16 */
-    real error_weight[2]; /* 176 */
-    SwapConfig swap; /* 192 */
+    real error_weight[2]; /* 184 */
+    SwapConfig swap; /* 200 */
 } AdaptiveConfig;
 
 typedef enum { AUGMENTATION_NONE, AUGMENTATION_INTEGRAL, AUGMENTATION_L1, AUGMENTATION_INDI, AUGMENTATION_REPETITIVE, AUGMENTATION_ILC, AUGMENTATION_ADAPTIVE } ChannelSettingsAugmentationKind;
@@ -345,15 +346,15 @@ typedef struct {
 
 typedef struct {
     ChannelSettings position; /* 0 */
-    ChannelSettings attitude; /* 448 */
-    bool hedging; /* 896: pseudo-control hedging of both reference models */
-    real position_error_max_m; /* 904 */
-    DemandLimitsConfig limits; /* 912 */
-    GuardConfig guard; /* 952 */
-    bool prediction; /* 1248: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1256: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1264: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1272 */
+    ChannelSettings attitude; /* 456 */
+    bool hedging; /* 912: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 920 */
+    DemandLimitsConfig limits; /* 928 */
+    GuardConfig guard; /* 968 */
+    bool prediction; /* 1264: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1272: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1280: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1288 */
 } CascadeSettings;
 
 typedef struct {
@@ -379,8 +380,8 @@ typedef struct {
     SupervisorConfig supervisor; /* 592 */
     GuidanceConfig guidance; /* 856 */
     CascadeSettings controller; /* 2592: of the cascade */
-    SamplerConfig samples; /* 3872 */
-    Swing lissajous[2]; /* 3920: north and east; zero on another path */
+    SamplerConfig samples; /* 3888 */
+    Swing lissajous[2]; /* 3936: north and east; zero on another path */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -128,7 +128,7 @@ class AdaptiveAugmentation:
         self.features, law = features, self.last_layer.config
         self._slope_bound = None
         if isinstance(law, KalmanConfig) and law.composite_gain > 0.0:
-            self._slope_bound = SlopeBound(features.inputs, self.loop_gains, law.flight_slope_share)
+            self._slope_bound = SlopeBound(features.inputs, self.loop_gains, law.stiffness_share, law.damping_share)
 
     def _filter_residual(self, residual: list[float], dt: float) -> None:
         """Delta_hat_dot = (r - Delta_hat) / T, exact for a residual r that is constant over dt."""

@@ -63,9 +63,13 @@ class KalmanConfig(ConfigRecord):
     slope_share: Annotated[
         float, Field(gt=0, le=10, description="largest slope of theta'Phi, as a share of the loop's own gains")
     ] = 0.5
-    flight_slope_share: Annotated[
-        float, Field(gt=0, le=1e6, description="the same of W'Phi in flight, over all inputs; large: ablation")
-    ] = 0.5
+    stiffness_share: Annotated[
+        float,
+        Field(gt=0, le=1e6, description="in flight, of W'Phi: over place and angles, share of K_1; large: ablation"),
+    ] = 0.8
+    damping_share: Annotated[
+        float, Field(gt=0, le=1e6, description="the same over velocities and rates, share of K_2")
+    ] = 0.3
 
 
 class KalmanLastLayer:

@@ -1,18 +1,20 @@
-"""The slope of W'Phi over the state, kept within a share of the loop's own gains while W is learnt.
+"""The slope of W'Phi over the state, kept within shares of the loop's own gains while W is learnt.
 
 A map over the state is feedback (onboard.control.slope). At a swap the slope of theta'Phi is bounded; what W learns in
 flight adds to it: features that were never trained answer an oscillation with feedback of their own.
 
-For an axis, with w = theta + X its weights and A = dPhi'/dx over the inputs x that the loop knows, each in units that
-make the loop's own gain 1, norm(A w) <= share is a convex set of X. X goes to the nearest point of it in the metric of
-S^-1,
+For an axis, with w = theta + X its weights and A = dPhi'/dx over the inputs x that the loop knows, each divided by the
+largest slope that is allowed over it, norm(A w) <= 1 is a convex set of X. X goes to the nearest point of it in the
+metric of S^-1,
 
-    X <- X - mu S A'y,    y = (I + mu A S A')^-1 A w,    mu > 0 so that norm(y) = share.
+    X <- X - mu S A'y,    y = (I + mu A S A')^-1 A w,    mu > 0 so that norm(y) = 1.
 
 That flattens the map where little was measured, and hardly changes it where much was. For any X* in the set, that is,
 for a Delta that is no steeper itself, tr(X~'S^-1 X~) does not grow by it (docs/theory_covariance.md).
 
-Bounded is the slope at the state ahead, where nu_cmd is: that is the one that feeds back.
+Over place and angles a share of K_1 is allowed, over velocities and rates one of K_2: a jet is steep over the place,
+but no disturbance is over the rates. Bounded is the slope at the state ahead, where nu_cmd is: that is the one that
+feeds back.
 """
 
 from typing import Final
@@ -21,7 +23,7 @@ import numpy as np
 
 from onboard.control.features import Features
 from onboard.control.laws.kalman_state import KalmanState, multiplier
-from onboard.control.slope import LoopGains
+from onboard.control.slope import ANGLES, PLACE, LoopGains
 from protocol.conventions import Array
 
 PERIOD_TICKS: Final = 4
@@ -33,31 +35,36 @@ AHEAD: Final = 1
 class SlopeBound:
     """The bound for the features of one channel."""
 
-    def __init__(self, inputs: tuple[str, ...], gains: LoopGains, share: float) -> None:
+    def __init__(self, inputs: tuple[str, ...], gains: LoopGains, stiffness_share: float, damping_share: float) -> None:
         """inputs: names of the signals that the features see."""
-        known = [(inputs.index(name), gain) for names, gain in gains.groups for name in names if name in inputs]
+        known = [
+            (inputs.index(name), gain * (stiffness_share if names in (PLACE, ANGLES) else damping_share))
+            for names, gain in gains.groups
+            for name in names
+            if name in inputs
+        ]
         self._inputs = np.array([index for index, _ in known], dtype=np.intp)
-        self._units = np.array([1.0 / gain for _, gain in known]).T
-        self._share, self._ticks = share, 0
+        self._units = np.array([1.0 / largest for _, largest in known]).T
+        self._ticks = 0
 
     def step(self, features: Features, state: KalmanState) -> None:
         """One tick: every PERIOD_TICKS-th bounds the slope at the last Phi of the features."""
         if self._ticks % PERIOD_TICKS == 0 and self._inputs.size > 0:
-            bound_slopes(state, features.slope(AHEAD, self._inputs), self._units, self._share)
+            bound_slopes(state, features.slope(AHEAD, self._inputs), self._units)
         self._ticks += 1
 
 
-def bound_slopes(state: KalmanState, J: Array, units: Array, share: float) -> None:
-    """Project the X of every axis onto the weights whose slope is within the share, in the metric of S^-1.
+def bound_slopes(state: KalmanState, J: Array, units: Array) -> None:
+    """Project the X of every axis onto the weights with norm((theta + X)'J units) <= 1, in the metric of S^-1.
 
     Parameters
     ----------
     J: [k - 1, n], dPhi/dx over n inputs, without the constant.
-    units: [3, n], one over the loop's own gain of each axis: the slope is norm((theta + X)'J units).
+    units: [3, n], one over the largest slope of each axis.
     """
     slopes = np.dot(state.theta_rows[:, :-2] + state.X_rows[:, :-2], J) * units
     sizes = np.square(slopes).sum(axis=1).tolist()
-    steep = [axis for axis, size in enumerate(sizes) if size > share * share]
+    steep = [axis for axis, size in enumerate(sizes) if size > 1.0]
     if not steep:
         return
     along = np.dot(state.S[:, :-2], J)
@@ -66,5 +73,5 @@ def bound_slopes(state: KalmanState, J: Array, units: Array, share: float) -> No
         unit = units[axis]
         s, axes = np.linalg.eigh(unit[:, None] * among * unit)
         a = slopes[axis].dot(axes)
-        mu = multiplier(a * a, s, share)
+        mu = multiplier(a * a, s, 1.0)
         state.X_rows[axis] -= along.dot(unit * axes.dot(a * (mu / (1.0 + mu * s))))
