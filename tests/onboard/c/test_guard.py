@@ -181,14 +181,14 @@ def test_a_version_from_the_ground_flies_after_its_audition(core: Core, law: str
 
 @pytest.mark.parametrize("law", FEATURED)
 def test_a_cliff_that_comes_into_reach(core: Core, law: str) -> None:
-    """It is far away when the version comes."""
+    """It is far away when the version comes, and no state of the last second is on it or beyond."""
     floors = {"misfit_floor": (90.0, 900.0)}
     pair = Pair(core, law, {"watch": {**floors, "error_floor": (90.0, 900.0)}, "test": floors})
     world = pair.world
     fly(pair, 60)
-    while world.signals_at(world.time_s)[SIGNAL_INDEX["position_n"]] > -0.9:
-        fly(pair, 1)
-    source = cliff(0.8, 150.0, 12.0)
+    until(pair, lambda: world.signals_at(world.time_s)[SIGNAL_INDEX["position_n"]] < -0.9)
+    until(pair, lambda: world.signals_at(world.time_s)[SIGNAL_INDEX["position_n"]] > -0.9)
+    source = cliff(0.95, 150.0, 12.0)
     assert pair.offer(FeatureSet(1, 0, 5, source, None)) == ""
     fly(pair, 300)
     assert pair.texts == ["guard: steep or high ahead in position: version 1 taken back, version 0 flies"]
