@@ -15,6 +15,7 @@ from experiments.flights.scenario import Choices, resolve
 from onboard.c import compiled_core
 from onboard.c.compiled_core import CompiledCore
 from onboard.c.library import BuildError, Variant
+from onboard.core import OnboardCore
 from onboard.flight.modes import FlightMode
 from protocol.transfer import split
 from tests.onboard.c.parity import SANITIZED
@@ -26,13 +27,19 @@ from tests.onboard.test_faults_in_flight import is_imu, rewrite
 from tests.onboard.test_missed_ticks import StallingCore
 
 CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac", "paper_dmrac", "dmrac")
+BRIEF = ("pid", "dmrac")
 LEARNING = ("offboard.trainer.minimum_samples=100", "onboard.guidance.trajectory.settle_s=0.0")
 """So that a short flight gets trained features."""
 MOTORS_MAX = 1e-9
 """Of full scale; 1e-13 were measured."""
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+def brief(name: str) -> Any:
+    """A parameter of a test that is always run if it is one of BRIEF, else by scripts/test --full only."""
+    return pytest.param(name, marks=() if name in BRIEF else pytest.mark.full)
+
+
+@pytest.mark.parametrize("controller", map(brief, CONTROLLERS))
 def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None:
     learns = controller in ("dmrac", "paper_dmrac")
     config = resolve("figure8_wind", Choices(controller, 3, 4.0 if SANITIZED else 12.0, LEARNING if learns else ()))
@@ -213,14 +220,24 @@ def versions_good_bad_and_taken_back(variant: Variant) -> ShadowLoop:
     return loop
 
 
-FLIGHTS: tuple[Flight, ...] = (
-    *(to_the_floor_and_up_again, land_by_request, blind, a_jump_of_the_pose, a_late_first_pose),
-    *(nan_from_the_imu, a_stuck_gyroscope, missed_ticks, versions_for_a_controller_without_networks, a_pilot),
+ALWAYS: tuple[Flight, ...] = (
+    land_by_request,
+    missed_ticks,
+    a_pilot,
     versions_good_bad_and_taken_back,
+    nan_from_the_imu,
+)
+FULL: tuple[Flight, ...] = (
+    *(to_the_floor_and_up_again, blind, a_jump_of_the_pose, a_late_first_pose, a_stuck_gyroscope),
+    versions_for_a_controller_without_networks,
 )
 
 
-@pytest.mark.parametrize("flight", FLIGHTS, ids=lambda flight: flight.__name__)
+@pytest.mark.parametrize(
+    "flight",
+    [*ALWAYS, *(pytest.param(flight, marks=pytest.mark.full) for flight in FULL)],
+    ids=lambda flight: flight.__name__,
+)
 def test_both_cores_do_the_same(flight: Flight, variant: Variant) -> None:
     flown = flight(variant)
     assert flown.core.motor_difference < MOTORS_MAX
@@ -272,6 +289,13 @@ def test_a_controller_of_ones_own_is_refused() -> None:
         ConfigError, match=r"--core c: controller\.class: 'my_package.* is not in the C core, allowed is "
     ):
         CompiledCore(config.model_copy(update={"controller": own}), 1, None)
+
+
+def test_a_bad_key_is_refused_as_by_numpys_core() -> None:
+    config = resolve("hover", Choices("pid")).onboard
+    for core in (OnboardCore, CompiledCore):
+        with pytest.raises(ValueError, match="key of 3 bytes, allowed 16 to 64"):
+            core(config, 1, b"key")
 
 
 def test_without_a_compiler_the_error_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
