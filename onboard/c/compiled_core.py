@@ -20,7 +20,7 @@ from onboard.c.event_text import (
     supervisor_text,
     version_text,
 )
-from onboard.c.feature_arrays import put_start_features, view
+from onboard.c.feature_arrays import put_chunk, put_start_features, view
 from onboard.c.library import DEFAULT, BuildError, Variant, load
 from onboard.config import OnboardConfig
 from onboard.control.feature_reception import ReceptionStatus
@@ -79,7 +79,7 @@ class CompiledCore:
         self.controller = CompiledController(core, self._core.controller)
         self._notice = clearance.notice
         self._inputs, self._result = core.CoreInputs(), core.CoreOutput()
-        self._imu, self._pose = core.ImuReading(), core.Pose()
+        self._imu, self._pose, self._chunk = core.ImuReading(), core.Pose(), core.FeatureChunk()
         self._refusal, self._said = core.ArmingRefusal(), core.ReceptionStatus()
         self._output = OnboardOutput(tick=view(self._result.tick))
         state = self._core.estimator.state
@@ -165,9 +165,8 @@ class CompiledCore:
         self._arming.receive_pose(dated.pose, self._vehicle_link.health.force, now_ns)
 
     def _receive_chunk(self, chunk: FeatureChunk) -> None:
-        digest, data = (np.frombuffer(one, dtype=np.uint8) for one in (chunk.digest, chunk.data))
-        head = chunk.version, chunk.index, chunk.count
-        self._library.core_receive_chunk(self._core, *head, digest, data, data.size)
+        put_chunk(self._chunk, chunk)
+        self._library.core_receive_chunk(self._core, self._chunk)
 
     def _receive_ground(self, datagrams: Datagrams, land: bool, now_ns: int) -> None:
         """Commands of the pilot, and the process's own wish to land."""
@@ -235,7 +234,7 @@ class CompiledCore:
     def _reception_status(self) -> ReceptionStatus:
         said = self._said
         self._library.reception_status(self._core.reception, said)
-        chunks = bytes(said.received_chunks[: said.received_bytes])
+        chunks = bytes(said.received_chunks[: said.received_chunks_size])
         return ReceptionStatus(said.version, said.transfer_version, chunks, said.refused_version, said.refusal)
 
     def status(self, now_ns: int) -> dict[str, Any]:

@@ -55,11 +55,8 @@ void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t a
     estimator_receive_pose(&self->estimator, pose, taken_ns, arrival_ns, time_sigma_s);
 }
 
-void core_receive_chunk(Core *self, int64_t version, int32_t index, int32_t count, const uint8_t *digest,
-                        const uint8_t *data, int32_t size) {
-    FeatureChunk chunk = {.version = version, .index = index, .count = count, .size = size, .data = data};
-    memcpy(chunk.digest, digest, sizeof chunk.digest);
-    reception_receive(&self->reception, &chunk);
+void core_receive_chunk(Core *self, const FeatureChunk *chunk) {
+    reception_receive(&self->reception, chunk);
 }
 
 void core_restart_offboard(Core *self) {

@@ -81,10 +81,8 @@ void core_receive_battery(Core *self, const BatteryReading *reading);
 /* A pose that was true at `taken_ns` and arrived at `arrival_ns`. All of a tick's poses come after its readings. */
 void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t arrival_ns, real time_sigma_s);
 
-/* A chunk of a feature version, `size` bytes of it; control/feature_reception.h. A version that is complete by it is swapped
- * in the next tick. */
-void core_receive_chunk(Core *self, int64_t version, int32_t index, int32_t count, const uint8_t *digest,
-                        const uint8_t *data, int32_t size);
+/* A chunk of a feature version, as the codec has read it. A version that is complete by it is swapped in the next tick. */
+void core_receive_chunk(Core *self, const FeatureChunk *chunk);
 
 /* A new session of offboard: its versions may count from 1 again. */
 void core_restart_offboard(Core *self);
