@@ -17,6 +17,7 @@ from onboard.c.compiled_core import CompiledCore
 from onboard.c.library import BuildError, Variant
 from onboard.core import OnboardCore
 from onboard.flight.modes import FlightMode
+from onboard.record.tick import OFFSET
 from protocol.transfer import split
 from tests.onboard.c.parity import SANITIZED
 from tests.onboard.c.shadow_core import ShadowCore
@@ -30,6 +31,7 @@ CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac",
 BRIEF = ("pid", "dmrac")
 LEARNING = ("offboard.trainer.minimum_samples=100", "onboard.guidance.trajectory.settle_s=0.0")
 """So that a short flight gets trained features."""
+TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 MOTORS_MAX = 1e-9
 """Of full scale; 1e-13 were measured."""
 
@@ -259,6 +261,27 @@ def test_a_flight_of_the_c_core_is_as_good(controller: str) -> None:
     np.testing.assert_allclose(errors[1], errors[0], rtol=0.01)
 
 
+@pytest.mark.parametrize(("controller", "rtol"), [("pid", 0.01), pytest.param("dmrac", 0.1, marks=pytest.mark.full)])
+def test_the_core_in_float_flies_as_well(controller: str, rtol: float) -> None:
+    """Learning on slightly other samples is another flight, so dmrac's errors are only alike."""
+    config = resolve("figure8_wind", Choices(controller, 3, 14.0, LEARNING if controller == "dmrac" else ()))
+    errors = []
+    for real in ("double", "float"):
+        lockstep, *_ = build(config)
+        lockstep._onboard = CompiledCore(config.onboard, 1, None, variant=Variant(real))
+        squares = []
+        for _ in range(round(config.duration_s * 200)):
+            step = lockstep.step()
+            if step.onboard.tick[OFFSET["mode"]] == FlightMode.FLYING:
+                off = step.truth[:3] - step.onboard.tick[TARGET]
+                squares.append(float(off @ off))
+        assert not lockstep.crash_reason
+        assert bool(lockstep._onboard.summary()["features"]["swaps"]) == (controller == "dmrac")
+        errors.append(np.sqrt(np.mean(squares)))
+    assert errors[1] != errors[0]
+    np.testing.assert_allclose(errors[1], errors[0], rtol=rtol)
+
+
 def test_a_flight_of_the_c_core_repeats_to_the_bit() -> None:
     config = resolve("figure8_wind", Choices("mrac", 3, 6.0))
     one, other = (fly_lockstep(config, core="c").trace_sha256 for _ in range(2))
@@ -269,11 +292,16 @@ def test_a_controller_starts_from_last_layers_and_gives_them_back(variant: Varia
     config = resolve("figure8_wind", Choices("mrac"))
     controller = CompiledCore(config.onboard, 1, None, variant=variant).controller
     assert not controller.accepts_features
+    assert controller.offer_features(features()) == "not_accepting"
     wanted = tuple(np.random.default_rng(i).normal(size=(21, 3)) for i in (0, 1))
     controller.start_from(wanted)
     np.testing.assert_allclose(controller.last_layers(), wanted)
     with pytest.raises(ValueError, match=r"last layer of shape \(20, 3\), this controller's is \(21, 3\)"):
         controller.start_from((wanted[0][1:], None))
+    learning = CompiledCore(resolve("hover", Choices("dmrac")).onboard, 1, None, variant=variant).controller
+    assert learning.accepts_features
+    assert learning.offer_features(features(gain=100.0)) == "lipschitz"
+    assert learning.offer_features(features()) == ""
     without = CompiledCore(resolve("hover", Choices("pid")).onboard, 1, None, variant=variant).controller
     without.start_from(wanted)
     assert without.last_layers() == (None, None)
