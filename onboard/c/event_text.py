@@ -119,13 +119,16 @@ def version_text(outcome: Any) -> str:
     return f"features {outcome.version} in use, parent {outcome.parent}, {outcome.samples} samples"
 
 
-_FALL_REASONS: Final = ("misfit of", "model error of", "steep or high ahead in")
+_FALL_REASONS: Final = (
+    "misfit of {}", "misfit over its trial of {}", "model error of {}", "steep or high ahead in {}",
+    "misfit of the version before",
+)  # fmt: skip
 """Of each FallReason of control/guard.h."""
 
 
 def fall_text(fall: Any) -> str:
     """The text of a Fall."""
-    reason = f"guard: {_FALL_REASONS[fall.reason]} {CHANNELS[fall.channel]}"
+    reason = f"guard: {_FALL_REASONS[fall.reason].format(CHANNELS[fall.channel])}"
     match fall.kind:
         case 0:
             return f"{reason}: version {fall.refused} taken back, version {fall.flying} flies"

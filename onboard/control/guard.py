@@ -75,6 +75,8 @@ class Level(IntEnum):
     NONE = 2
 
 
+LOSES_S: Final = 0.3
+"""Evidence after which a version that loses is taken back when the next one comes, s."""
 LAWS: Final = {Level.MAP: "the learnt features", Level.BIAS: "the bias alone", Level.NONE: "no adaptation"}
 
 
@@ -235,16 +237,25 @@ class Guard:
             self._strikes += 1
             self._refused.add(self._content)
         if back:
-            for channel, learner in self._learners.items():
-                kept = self._good.learnt[channel]
-                assert kept is not None
-                learner.restore(kept, self._watches[channel].d)
-            self.version, self._content, self._proven = self._good.version, self._good.content, True
-            self._enter(Level.MAP)
-            self._say(bad, f"{reason}: version {bad} taken back, version {self.version} flies")
-            return
-        self._enter(Level(self.level + 1))
-        self._say(bad, f"{reason}: {LAWS[self.level]} flies")
+            self._take_back(reason)
+        else:
+            self._enter(Level(self.level + 1))
+            self._say(bad, f"{reason}: {LAWS[self.level]} flies")
+
+    def _take_back(self, reason: str) -> None:
+        """From an unproven version to the last good one, and what the law had learnt with it."""
+        bad = self.version
+        for channel, learner in self._learners.items():
+            kept = self._good.learnt[channel]
+            assert kept is not None
+            learner.restore(kept, self._watches[channel].d)
+        self.version, self._content, self._proven = self._good.version, self._good.content, True
+        self._enter(Level.MAP)
+        self._say(bad, f"{reason}: version {bad} taken back, version {self.version} flies")
+
+    def _loses(self) -> bool:
+        """Whether the version that flies is worse than the bias so far, in a channel that has some evidence."""
+        return any(one.loses(LOSES_S) for one in self._watches.values())
 
     def _enter(self, level: Level) -> None:
         self.level = level
@@ -283,6 +294,11 @@ class Guard:
         refusal = refusal or self._too_often(plans)
         if refusal or not plans:
             return refusal
+        if self.level is Level.MAP and not self._proven and self._loses():
+            self._take_back("misfit of the version before")
+            plans, refusal = self._plans(features)
+            if refusal or not plans:
+                return refusal
         if self._proven and self.level is Level.MAP:
             self._good = Kept(self.version, self._content, self._learnt())
         for channel, new, plan in plans:

@@ -11,7 +11,8 @@ d also has the tracking term of the law, - gamma e'PB. Two things are compared, 
 
 Both are root mean squares over `average_s`. A law is worse than another if either exceeds `margin` times that of the
 other and the floor, which stands above the noise. Evidence counts only ticks in which the two laws disagree by more
-than the noise: a map that says the same as a bias has shown nothing.
+than the noise: a map that says the same as a bias has shown nothing. Over `trial_s` of evidence the noise averages out:
+there a map may be worse by `trial_margin` at most, with no floor.
 """
 
 from collections import deque
@@ -42,6 +43,10 @@ class WatchConfig(ConfigRecord):
     margin: Annotated[float, Field(ge=1, le=10, description="worse: so many times the other law's")] = 1.5
     misfit_floor: Annotated[tuple[Size, Size], Field(description="plus this, units of u")] = (1.2, 20.0)
     error_floor: Annotated[tuple[Size, Size], Field(description="the same for e, units of u")] = (1.2, 20.0)
+    trial_s: Annotated[Seconds, Field(description="s of evidence, over which a map is compared without a floor")] = 1.0
+    trial_margin: Annotated[
+        float, Field(ge=1, le=10, description="misfit of the map over that of the bias-only law, over trial_s")
+    ] = 1.2
     worse_s: Annotated[Seconds, Field(description="s, worse for so long is taken back")] = 0.3
     disagreement: Annotated[tuple[Size, Size], Field(description="above this a tick is evidence, units of u")] = (
         *(0.3, 4.0),
@@ -84,6 +89,8 @@ class ChannelWatch:
         self._worse_s = 0.0
         self.evidence_s = 0.0
         """Time in which the two laws disagreed."""
+        self._trial = 0.0, 0.0
+        """Mean squared misfits of the map and of the bias-only law, over trial_s of evidence."""
         self._gain = 0.0
         """Sum over it of the bias-only law's squared misfit less the map's."""
 
@@ -132,6 +139,8 @@ class ChannelWatch:
         if _squares(then_map, then_bias) > self._apart2:
             self.evidence_s += dt
             self._gain += dt * (n1 - n0)
+            (t0, t1), fresh = self._trial, max(min(dt / self._config.trial_s, 1.0), dt / self.evidence_s)
+            self._trial = t0 + fresh * (n0 - t0), t1 + fresh * (n1 - t1)
         self._worse_s = self._worse_s + dt if self.worse(level, level + 1) else max(self._worse_s - dt, 0.0)
 
     def _squared_errors(self, e: list[float], flown: Vector3, other: Vector3, dt: float) -> tuple[float, float]:
@@ -155,9 +164,16 @@ class ChannelWatch:
         margin, (misfit_floor, error_floor) = self._config.margin, self._floors
         if sqrt(self._misfits[one]) > margin * sqrt(self._misfits[other]) + misfit_floor:
             return "misfit"
+        if one == 0 and self.loses(self._config.trial_s):
+            return "misfit over its trial"
         if one == 0 and sqrt(self._errors[0]) > margin * sqrt(self._errors[1]) + error_floor:
             return "model error"
         return ""
+
+    def loses(self, evidence_s: float) -> bool:
+        """Whether so much evidence says that the map is worse than the bias."""
+        of_map, of_bias = self._trial
+        return self.evidence_s >= evidence_s and of_map > self._config.trial_margin**2 * of_bias
 
     @property
     def failed(self) -> bool:

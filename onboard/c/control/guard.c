@@ -129,27 +129,42 @@ static bool trusts_none(const Guard *self) {
     return self->strikes >= self->config.strikes_max || self->refused_count == CONTENTS_MAX;
 }
 
+/* Guard._take_back: from an unproven version to the last good one, and what the law had learnt with it */
+static void take_back(Guard *self, Augmentation *augmentations, Fall fall) {
+    fall.refused = self->version;
+    for (int i = 0; i < 2; i++) {
+        if (self->learns[i]) {
+            adaptive_restore(&augmentations[i].adaptive, self->good.learnt + i, self->watches[i].d);
+        }
+    }
+    self->version = self->good.version;
+    memcpy(self->content, self->good.content, sizeof self->content);
+    self->proven = true;
+    enter(self, LEVEL_MAP);
+    fall.kind = FALL_BACK;
+    say(self, fall);
+}
+
 /* Guard._fall: one step back, to the last good version or to the next simpler law */
 static void fall_back(Guard *self, Augmentation *augmentations, FallReason reason, int32_t channel) {
-    Fall fall = {.reason = reason, .channel = channel};
+    Fall fall = {.kind = FALL_SIMPLER, .reason = reason, .channel = channel};
     fall.refused = self->level == LEVEL_MAP ? self->version : 0;
     bool back = self->level == LEVEL_MAP && self->version != self->good.version;
     if (fall.refused != 0) {
         strike(self);
     }
     if (back) {
-        for (int i = 0; i < 2; i++) {
-            if (self->learns[i]) {
-                adaptive_restore(&augmentations[i].adaptive, self->good.learnt + i, self->watches[i].d);
-            }
-        }
-        self->version = self->good.version;
-        memcpy(self->content, self->good.content, sizeof self->content);
-        self->proven = true;
+        take_back(self, augmentations, fall);
+    } else {
+        enter(self, (Level)(self->level + 1));
+        say(self, fall);
     }
-    enter(self, back ? LEVEL_MAP : (Level)(self->level + 1));
-    fall.kind = back ? FALL_BACK : FALL_SIMPLER;
-    say(self, fall);
+}
+
+/* Guard._loses: whether the version that flies is worse than the bias so far, in a channel that has some evidence */
+static bool loses(const Guard *self) {
+    return (self->learns[0] && watch_loses(self->watches, LOSES_S)) ||
+           (self->learns[1] && watch_loses(self->watches + 1, LOSES_S));
 }
 
 /* Guard._informed: the number of channels with enough evidence, and whether the map stands in all of them */
@@ -208,7 +223,8 @@ void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adaptin
         const ChannelWatch *watch = self->watches + channel;
         if (self->learns[channel] && watch_failed(watch) && self->level != LEVEL_NONE) {
             WatchFinding why = watch_worse(watch, (int32_t)self->level, (int32_t)self->level + 1);
-            fall_back(self, augmentations, why == WATCH_MODEL_ERROR ? FALL_MODEL_ERROR : FALL_MISFIT, channel);
+            FallReason reason = why == WATCH_MODEL_ERROR ? FALL_MODEL_ERROR : why == WATCH_TRIAL ? FALL_TRIAL : FALL_MISFIT;
+            fall_back(self, augmentations, reason, channel);
             return;
         }
     }
@@ -355,6 +371,13 @@ Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *
     refusal = refusal == REFUSAL_NONE ? too_often(self, augmentations) : refusal;
     if (refusal != REFUSAL_NONE || !(self->work.planned[0] || self->work.planned[1])) {
         return refusal;
+    }
+    if (self->level == LEVEL_MAP && !self->proven && loses(self)) {
+        take_back(self, augmentations, (Fall){.reason = FALL_BEFORE});
+        refusal = plan_all(self, augmentations, features);
+        if (refusal != REFUSAL_NONE || !(self->work.planned[0] || self->work.planned[1])) {
+            return refusal;
+        }
     }
     if (self->proven && self->level == LEVEL_MAP) {
         keep_as_good(self, augmentations);

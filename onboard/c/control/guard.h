@@ -30,14 +30,14 @@ typedef enum {
 } FallKind;
 
 /* Why a law was taken back. */
-typedef enum { FALL_MISFIT, FALL_MODEL_ERROR, FALL_AHEAD } FallReason;
+typedef enum { FALL_MISFIT, FALL_TRIAL, FALL_MODEL_ERROR, FALL_AHEAD, FALL_BEFORE } FallReason;
 
 /* A step back, or up again: for the events, the ground station and the trainer. onboard/c/event_text.py makes numpy's text
  * of it. */
 typedef struct {
     FallKind kind;
     FallReason reason; /* not of FALL_UP */
-    int32_t channel;   /* where the reason was found */
+    int32_t channel;   /* where the reason was found; not of FALL_BEFORE */
     Level level;       /* the law that flies now */
     int64_t refused;   /* the version taken back; 0 if none is */
     int64_t flying;    /* the version in use now */

@@ -34,7 +34,7 @@ void watch_restart(ChannelWatch *self) {
     vector_zero(self->delta_1);
     vector_zero(self->delta_2);
     vector_zero(self->misfits);
-    self->errors[0] = self->errors[1] = REAL(0.0);
+    self->errors[0] = self->errors[1] = self->trial[0] = self->trial[1] = REAL(0.0);
     self->worse_s = self->evidence_s = self->gain = REAL(0.0);
 }
 
@@ -99,6 +99,10 @@ static void compare(ChannelWatch *self, const real e[6], const real Delta_hat[3]
     if (squares(then_map, then_bias) > apart * apart) {
         self->evidence_s += dt;
         self->gain += dt * (misfits[1] - misfits[0]);
+        real part = real_max(real_min(dt / self->config.trial_s, REAL(1.0)), dt / self->evidence_s);
+        for (int law = 0; law < 2; law++) {
+            self->trial[law] += part * (misfits[law] - self->trial[law]);
+        }
     }
     bool worse = watch_worse(self, level, level + 1) != WATCH_NO_WORSE;
     self->worse_s = worse ? self->worse_s + dt : real_max(self->worse_s - dt, REAL(0.0));
@@ -135,10 +139,19 @@ WatchFinding watch_worse(const ChannelWatch *self, int32_t one, int32_t other) {
     if (real_sqrt(self->misfits[one]) > margin * real_sqrt(self->misfits[other]) + misfit_floor) {
         return WATCH_MISFIT;
     }
+    if (one == 0 && watch_loses(self, config->trial_s)) {
+        return WATCH_TRIAL;
+    }
     if (one == 0 && real_sqrt(self->errors[0]) > margin * real_sqrt(self->errors[1]) + error_floor) {
         return WATCH_MODEL_ERROR;
     }
     return WATCH_NO_WORSE;
+}
+
+/* ChannelWatch.loses */
+bool watch_loses(const ChannelWatch *self, real evidence_s) {
+    real margin = self->config.trial_margin;
+    return self->evidence_s >= evidence_s && self->trial[0] > margin * margin * self->trial[1];
 }
 
 /* ChannelWatch.failed */

@@ -13,7 +13,7 @@
 #define SENT_MAX 256
 
 /* Why a law is worse than another. */
-typedef enum { WATCH_NO_WORSE, WATCH_MISFIT, WATCH_MODEL_ERROR } WatchFinding;
+typedef enum { WATCH_NO_WORSE, WATCH_MISFIT, WATCH_TRIAL, WATCH_MODEL_ERROR } WatchFinding;
 
 typedef struct {
     WatchConfig config;
@@ -36,6 +36,7 @@ typedef struct {
     real errors[2];  /* the same of the weighted e: the map, the bias-only law */
     real worse_s;
     real evidence_s; /* time in which the two laws disagreed */
+    real trial[2];   /* mean squared misfits of the map and of the bias-only law, over trial_s of evidence */
     real gain;       /* sum over it of the bias-only law's squared misfit less the map's */
 } ChannelWatch;
 
@@ -56,6 +57,9 @@ void watch_step(ChannelWatch *self, const ChannelState *channel, const real Delt
 
 /* Why law `one` is worse than law `other` now. 0 the map, 1 the bias-only law, 2 none. */
 WatchFinding watch_worse(const ChannelWatch *self, int32_t one, int32_t other);
+
+/* Whether so much evidence says that the map is worse than the bias. */
+bool watch_loses(const ChannelWatch *self, real evidence_s);
 
 /* Whether the law that flies has been worse than the next simpler one for too long. */
 bool watch_failed(const ChannelWatch *self);

@@ -385,6 +385,8 @@ static void read_WatchConfig(Cursor *from, WatchConfig *out) {
     for (int i = 0; i < 2; i++) {
         out->error_floor[i] = read_real(from);
     }
+    out->trial_s = read_real(from);
+    out->trial_margin = read_real(from);
     out->worse_s = read_real(from);
     for (int i = 0; i < 2; i++) {
         out->disagreement[i] = read_real(from);
@@ -451,7 +453,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x45, 0x2d, 0x57, 0x80, 0x04, 0x2b, 0x94, 0x75};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x9e, 0x80, 0x76, 0x98, 0x1b, 0xaf, 0x80, 0x2a};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

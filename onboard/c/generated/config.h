@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4116
+#define CONFIG_IMAGE_BYTES 4132
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -333,19 +333,21 @@ typedef struct {
     real margin; /* 32: worse: so many times the other law's */
     real misfit_floor[2]; /* 40: plus this, units of u */
     real error_floor[2]; /* 56: the same for e, units of u */
-    real worse_s; /* 72: s, worse for so long is taken back */
-    real disagreement[2]; /* 80: above this a tick is evidence, units of u */
-    real proof_s; /* 96: s of evidence after which a version is proven */
-    real audition_s; /* 104: s of evidence after which a version may fly at all */
+    real trial_s; /* 72: s of evidence, over which a map is compared without a floor */
+    real trial_margin; /* 80: misfit of the map over that of the bias-only law, over trial_s */
+    real worse_s; /* 88: s, worse for so long is taken back */
+    real disagreement[2]; /* 96: above this a tick is evidence, units of u */
+    real proof_s; /* 112: s of evidence after which a version is proven */
+    real audition_s; /* 120: s of evidence after which a version may fly at all */
 } WatchConfig;
 
 typedef struct {
     RoomConfig room; /* 0 */
     VersionTestConfig test; /* 40 */
     WatchConfig watch; /* 160 */
-    real swaps_per_s_max; /* 272: 1/s, accepted versions */
-    real jumps_max; /* 280: summed jumps of nu_cmd in a second, over jump_max of the channel */
-    int32_t strikes_max; /* 288: versions taken back, after which no other is accepted */
+    real swaps_per_s_max; /* 288: 1/s, accepted versions */
+    real jumps_max; /* 296: summed jumps of nu_cmd in a second, over jump_max of the channel */
+    int32_t strikes_max; /* 304: versions taken back, after which no other is accepted */
 } GuardConfig;
 
 typedef struct {
@@ -355,10 +357,10 @@ typedef struct {
     real position_error_max_m; /* 952 */
     DemandLimitsConfig limits; /* 960 */
     GuardConfig guard; /* 1000 */
-    bool prediction; /* 1296: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1304: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1312: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1320 */
+    bool prediction; /* 1312: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1320: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1328: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1336 */
 } CascadeSettings;
 
 typedef struct {
@@ -387,9 +389,9 @@ typedef struct {
     SupervisorConfig supervisor; /* 616 */
     GuidanceConfig guidance; /* 880 */
     CascadeSettings controller; /* 2616: of the cascade */
-    SamplerConfig samples; /* 3944 */
-    Swing lissajous[2]; /* 3992: north and east; zero on another path */
-    int32_t layout[8]; /* 4040: bytes of feature_digest */
+    SamplerConfig samples; /* 3960 */
+    Swing lissajous[2]; /* 4008: north and east; zero on another path */
+    int32_t layout[8]; /* 4056: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

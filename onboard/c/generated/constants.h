@@ -41,6 +41,7 @@
 #define PATH_POINTS 16 /* onboard.control.version_test */
 #define STEP_MIN_M REAL(0.03) /* onboard.control.version_test */
 #define WATCH_STRIDE 4 /* onboard.control.watch */
+#define LOSES_S REAL(0.3) /* onboard.control.guard */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
 #define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
 #define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */

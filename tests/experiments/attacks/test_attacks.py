@@ -14,8 +14,8 @@ OFF = tuple(
     )
 )
 JET = ("vehicle.disturbances.0.speed_m_s=8.0",)
-ERROR_MAX_M = 0.1
-"""RMS from the beginning of the attack on. Without an attack: 0.02."""
+ERROR_MAX_M = 0.13
+"""RMS from the beginning of the attack on. Without a learner: 0.09 to 0.12."""
 
 
 def test_a_cliff_beside_the_states_of_the_last_second_is_refused():
@@ -35,13 +35,15 @@ def test_without_the_guard_cliffs_cost_the_vehicle():
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_probation_saves_a_vehicle_that_is_lost_without_it(seed):
+def test_each_part_of_the_guard_is_needed(seed):
     """Nothing; the room alone; room and probation; all."""
     parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
-    flights = [fly_attack("steep_again", seed, duration_s=12.0, assignments=(*JET, *off)) for off in parts]
-    assert [bool(flight.lost) for flight in flights] == [True, True, False, False]
-    assert flights[3].swaps < flights[2].swaps, "the test refuses what probation would have to take back"
-    assert flights[3].error_m < ERROR_MAX_M
+    flights = [fly_attack("steep_again", seed, duration_s=20.0, assignments=(*JET, *off)) for off in parts]
+    _, room, probation, all_on = flights
+    assert [bool(flight.lost) for flight in flights] == [True, False, False, False]
+    assert room.error_m > 1.5 * probation.error_m
+    assert room.swaps > probation.swaps > all_on.swaps, "the test refuses what probation would have to take back"
+    assert all_on.error_m < ERROR_MAX_M
 
 
 def test_a_cliff_that_is_out_of_reach_on_arrival_is_taken_back_before_it_is_reached():

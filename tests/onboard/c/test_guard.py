@@ -181,17 +181,30 @@ def test_a_version_from_the_ground_flies_after_its_audition(core: Core, law: str
 
 @pytest.mark.parametrize("law", FEATURED)
 def test_a_cliff_that_comes_into_reach(core: Core, law: str) -> None:
-    """It is far away when the version comes, and no state of the last second is on it or beyond."""
+    """It is far away when the version comes."""
     floors = {"misfit_floor": (90.0, 900.0)}
     pair = Pair(core, law, {"watch": {**floors, "error_floor": (90.0, 900.0)}, "test": floors})
     world = pair.world
     fly(pair, 60)
-    until(pair, lambda: world.signals_at(world.time_s)[SIGNAL_INDEX["position_n"]] < -0.9)
-    until(pair, lambda: world.signals_at(world.time_s)[SIGNAL_INDEX["position_n"]] > -0.9)
-    source = cliff(0.95, 150.0, 12.0)
+    while world.signals_at(world.time_s)[SIGNAL_INDEX["position_n"]] > -0.9:
+        fly(pair, 1)
+    source = cliff(0.8, 150.0, 9.0)
     assert pair.offer(FeatureSet(1, 0, 5, source, None)) == ""
     fly(pair, 300)
     assert pair.texts == ["guard: steep or high ahead in position: version 1 taken back, version 0 flies"]
+
+
+@pytest.mark.parametrize("law", FEATURED)
+def test_a_version_that_loses_when_the_next_one_comes(core: Core, law: str) -> None:
+    quiet = {"misfit_floor": (90.0, 900.0), "error_floor": (90.0, 900.0), "disagreement": (0.01, 0.01), "trial_s": 30.0}
+    pair = Pair(core, law, {**FREE, "watch": quiet})
+    trainer = Trainer(pair)
+    fly(pair, 60)
+    assert trainer.offer("wrong") == ""
+    fly(pair, 200)
+    assert trainer.offer("true") == ""
+    assert pair.texts == ["guard: misfit of the version before: version 1 taken back, version 0 flies"]
+    assert pair.theirs.version == 2
 
 
 @pytest.mark.parametrize("law", FEATURED)

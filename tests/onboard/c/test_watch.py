@@ -13,7 +13,7 @@ from tests.onboard.c.parity import SETTINGS, array, call, configured, same, view
 from tests.onboard.c.test_laws import GAINS, c_state, weights_of
 from tests.onboard.control.fixture import DT
 
-FINDINGS = ("", "misfit", "model error")
+FINDINGS = ("", "misfit", "misfit over its trial", "model error")
 QUICK = {"lag_s": (0.05, 0.03), "misfit_floor": (0.3, 0.3), "error_floor": (0.3, 0.3), "worse_s": 0.1}
 CONFIGS = [WatchConfig(), WatchConfig(**QUICK), WatchConfig(**QUICK, disagreement=(0.5, 0.5), average_s=0.3)]
 LAWS = st.tuples(st.floats(0.0, 40.0), st.sampled_from([0.0, 5.0]))
@@ -44,12 +44,14 @@ class Both:
         same([*view(ours.delta_1), *view(ours.delta_2)], [*theirs._delta[0], *theirs._delta[1]], scale=1.0)
         same([ours.worse_s, ours.evidence_s], [theirs._worse_s, theirs.evidence_s])
         same(ours.gain, theirs._gain, scale=1.0)
+        same(view(ours.trial), theirs._trial, scale=1.0)
         same(call(core, "watch_numbers", ours, out=4), theirs.numbers, rtol=1e-9, scale=1.0)
         for one in (0, 1, 2):
             assert FINDINGS[core.watch_worse(ours, one, one + 1)] == theirs.worse(one, one + 1)
         assert core.watch_failed(ours) == theirs.failed
         for evidence_s in (0.1, 0.5):
             assert core.watch_stands(ours, evidence_s) == theirs.stands(evidence_s)
+            assert core.watch_loses(ours, evidence_s) == theirs.loses(evidence_s)
 
 
 def tick(rng: np.random.Generator, wrong: float, noise: float) -> tuple[ChannelState, Any]:
@@ -92,11 +94,12 @@ def test_watch(core: Core, seed: int, config: WatchConfig, channel: int, law: An
 
 
 def test_all_findings_occur_in_both(core: Core) -> None:
-    """A sequence that both call a misfit, one that both call a model error, and one that proves a map."""
+    """Sequences that both call a misfit, a lost trial and a model error, and one that proves a map."""
     rng, found = np.random.default_rng(1), set()
     for config, wrong, error in (
         (CONFIGS[1], 6.0, 0.0),
-        (WatchConfig(**{**QUICK, "misfit_floor": (900.0, 900.0)}), 0.0, 9.0),
+        (WatchConfig(**{**QUICK, "misfit_floor": (900.0, 900.0), "trial_s": 0.5}), 6.0, 0.0),
+        (WatchConfig(**{**QUICK, "misfit_floor": (900.0, 900.0), "trial_s": 30.0}), 0.0, 9.0),
     ):
         both = Both(core, config, 0, (10.0, 0.0))
         for _ in range(200):
@@ -105,7 +108,7 @@ def test_all_findings_occur_in_both(core: Core) -> None:
             both.step(state, (vectors[0], vectors[1] + error, vectors[2]), 0)
         assert both.theirs.failed
         found.add(both.theirs.worse(0, 1))
-    assert found == {"misfit", "model error"}
+    assert found == {"misfit", "misfit over its trial", "model error"}
     both = Both(core, WatchConfig(), 0, (0.2, 0.0))  # a bias that is slow to learn what the map knows
     for _ in range(200):
         state, (residual, _, _) = tick(rng, 0.0, 0.0)

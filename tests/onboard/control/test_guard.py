@@ -171,6 +171,18 @@ def test_a_map_that_is_as_good_as_the_bias_does_not_fail_and_proves_nothing():
     assert not watch.stands(1.0)
 
 
+def test_a_map_that_is_a_little_wrong_loses_its_trial_and_without_one_flies_on():
+    """A misfit of 1 is below the floor; over a second of evidence it is worse than the bias's."""
+    wrong, floor = np.full(3, 1.6), np.full(3, 1.0)
+    assert not watched(1.6, floor, 0.14 + 0.9).failed
+    watch = watched(1.6, floor, 0.14 + 1.0 + 0.4)
+    assert watch.failed
+    assert watch.worse(0, 1) == "misfit over its trial"
+    assert watch.loses(0.3)
+    assert not watched(1.6, floor, 5.0, WatchConfig(trial_s=30.0)).failed
+    assert not watched(1.6, wrong, 5.0).loses(0.0)
+
+
 def test_evidence_is_time_in_which_the_laws_disagree():
     """The bias-only law lags behind an alternating residual that the map knows."""
     watch = ChannelWatch(WatchConfig(), 0, (np.full(3, 16.0), np.full(3, 8.0)), (30.0, 0.0), np.zeros((6, 3)))
@@ -293,6 +305,21 @@ def test_only_proven_versions_are_kept_as_good():
     assert guard.offer(version(4, 0.3)) == ""
     fail(guard)
     assert guard.version == 3
+
+
+def test_a_version_that_loses_when_the_next_one_comes_is_taken_back_first():
+    """So a bad one cannot hide behind its successor; it is no strike, because it had no full trial."""
+    one = flown(rig(strikes_max=1))
+    guard = one.controller.guard
+    assert guard.offer(version(1, 0.3)) == ""
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._trial = 0.5, (2.0, 1.0)
+    guard._time_s += 1.1
+    assert guard.offer(version(2, 0.3)) == ""
+    assert guard.version == 2
+    assert [fall.refused for fall in guard.take_falls()] == [1]
+    fail(guard)
+    assert guard.version == 0
 
 
 def test_swaps_a_second_are_limited():
