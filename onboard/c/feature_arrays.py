@@ -9,6 +9,7 @@ from onboard.control.features import NetworkFeatures
 from onboard.control.laws.adaptive import AdaptiveAugmentation
 from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures, FeatureSet
+from protocol.messages import FeatureChunk
 from protocol.signals import CHANNELS, input_indices
 
 
@@ -42,6 +43,14 @@ def put_feature_set(target: Any, source: FeatureSet) -> None:
         target.covers[index] = channel is not None
         if channel is not None:
             put_channel(target.channels[index], channel)
+
+
+def put_chunk(target: Any, source: FeatureChunk) -> None:
+    """Fill a FeatureChunk."""
+    target.version, target.index, target.count = source.version, source.index, source.count
+    view(target.digest)[:] = np.frombuffer(source.digest, np.uint8)
+    target.size = len(source.data)
+    view(target.data)[: target.size] = np.frombuffer(source.data, np.uint8)
 
 
 def put_start_features(targets: Any, config: OnboardConfig) -> None:

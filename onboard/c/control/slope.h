@@ -11,8 +11,8 @@
 /* The largest slope of a map, per kind of input. */
 typedef struct {
     int32_t groups;
-    int32_t first[SLOPE_GROUPS];   /* signal of the first of the kind's three inputs; the others follow it */
-    real limit[SLOPE_GROUPS * 3];  /* of each axis, units of u per unit of the input */
+    int32_t first[SLOPE_GROUPS];  /* signal of the first of the kind's three inputs; the others follow it */
+    real limit[SLOPE_GROUPS * 3]; /* of each axis, units of u per unit of the input */
 } SlopeLimits;
 
 /* The shares of the loop's own gains. channel: 0 position, 1 attitude; the gains of both. */

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.c.event_text import fall_text, version_text
-from onboard.c.feature_arrays import put_channel, put_feature_set
+from onboard.c.feature_arrays import put_channel
 from onboard.c.library import Core
 from onboard.control.feature_reception import FeatureReception
 from onboard.control.laws.adaptive import AdaptiveAugmentation
@@ -43,6 +43,11 @@ class Both:
         self.core.reception_receive(self.ours, c_chunk(self.core, chunk))
         self.compare()
 
+    def send(self, features: FeatureSet) -> None:
+        """All chunks of a version."""
+        for chunk in split(encode_feature_set(features, "float16"), features.version, 1100):
+            self.receive(chunk)
+
     def restart(self) -> None:
         self.theirs.restart()
         self.core.reception_restart(self.ours)
@@ -55,17 +60,12 @@ class Both:
         self.controller.guard.judge(DT, adapting)
         self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting)
 
-    def swap(self, outside: FeatureSet | None = None) -> list[str]:
-        """The events of both, those for the pilot last. outside: a version that was put together elsewhere."""
+    def swap(self) -> list[str]:
+        """The events of both, those for the pilot last."""
         self.now_ns += 5_000_000
-        if outside is not None:
-            self.theirs._complete = outside
         events, warnings = self.theirs.swap(self.controller, self.now_ns)
-        outcome, given = self.core.VersionOutcome(), None
-        if outside is not None:
-            given = self.core.FeatureSet()
-            put_feature_set(given, outside)
-        self.core.reception_swap(self.ours, self.cascade, given, self.now_ns, outcome)
+        outcome = self.core.VersionOutcome()
+        self.core.reception_swap(self.ours, self.cascade, self.now_ns, outcome)
         texts = [version_text(outcome)] if outcome.offered else []
         texts += [fall_text(one) for one in outcome.falls[: outcome.fall_count]]
         assert [(self.now_ns, text) for text in texts] == [*events, *warnings]
@@ -122,8 +122,7 @@ def test_any_reception(core: Core, steps: Any, name: str, strikes: int) -> None:
 
 def test_a_version_is_used_taken_back_and_refused(core: Core) -> None:
     both = Both(core, watch={"enabled": False})
-    for chunk in split(encode_feature_set(version(3, 1), "float16"), 3, 1100):
-        both.receive(chunk)
+    both.send(version(3, 1))
     assert both.swap() == ["features 3 in use, parent 0, 5 samples"]
     both.controller.guard._config = both.controller.guard._config.model_copy(
         update={"watch": both.controller.guard._config.watch.model_copy(update={"enabled": True})}
@@ -133,13 +132,6 @@ def test_a_version_is_used_taken_back_and_refused(core: Core) -> None:
     (fall,) = both.swap()
     assert "version 3 taken back, version 0 flies" in fall
     assert (both.theirs.version, both.theirs.swapped_ns, both.theirs.taken_back) == (0, None, 1)
-    assert both.swap(version(4, 2)) == ["features 4 in use, parent 0, 5 samples"]
+    both.send(version(4, 2))
+    assert both.swap() == ["features 4 in use, parent 0, 5 samples"]
     both.restart()
-
-
-def test_a_version_from_outside_takes_the_place_of_one_that_waits(core: Core) -> None:
-    both = Both(core)
-    for chunk in split(encode_feature_set(version(1, 1), "float16"), 1, 1100):
-        both.receive(chunk)
-    assert both.swap(version(2, 2)) == ["features 2 in use, parent 0, 5 samples"]
-    assert both.swap() == []

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from onboard.c.feature_arrays import put_chunk
 from onboard.c.library import Core
 from protocol.errors import ProtocolError
 from protocol.feature_codec import decode_feature_set, encode_feature_set
@@ -188,9 +189,8 @@ def test_an_empty_extension_is_a_value_of_another_kind(core: Core, code: int) ->
 
 def c_chunk(core: Core, chunk: FeatureChunk) -> Any:
     """The chunk in C."""
-    target = core.FeatureChunk(version=chunk.version, index=chunk.index, count=chunk.count, size=len(chunk.data))
-    view(target.digest)[:] = np.frombuffer(chunk.digest, np.uint8)
-    view(target.data)[: target.size] = np.frombuffer(chunk.data, np.uint8)
+    target = core.FeatureChunk()
+    put_chunk(target, chunk)
     return target
 
 
