@@ -237,9 +237,9 @@ class OnboardCore:
                 self._battery = reading
             else:
                 self._estimator.receive(reading)
-        for dated in poses:
-            self._estimator.receive_pose(dated.pose, dated.taken_ns, dated.arrival_ns, dated.time_sigma_s)
-            self._arming.receive_pose(dated.pose, self._vehicle_link.health.force, now_ns)
+        for pose, taken_ns, arrival_ns, time_sigma_s in poses:
+            self._estimator.receive_pose(pose, taken_ns, arrival_ns, time_sigma_s)
+            self._arming.receive_pose(pose.position_ned_m, pose.quaternion, self._vehicle_link.health.force, now_ns)
         return self._estimator.state
 
     def _supervise(self, state: VehicleState, now_ns: int) -> FlightMode:

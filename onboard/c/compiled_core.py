@@ -1,7 +1,7 @@
 """The onboard core in C, with the interface of `onboard.core.OnboardCore`.
 
-The links, which decode MAVLink and the datagrams of offboard, and the arming checks are those of the numpy core. All
-blocks between them are one call of C (core.h).
+What speaks MAVLink, the links to vehicle and ground station and the arming checks, is that of the numpy core. All other
+blocks are one call of C (core.h).
 """
 
 from typing import Any, Final
@@ -16,30 +16,31 @@ from onboard.c.event_text import (
     calibration_text,
     estimator_text,
     fall_text,
+    link_text,
     refusal_text,
     supervisor_text,
     version_text,
 )
-from onboard.c.feature_arrays import put_chunk, put_start_features, view
+from onboard.c.feature_arrays import put_start_features, view
 from onboard.c.library import DEFAULT, BuildError, Variant, load
 from onboard.config import OnboardConfig
-from onboard.control.feature_reception import ReceptionStatus
 from onboard.core import ZERO, OnboardOutput
 from onboard.estimation.state import VehicleState
 from onboard.flight.arming import ArmingChecks
 from onboard.flight.modes import AIRBORNE, Command, FlightMode
 from onboard.links.ground import GroundLink
-from onboard.links.offboard import DatedPose, OffboardLink, PeerRestarted
 from onboard.links.vehicle import Reading, VehicleLink
 from onboard.preflight.certificate import CLEAR, Clearance
 from protocol.arrival import Datagrams, at_times
+from protocol.authentication import KEY_MAX_BYTES, KEY_MIN_BYTES
 from protocol.clock import ForwardClock
 from protocol.conventions import NEVER_NS
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, RangeReading
-from protocol.messages import FeatureChunk, SampleBatch
 from protocol.session import session_start_ns
+from protocol.statistics import REJECTIONS
 
+EMPTY: Final = np.zeros(0, dtype=np.uint8)
 COMMANDS: Final = {command: number for number, command in enumerate(Command)}
 """Number of each command in C."""
 
@@ -56,6 +57,8 @@ class CompiledCore:
     ------
     ConfigError
         If there is no C compiler, or the controller is not written in C.
+    ValueError
+        If the key is too short or too long.
     """
 
     def __init__(
@@ -68,19 +71,18 @@ class CompiledCore:
         clearance: Clearance = CLEAR,
         variant: Variant = DEFAULT,
     ) -> None:
-        self._library, self._core = _built(config, variant)
+        self._library, self._core = _built(config, variant, session, key or b"")
         core = self._library
         self._clock = ForwardClock()
         utc_ns = session_start_ns(session)
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
-        self._offboard_link = OffboardLink(config, session, key)
         self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._arming = ArmingChecks(config, clearance)
         self.controller = CompiledController(core, self._core.controller)
         self._notice = clearance.notice
         self._inputs, self._result = core.CoreInputs(), core.CoreOutput()
-        self._imu, self._pose, self._chunk = core.ImuReading(), core.Pose(), core.FeatureChunk()
-        self._refusal, self._said = core.ArmingRefusal(), core.ReceptionStatus()
+        self._imu, self._received, self._refusal = core.ImuReading(), core.Received(), core.ArmingRefusal()
+        self._datagrams = [view(one.bytes) for one in self._result.to_offboard]
         self._output = OnboardOutput(tick=view(self._result.tick))
         state = self._core.estimator.state
         names = ("position", "velocity", "quaternion", "euler", "rates")
@@ -110,13 +112,12 @@ class CompiledCore:
         posed = core.posed or core.estimator.state.last_pose_ns != NEVER_NS
         inputs.now_ns, inputs.missed_ticks = now_ns, missed_ticks
         inputs.preflight = self._reasons.number(self._arming.refusal(now_ns, posed, self._vehicle_link))
-        inputs.offboard_ns, inputs.ground_ns = self._offboard_link.last_received_ns, self._ground_link.last_received_ns
-        inputs.link_loss = self._offboard_link.loss_share(now_ns)
+        inputs.ground_ns = self._ground_link.last_received_ns
         self._library.core_tick(core, inputs, result)
         self._collect_events(output, now_ns)
         output.to_vehicle.append(self._vehicle_link.encode_motors(result.motors, result.spinning, now_ns))
-        for batch in result.batches[: result.batch_count]:
-            output.to_offboard.append(self._offboard_link.encode(_batch(batch), now_ns))
+        for index in range(result.to_offboard_count):
+            output.to_offboard.append(self._datagrams[index][: result.to_offboard[index].size].tobytes())
         self._report(output, FlightMode(result.mode), now_ns)
         self._tracking_error_m = core.tracking_error_m
         return output
@@ -146,27 +147,14 @@ class CompiledCore:
                 library.core_receive_battery(core, library.BatteryReading(*reading))
 
     def _receive_offboard(self, datagrams: Datagrams, now_ns: int) -> None:
-        """Poses for the estimator, chunks of feature versions for the reception."""
+        """Poses and chunks of feature versions; the arming checks compare a pose with the IMU."""
+        received, force = self._received, self._vehicle_link.health.force
         for datagram, arrival_ns in at_times(datagrams, now_ns):
-            for message in self._offboard_link.receive(datagram, arrival_ns):
-                match message:
-                    case DatedPose():
-                        self._receive_pose(message, now_ns)
-                    case FeatureChunk():
-                        self._receive_chunk(message)
-                    case PeerRestarted():
-                        self._library.core_restart_offboard(self._core)
-
-    def _receive_pose(self, dated: DatedPose, now_ns: int) -> None:
-        pose = self._pose
-        pose.position[:], pose.quaternion[:] = dated.pose.position_ned_m.tolist(), dated.pose.quaternion.tolist()
-        times = dated.taken_ns, dated.arrival_ns, dated.time_sigma_s
-        self._library.core_receive_pose(self._core, pose, *times)
-        self._arming.receive_pose(dated.pose, self._vehicle_link.health.force, now_ns)
-
-    def _receive_chunk(self, chunk: FeatureChunk) -> None:
-        put_chunk(self._chunk, chunk)
-        self._library.core_receive_chunk(self._core, self._chunk)
+            octets = np.frombuffer(datagram, dtype=np.uint8) if datagram else EMPTY
+            self._library.core_receive_offboard(self._core, octets, octets.size, arrival_ns, received)
+            if received.has_pose:
+                pose = received.pose.pose
+                self._arming.receive_pose(pose.position, pose.quaternion, force, now_ns)
 
     def _receive_ground(self, datagrams: Datagrams, land: bool, now_ns: int) -> None:
         """Commands of the pilot, and the process's own wish to land."""
@@ -191,7 +179,7 @@ class CompiledCore:
     def _collect_events(self, output: OnboardOutput, now_ns: int) -> None:
         """Events in the order of OnboardCore; those of vehicle link, estimator and modes go to the pilot's screen."""
         result = self._result
-        output.events += self._offboard_link.take_events()
+        output.events += [(one.time_ns, link_text(one)) for one in result.link_events[: result.link_event_count]]
         shown = self._vehicle_link.take_events()
         shown += [(one.time_ns, estimator_text(one)) for one in result.estimator_events[: result.estimator_event_count]]
         if self._notice:
@@ -211,35 +199,23 @@ class CompiledCore:
             self._ground_link.send_text(text)
 
     def _report(self, output: OnboardOutput, mode: FlightMode, now_ns: int) -> None:
-        """Status, time sync and telemetry, each at its own period."""
-        link, core, reception = self._offboard_link, self._core, self._core.reception
-        small = link.time_sync(now_ns)
-        output.clock_offset = link.clock_record(now_ns)
-        state = core.estimator.state
+        """The clock of offboard, and telemetry for the pilot."""
+        core, result, state = self._core, self._result, self._core.estimator.state
+        clock = result.clock
+        output.clock_offset = np.array([clock.offset_ns, clock.round_trip_ns], np.float64) if result.has_clock else None
         self._state.last_imu_ns, self._state.last_pose_ns = state.last_imu_ns, state.last_pose_ns
         self._state.height_valid = state.height_valid
         output.to_ground += self._ground_link.poll(now_ns, mode, self._state, self._battery)
-        if link.status_due(now_ns):
+        if result.status_sent:
             self._ground_link.values.update(
-                feat_ver=float(reception.version),
-                feat_age=self._library.reception_age_s(reception, now_ns),
+                feat_ver=float(core.reception.version),
+                feat_age=self._library.reception_age_s(core.reception, now_ns),
                 track_err=self._tracking_error_m,
             )
-            ticks = (core.ticks - 1, core.missed_ticks)
-            small.append(link.status(now_ns, mode, ticks, state.last_pose_ns, self._reception_status()))
-        for datagram in small:
-            self._library.core_charge(core, len(datagram), now_ns)
-        output.to_offboard += small
-
-    def _reception_status(self) -> ReceptionStatus:
-        said = self._said
-        self._library.reception_status(self._core.reception, said)
-        chunks = bytes(said.received_chunks[: said.received_chunks_size])
-        return ReceptionStatus(said.version, said.transfer_version, chunks, said.refused_version, said.refusal)
 
     def status(self, now_ns: int) -> dict[str, Any]:
         """A few numbers for the live status line."""
-        statistics, reception = self._offboard_link.statistics, self._core.reception
+        statistics, reception = self._core.offboard.endpoint.statistics, self._core.reception
         return {
             "mode": FlightMode(self._core.mode).name,
             "not_ready": self._not_ready(),
@@ -248,7 +224,7 @@ class CompiledCore:
             "feature_age_s": self._library.reception_age_s(reception, now_ns),
             "link_lost": statistics.lost,
             "link_received": statistics.received,
-            "rejected": statistics.rejected.total(),
+            "rejected": self._library.link_statistics_rejected(statistics),
         }
 
     def _not_ready(self) -> str:
@@ -267,6 +243,7 @@ class CompiledCore:
     def summary(self) -> dict[str, Any]:
         """Mode, features, and the counters of links, samples and estimator, for the flight record."""
         core, reception = self._core, self._core.reception
+        rejected = core.offboard.endpoint.statistics.rejected
         return {
             "mode": FlightMode(core.mode).name,
             "ticks": core.ticks,
@@ -277,7 +254,7 @@ class CompiledCore:
                 "refused": reception.refusals,
                 "taken_back": reception.taken_back,
             },
-            "rejected": dict(self._offboard_link.statistics.rejected),
+            "rejected": {reason: count for reason, count in zip(REJECTIONS, rejected, strict=True) if count},
             "vehicle_rejected": dict(self._vehicle_link.rejected),
             "samples": {name: getattr(core.samples, name) for name in ("taken", "dropped", "repeated")},
             "estimator": counts(core.estimator),
@@ -286,8 +263,8 @@ class CompiledCore:
         }
 
 
-def _built(config: OnboardConfig, variant: Variant) -> tuple[Any, Any]:
-    """The library, and a Core for this configuration. Raises ConfigError as CompiledCore does."""
+def _built(config: OnboardConfig, variant: Variant, session: int, key: bytes) -> tuple[Any, Any]:
+    """The library, and a Core for this configuration. Raises as CompiledCore does."""
     try:
         library = load(variant)
         packed = np.frombuffer(image(config), dtype=np.uint8)
@@ -297,19 +274,10 @@ def _built(config: OnboardConfig, variant: Variant) -> tuple[Any, Any]:
     if not library.config_decode(packed, packed.size, decoded):
         raise ConfigError("--core c: the packed configuration is not of the core's layout: build it again")
     put_start_features(start, config)
-    library.core_init(core, decoded, start)
+    octets = np.frombuffer(key, dtype=np.uint8) if key else EMPTY
+    if not library.core_init(core, decoded, start, session, octets, octets.size):
+        raise ValueError(f"key of {len(key)} bytes, allowed {KEY_MIN_BYTES} to {KEY_MAX_BYTES}")
     return library, core
-
-
-def _batch(batch: Any) -> SampleBatch:
-    """A SampleBatch of C."""
-    n = batch.count
-    signals, delivered, adaptive = (
-        view(member)[: n * (len(member) // 8)].reshape(n, *shape)
-        for member, shape in ((batch.signals, (-1,)), (batch.delivered, (2, 3)), (batch.adaptive, (2, 3)))
-    )
-    head = batch.first_index, batch.time_ns, batch.period_ns, batch.feature_version
-    return SampleBatch(*head, signals, delivered, adaptive)
 
 
 class _Reasons:

@@ -14,7 +14,8 @@ static real seconds_since(int64_t now_ns, int64_t then_ns) {
 }
 
 /* OnboardCore.__init__ */
-void core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start) {
+bool core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start, uint64_t session, const uint8_t *key,
+               int32_t key_size) {
     memset(self, 0, sizeof *self);
     self->airframe = config->airframe;
     self->dt = self->period_s = (real)((double)config->period_ns * 1e-9);
@@ -31,6 +32,7 @@ void core_init(Core *self, const CoreConfig *config, const ChannelFeatures *star
     self->mode = MODE_BOOT;
     self->battery = (BatteryReading){NEVER_NS, REAL(0.0), REAL(-1.0)};
     cascade_init(&self->controller, &config->controller, &config->airframe, start);
+    return offboard_link_init(&self->offboard, config, session, key, key_size);
 }
 
 /* --- receive --- */
@@ -51,16 +53,19 @@ void core_receive_battery(Core *self, const BatteryReading *reading) {
     self->battery = *reading;
 }
 
-void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t arrival_ns, real time_sigma_s) {
-    estimator_receive_pose(&self->estimator, pose, taken_ns, arrival_ns, time_sigma_s);
-}
-
-void core_receive_chunk(Core *self, const FeatureChunk *chunk) {
-    reception_receive(&self->reception, chunk);
-}
-
-void core_restart_offboard(Core *self) {
-    reception_restart(&self->reception);
+/* OnboardCore._receive_offboard */
+void core_receive_offboard(Core *self, const uint8_t *datagram, size_t size, int64_t arrival_ns, Received *received) {
+    offboard_link_receive(&self->offboard, datagram, size, arrival_ns, received);
+    if (received->peer_restarted) {
+        reception_restart(&self->reception);
+    }
+    if (received->has_pose) {
+        const DatedPose *dated = &received->pose;
+        estimator_receive_pose(&self->estimator, &dated->pose, dated->taken_ns, dated->arrival_ns, dated->time_sigma_s);
+    }
+    if (received->has_chunk) {
+        reception_receive(&self->reception, &received->chunk);
+    }
 }
 
 void core_command(Core *self, Command command, int64_t now_ns, ArmingRefusal *refusal) {
@@ -79,7 +84,7 @@ static void supervisor_inputs(const Core *self, const CoreInputs *inputs, Superv
         .imu_age_s = seconds_since(now_ns, state->last_imu_ns),
         .pose_age_s = seconds_since(now_ns, state->last_pose_ns),
         .velocity_aid_age_s = seconds_since(now_ns, state->last_velocity_aid_ns),
-        .offboard_age_s = seconds_since(now_ns, inputs->offboard_ns),
+        .offboard_age_s = seconds_since(now_ns, self->offboard.last_received_ns),
         .ground_age_s = seconds_since(now_ns, inputs->ground_ns),
         .battery_age_s = seconds_since(now_ns, self->battery.time_ns),
         .battery_v = self->battery.voltage_v,
@@ -186,23 +191,63 @@ static void mix(Core *self, FlightMode mode) {
     }
 }
 
-/* OnboardCore._sample: samples for the trainer, from flight only, when a batch is due */
-static void sample(Core *self, const ControlInputs *control_inputs, const CoreInputs *inputs, CoreOutput *output) {
+/* OnboardCore._sample: samples for the trainer, from flight only, as datagrams when a batch is due */
+static void sample(Core *self, const ControlInputs *control_inputs, int64_t now_ns, CoreOutput *output) {
+    OffboardLink *link = &self->offboard;
     if (control_inputs->adapt) {
         real u_hat[CHANNEL_VALUES], nu_ad[CHANNEL_VALUES];
         vector_copy(self->uncertainty.position.u_hat, u_hat);
         vector_copy(self->uncertainty.attitude.u_hat, u_hat + 3);
         vector_copy(self->controller.output.position.adaptive_now, nu_ad);
         vector_copy(self->controller.output.attitude.adaptive_now, nu_ad + 3);
-        sampler_push(&self->samples, inputs->now_ns, self->signals.values, u_hat, nu_ad);
+        sampler_push(&self->samples, now_ns, self->signals.values, u_hat, nu_ad);
     }
-    output->batch_count = sampler_poll(&self->samples, inputs->now_ns, self->reception.version, inputs->link_loss,
-                                       output->batches);
+    SampleBatch *batches = self->batches;
+    int32_t due = sampler_poll(&self->samples, now_ns, self->reception.version, offboard_link_loss_share(link, now_ns),
+                               batches);
+    output->to_offboard_count = 0;
+    for (int32_t i = 0; i < due; i++) {
+        output->to_offboard_count +=
+            offboard_link_batch(link, batches + i, now_ns, output->to_offboard + output->to_offboard_count);
+    }
 }
 
-static void record(const Core *self, const ControlInputs *control_inputs, const CoreInputs *inputs,
-                   CoreOutput *output) {
-    int64_t now_ns = inputs->now_ns;
+/* OffboardLink.status of this vehicle, if it is due; whether it was written */
+static bool say_status(Core *self, int64_t now_ns, Datagram *out) {
+    ReceptionStatus reception;
+    if (!offboard_link_status_due(&self->offboard, now_ns)) {
+        return false;
+    }
+    reception_status(&self->reception, &reception);
+    Status status = {
+        .mode = (int64_t)self->mode,
+        .feature_version = reception.version,
+        .transfer_version = reception.transfer_version,
+        .received_chunks_size = reception.received_chunks_size,
+        .refused_version = reception.refused_version,
+        .refusal = (int64_t)reception.refusal,
+        .ticks = self->ticks,
+        .missed_ticks = self->missed_ticks,
+    };
+    memcpy(status.received_chunks, reception.received_chunks, sizeof reception.received_chunks);
+    return offboard_link_status(&self->offboard, &status, self->estimator.state.last_pose_ns, now_ns, out);
+}
+
+/* OnboardCore._report, to offboard: time sync and status, each at its own period */
+static void report(Core *self, int64_t now_ns, CoreOutput *output) {
+    int32_t batches = output->to_offboard_count;
+    Datagram *small = output->to_offboard + batches;
+    int32_t count = offboard_link_time_sync(&self->offboard, now_ns, small);
+    output->has_clock = offboard_link_clock_record(&self->offboard, now_ns, &output->clock);
+    output->status_sent = say_status(self, now_ns, small + count);
+    count += output->status_sent;
+    for (int32_t i = 0; i < count; i++) {
+        sampler_charge(&self->samples, small[i].size, now_ns);
+    }
+    output->to_offboard_count = batches + count;
+}
+
+static void record(const Core *self, const ControlInputs *control_inputs, int64_t now_ns, CoreOutput *output) {
     TickContext context = {
         .mode = self->mode,
         .saturated = self->saturated,
@@ -210,7 +255,7 @@ static void record(const Core *self, const ControlInputs *control_inputs, const 
         .feature_version = self->reception.version,
         .feature_age_s = reception_age_s(&self->reception, now_ns),
         .pose_age_s = age_s(now_ns, self->estimator.state.last_pose_ns),
-        .offboard_age_s = age_s(now_ns, inputs->offboard_ns),
+        .offboard_age_s = age_s(now_ns, self->offboard.last_received_ns),
         .battery_v = self->battery.voltage_v,
         .motors = self->command,
         .motor_thrusts_n = self->actuators.delivered.thrusts_n,
@@ -225,6 +270,7 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
     int32_t missed = (int32_t)(skipped < CATCH_UP_MAX ? skipped : CATCH_UP_MAX);
     self->missed_ticks = inputs->missed_ticks;
     self->dt = (real)(1 + missed) * self->period_s;
+    output->link_event_count = offboard_link_take_events(&self->offboard, output->link_events);
     output->estimator_event_count = estimator_take_events(&self->estimator, output->estimator_events);
     FlightMode mode = supervise(self, inputs, output);
     guide(self, mode);
@@ -248,15 +294,11 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
     memcpy(output->motors, self->command, sizeof output->motors);
     output->spinning = is_in(mode, MODES_SPINNING);
     output->mode = mode;
-    sample(self, &control_inputs, inputs, output);
-    record(self, &control_inputs, inputs, output);
+    sample(self, &control_inputs, now_ns, output);
+    report(self, now_ns, output);
+    record(self, &control_inputs, now_ns, output);
     real off[3];
     vector_subtract(state->position, self->target.path.position, off);
     self->tracking_error_m = vector_length(off);
     self->ticks++;
-}
-
-/* SampleQueue.charge */
-void core_charge(Core *self, int32_t datagram_bytes, int64_t now_ns) {
-    sampler_charge(&self->samples, datagram_bytes, now_ns);
 }

@@ -1,7 +1,7 @@
-/* The onboard core: one tick, block by block. The twin of onboard/core.py, without what surrounds the blocks there: MAVLink,
- * the links to offboard and ground station, and the arming checks. Readings, poses and commands come in as numbers.
+/* The onboard core: one tick, block by block. The twin of onboard/core.py, without what speaks MAVLink there: the links to
+ * vehicle and ground station, and the arming checks. Readings and commands come in as numbers.
  *
- *     core_receive_... and core_command, in the order of arrival; core_tick; core_charge for what is sent beside samples */
+ *     core_receive_... and core_command for what came since the last tick, in the order of arrival; then core_tick */
 #ifndef DMRAC_CORE_H
 #define DMRAC_CORE_H
 
@@ -14,32 +14,39 @@
 #include "estimation/estimator.h"
 #include "flight/guidance.h"
 #include "flight/supervisor.h"
+#include "links/offboard.h"
 #include "record/tick.h"
 #include "sampling/sampler.h"
 #include "sampling/signal_vector.h"
+
+/* Datagrams to offboard of one tick: samples, time sync and a status. */
+#define TO_OFFBOARD_MAX (BATCHES_MAX + SYNC_DATAGRAMS_MAX + 1)
 
 /* What the surroundings know in a tick. */
 typedef struct {
     int64_t now_ns;       /* onboard's monotonic clock, which never goes back */
     int64_t missed_ticks; /* that the loop has skipped since its start; the last command was held meanwhile */
     int32_t preflight;    /* why the vehicle must not be armed, a number of the caller's; 0 if it may be */
-    int64_t offboard_ns;  /* arrival of the newest datagram of offboard; NEVER_NS if there was none */
-    int64_t ground_ns;    /* the same of the ground station */
-    real link_loss;       /* share of the datagrams that the link to offboard loses */
+    int64_t ground_ns;    /* arrival of the newest datagram of the ground station; NEVER_NS if there was none */
 } CoreInputs;
 
-/* What a tick sends and records. Events stand in the order in which they happened. */
+/* What a tick sends and records. Events stand in the order in which they happened, block by block. */
 typedef struct {
     real motors[4]; /* shares of the maximum thrust */
     bool spinning;  /* whether the motors may turn; if not, they are off whatever `motors` says */
     FlightMode mode;
+    Datagram to_offboard[TO_OFFBOARD_MAX];
+    int32_t to_offboard_count;
+    bool status_sent;    /* whether a status is among them */
+    bool has_clock;      /* once a second when it is known: */
+    ClockExchange clock; /* offset and round trip of offboard's clock, for the log */
+    LinkEvent link_events[LINK_EVENTS_MAX];
+    int32_t link_event_count;
     EstimatorEvent estimator_events[ESTIMATOR_EVENTS_MAX];
     int32_t estimator_event_count;
     SupervisorEvent supervisor_events[SUPERVISOR_EVENTS_MAX];
     int32_t supervisor_event_count;
     VersionOutcome features;
-    SampleBatch batches[BATCHES_MAX]; /* for the trainer */
-    int32_t batch_count;
     double tick[TICK_FIELDS];
 } CoreOutput;
 
@@ -58,6 +65,8 @@ typedef struct {
     Cascade controller;
     Mixer mixer;
     SampleQueue samples;
+    SampleBatch batches[BATCHES_MAX]; /* of this tick */
+    OffboardLink offboard;
     FlightMode mode;
     BatteryReading battery;
     Target target;
@@ -70,29 +79,23 @@ typedef struct {
     real tracking_error_m; /* distance from the path, of the last tick */
 } Core;
 
-/* `start`: of both channels, the features that a flight starts with (control/laws/augmentation.h). */
-void core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start);
+/* `start`: of both channels, the features that a flight starts with (control/laws/augmentation.h). session, key: as of
+ * offboard_link_init. False for a key of another size; `self` must not be used then. */
+bool core_init(Core *self, const CoreConfig *config, const ChannelFeatures *start, uint64_t session, const uint8_t *key,
+               int32_t key_size);
 
 void core_receive_imu(Core *self, const ImuReading *reading);
 void core_receive_flow(Core *self, const FlowReading *reading);
 void core_receive_range(Core *self, const RangeReading *reading);
 void core_receive_battery(Core *self, const BatteryReading *reading);
 
-/* A pose that was true at `taken_ns` and arrived at `arrival_ns`. All of a tick's poses come after its readings. */
-void core_receive_pose(Core *self, const Pose *pose, int64_t taken_ns, int64_t arrival_ns, real time_sigma_s);
-
-/* A chunk of a feature version, as the codec has read it. A version that is complete by it is swapped in the next tick. */
-void core_receive_chunk(Core *self, const FeatureChunk *chunk);
-
-/* A new session of offboard: its versions may count from 1 again. */
-void core_restart_offboard(Core *self);
+/* A datagram of offboard, of any bytes, after the readings of the tick. `received`: what was in it, for the caller's arming
+ * checks. */
+void core_receive_offboard(Core *self, const uint8_t *datagram, size_t size, int64_t arrival_ns, Received *received);
 
 /* A command of the pilot, or of the process around the core; `refusal` says why it is refused, or that it is not. */
 void core_command(Core *self, Command command, int64_t now_ns, ArmingRefusal *refusal);
 
 void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output);
-
-/* Take a datagram to offboard that is not a sample batch from the byte budget. */
-void core_charge(Core *self, int32_t datagram_bytes, int64_t now_ns);
 
 #endif

@@ -5,13 +5,13 @@ certificate (onboard/preflight/certificate.py).
 """
 
 import math
+from collections.abc import Iterable
 
 from onboard.config import OnboardConfig
 from onboard.estimation.pose_health import PoseHealth
 from onboard.links.vehicle import VehicleLink
 from onboard.preflight.certificate import Clearance
 from protocol.conventions import NEVER_NS, Array
-from protocol.messages import Pose
 
 
 class ArmingChecks:
@@ -27,11 +27,18 @@ class ArmingChecks:
         self._last_pose_ns = NEVER_NS
         self._started_ns: int | None = None
 
-    def receive_pose(self, pose: Pose, force: Array, now_ns: int) -> None:
-        """Compare a pose with the IMU. force: [3], mean specific force at rest, m/s^2, of the vehicle link."""
+    def receive_pose(self, position: Iterable[float], quaternion: Iterable[float], force: Array, now_ns: int) -> None:
+        """Compare a pose with the IMU.
+
+        Parameters
+        ----------
+        position, quaternion: of the motion capture, [3], m, world NED, and [4], wxyz.
+        force: [3], mean specific force at rest, m/s^2, of the vehicle link.
+        """
         self._last_pose_ns = now_ns
-        down_m, quaternion = float(pose.position_ned_m[2]), tuple(pose.quaternion.tolist())
-        self._pose_health.add(down_m, quaternion, now_ns, force)
+        _, _, down_m = map(float, position)
+        w, x, y, z = map(float, quaternion)
+        self._pose_health.add(down_m, (w, x, y, z), now_ns, force)
 
     def refusal(self, now_ns: int, posed: bool, link: VehicleLink) -> str:
         """The first reason to refuse arming; "" if there is none.

@@ -11,8 +11,8 @@
 /* What one axis of a channel's demand changes with the state, by the loop itself, per kind of input. */
 typedef struct {
     int32_t groups;
-    int32_t first[LOOP_GAIN_GROUPS];   /* signal of the first of the kind's three inputs; the others follow it */
-    real gain[LOOP_GAIN_GROUPS * 3];   /* of each axis, units of u per unit of the input */
+    int32_t first[LOOP_GAIN_GROUPS]; /* signal of the first of the kind's three inputs; the others follow it */
+    real gain[LOOP_GAIN_GROUPS * 3]; /* of each axis, units of u per unit of the input */
 } LoopGains;
 
 /* LoopGains.of: channel 0 position, 1 attitude; the gains of both. */

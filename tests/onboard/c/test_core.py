@@ -15,7 +15,9 @@ from experiments.flights.scenario import Choices, resolve
 from onboard.c import compiled_core
 from onboard.c.compiled_core import CompiledCore
 from onboard.c.library import BuildError, Variant
+from onboard.core import OnboardCore
 from onboard.flight.modes import FlightMode
+from onboard.record.tick import OFFSET
 from protocol.transfer import split
 from tests.onboard.c.parity import SANITIZED
 from tests.onboard.c.shadow_core import ShadowCore
@@ -26,16 +28,23 @@ from tests.onboard.test_faults_in_flight import is_imu, rewrite
 from tests.onboard.test_missed_ticks import StallingCore
 
 CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac", "paper_dmrac", "dmrac")
+BRIEF = ("pid", "dmrac")
 LEARNING = ("offboard.trainer.minimum_samples=100", "onboard.guidance.trajectory.settle_s=0.0")
 """So that a short flight gets trained features."""
+TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 MOTORS_MAX = 1e-9
 """Of full scale; 1e-13 were measured."""
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+def brief(name: str) -> Any:
+    """A parameter of a test that is always run if it is one of BRIEF, else by scripts/test --full only."""
+    return pytest.param(name, marks=() if name in BRIEF else pytest.mark.full)
+
+
+@pytest.mark.parametrize("controller", [brief(name) for name in CONTROLLERS])
 def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None:
     learns = controller in ("dmrac", "paper_dmrac")
-    config = resolve("figure8_wind", Choices(controller, 3, 4.0 if SANITIZED else 12.0, LEARNING if learns else ()))
+    config = resolve("figure8_wind", Choices(controller, 3, 6.0 if SANITIZED else 12.0, LEARNING if learns else ()))
     lockstep, *_ = build(config)
     shadow = lockstep._onboard = ShadowCore(config.onboard, variant)
     for _ in range(round(config.duration_s * 200)):
@@ -43,7 +52,7 @@ def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None
     assert not lockstep.crash_reason
     assert SANITIZED or shadow.summary()["mode"] == "BOOT"  # it has landed
     assert shadow.summary()["samples"]["taken"] > (100 if SANITIZED else 400)
-    assert bool(shadow.summary()["features"]["swaps"]) == (learns and not SANITIZED)
+    assert bool(shadow.summary()["features"]["swaps"]) == learns
     assert shadow.motor_difference < MOTORS_MAX
     shadow.compare_summaries()
 
@@ -213,14 +222,24 @@ def versions_good_bad_and_taken_back(variant: Variant) -> ShadowLoop:
     return loop
 
 
-FLIGHTS: tuple[Flight, ...] = (
-    *(to_the_floor_and_up_again, land_by_request, blind, a_jump_of_the_pose, a_late_first_pose),
-    *(nan_from_the_imu, a_stuck_gyroscope, missed_ticks, versions_for_a_controller_without_networks, a_pilot),
+ALWAYS: tuple[Flight, ...] = (
+    land_by_request,
+    missed_ticks,
+    a_pilot,
     versions_good_bad_and_taken_back,
+    nan_from_the_imu,
+)
+FULL: tuple[Flight, ...] = (
+    *(to_the_floor_and_up_again, blind, a_jump_of_the_pose, a_late_first_pose, a_stuck_gyroscope),
+    versions_for_a_controller_without_networks,
 )
 
 
-@pytest.mark.parametrize("flight", FLIGHTS, ids=lambda flight: flight.__name__)
+@pytest.mark.parametrize(
+    "flight",
+    [*ALWAYS, *(pytest.param(flight, marks=pytest.mark.full) for flight in FULL)],
+    ids=lambda flight: flight.__name__,
+)
 def test_both_cores_do_the_same(flight: Flight, variant: Variant) -> None:
     flown = flight(variant)
     assert flown.core.motor_difference < MOTORS_MAX
@@ -242,6 +261,27 @@ def test_a_flight_of_the_c_core_is_as_good(controller: str) -> None:
     np.testing.assert_allclose(errors[1], errors[0], rtol=0.01)
 
 
+@pytest.mark.parametrize(("controller", "rtol"), [("pid", 0.01), pytest.param("dmrac", 0.1, marks=pytest.mark.full)])
+def test_the_core_in_float_flies_as_well(controller: str, rtol: float) -> None:
+    """Learning on slightly other samples is another flight, so dmrac's errors are only alike."""
+    config = resolve("figure8_wind", Choices(controller, 3, 14.0, LEARNING if controller == "dmrac" else ()))
+    errors = []
+    for real in ("double", "float"):
+        lockstep, *_ = build(config)
+        lockstep._onboard = CompiledCore(config.onboard, 1, None, variant=Variant(real))
+        squares = []
+        for _ in range(round(config.duration_s * 200)):
+            step = lockstep.step()
+            if step.onboard.tick[OFFSET["mode"]] == FlightMode.FLYING:
+                off = step.truth[:3] - step.onboard.tick[TARGET]
+                squares.append(float(off @ off))
+        assert not lockstep.crash_reason
+        assert bool(lockstep._onboard.summary()["features"]["swaps"]) == (controller == "dmrac")
+        errors.append(np.sqrt(np.mean(squares)))
+    assert errors[1] != errors[0]
+    np.testing.assert_allclose(errors[1], errors[0], rtol=rtol)
+
+
 def test_a_flight_of_the_c_core_repeats_to_the_bit() -> None:
     config = resolve("figure8_wind", Choices("mrac", 3, 6.0))
     one, other = (fly_lockstep(config, core="c").trace_sha256 for _ in range(2))
@@ -252,11 +292,16 @@ def test_a_controller_starts_from_last_layers_and_gives_them_back(variant: Varia
     config = resolve("figure8_wind", Choices("mrac"))
     controller = CompiledCore(config.onboard, 1, None, variant=variant).controller
     assert not controller.accepts_features
+    assert controller.offer_features(features()) == "not_accepting"
     wanted = tuple(np.random.default_rng(i).normal(size=(21, 3)) for i in (0, 1))
     controller.start_from(wanted)
     np.testing.assert_allclose(controller.last_layers(), wanted)
     with pytest.raises(ValueError, match=r"last layer of shape \(20, 3\), this controller's is \(21, 3\)"):
         controller.start_from((wanted[0][1:], None))
+    learning = CompiledCore(resolve("hover", Choices("dmrac")).onboard, 1, None, variant=variant).controller
+    assert learning.accepts_features
+    assert learning.offer_features(features(gain=100.0)) == "lipschitz"
+    assert learning.offer_features(features()) == ""
     without = CompiledCore(resolve("hover", Choices("pid")).onboard, 1, None, variant=variant).controller
     without.start_from(wanted)
     assert without.last_layers() == (None, None)
@@ -272,6 +317,13 @@ def test_a_controller_of_ones_own_is_refused() -> None:
         ConfigError, match=r"--core c: controller\.class: 'my_package.* is not in the C core, allowed is "
     ):
         CompiledCore(config.model_copy(update={"controller": own}), 1, None)
+
+
+def test_a_bad_key_is_refused_as_by_numpys_core() -> None:
+    config = resolve("hover", Choices("pid")).onboard
+    for core in (OnboardCore, CompiledCore):
+        with pytest.raises(ValueError, match="key of 3 bytes, allowed 16 to 64"):
+            core(config, 1, b"key")
 
 
 def test_without_a_compiler_the_error_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

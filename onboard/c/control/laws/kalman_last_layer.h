@@ -42,7 +42,8 @@ real kalman_layer_residual_variance(const KalmanLastLayer *self, real dt);
 /* Take over W [k, 3] and theta [k, 3] that belong to new features, with S = S0 and b = 0. */
 void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *theta, int32_t feature_count);
 
-/* Take over theta [k, 3], X [k + 1, 3] and S [k + 1, k + 1] that belong to new features. None of them may lie within `self`. */
+/* Take over theta [k, 3], X [k + 1, 3] and S [k + 1, k + 1] that belong to new features. None of them may lie within
+ * `self`. */
 void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S, int32_t feature_count);
 
 /* nu at the present state and ahead, with Phi [k] of each. */
