@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     except LoopMeasurementError as error:
         console.print(str(error), markup=False, highlight=False)
         return 1
-    table = Table(title=f"{config.controller}, {config.scenario}", title_justify="left")
+    table = Table(title=f"{config.controller}, {config.scenario}: measured in flight (predicted)", title_justify="left")
     for index, heading in enumerate(HEADINGS):
         table.add_column(heading, justify="left" if index == 0 else "right")
     for loop in loops:

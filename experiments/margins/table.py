@@ -9,10 +9,7 @@ from experiments.margins.linear import predicted_loop
 from experiments.margins.measurement import Response, measure
 from experiments.margins.stability import Complex, Margins, margins
 
-HEADINGS: Final = (
-    *("loop", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "crossover [rad/s]"),
-    *("predicted: gain", "phase", "delay", "crossover"),
-)
+HEADINGS: Final = ("loop", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "crossover [rad/s]")
 FINE_POINTS: Final = 400
 
 
@@ -41,9 +38,12 @@ def measure_all(config: FlightConfig) -> list[Loop]:
 
 
 def cells(loop: Loop) -> tuple[str, ...]:
-    """The cells of a row, in the order of HEADINGS."""
-    expected = ("", "", "", "") if loop.predicted_margins is None else _text(loop.predicted_margins)
-    return (loop.measured.loop, *_text(loop.measured.margins), *expected)
+    """The cells of a row, in the order of HEADINGS: measured, and predicted in brackets."""
+    measured, predicted = _text(loop.measured.margins), loop.predicted_margins
+    if predicted is None:
+        return (loop.measured.loop, *measured)
+    each = zip(measured, _text(predicted), strict=True)
+    return (loop.measured.loop, *(f"{one} ({other})" for one, other in each))
 
 
 def as_json(controller: str, loops: list[Loop]) -> list[dict[str, Any]]:

@@ -87,13 +87,20 @@ class ActuatorModel:
     def overdriven(self, wanted: Thrusts) -> Shares:
         """The command, in shares, that brings the motors to `wanted` [N] with motor_response_s, within their limits.
 
-        The motors obey T_dot = (command - T) / lag; the command makes that (wanted - T) / response.
+        The motors obey T_dot = (command - T) / lag; the command makes that (wanted - T) / response. What it is beyond
+        `wanted` is the lead. A motor at its limit has none left, so all leads shrink by the same factor: a torque near
+        full thrust then comes later, but it is the torque that is wanted and takes no thrust with it. If each motor's
+        command were limited alone, those that slow down would outrun those that cannot speed up.
         """
-        t1, t2, t3, t4 = self.delivered.thrusts_n.tolist()
-        w1, w2, w3, w4 = wanted
-        return self._driven(t1, w1), self._driven(t2, w2), self._driven(t3, w3), self._driven(t4, w4)
-
-    def _driven(self, now: float, wanted: float) -> float:
-        gap = wanted - now
-        command = wanted + (self._lead_up if gap > 0.0 else self._lead_down) * gap
-        return min(max(command / (self._scale * self._config.motor_thrust_max_n), self._min_share), 1.0)
+        most = self._scale * self._config.motor_thrust_max_n
+        least, share, leads = self._min_share * most, 1.0, []
+        for now, want in zip(self.delivered.thrusts_n.tolist(), wanted, strict=True):
+            gap = want - now
+            lead = (self._lead_up if gap > 0.0 else self._lead_down) * gap
+            room = most - want if lead > 0.0 else want - least
+            if lead != 0.0 and abs(lead) > room:
+                share = min(share, max(room, 0.0) / abs(lead))
+            leads.append(lead)
+        each_motor = zip(wanted, leads, strict=True)
+        a, b, c, d = (min(max((want + share * lead) / most, self._min_share), 1.0) for want, lead in each_motor)
+        return a, b, c, d

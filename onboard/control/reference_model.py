@@ -7,10 +7,10 @@ e = x_rm - x obeys e_dot = A_rm e + B (nu_ad - Delta) exactly, in saturation as 
 from a limit.
 """
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from configs.loader import ConfigRecord
 from protocol.conventions import Array
@@ -24,6 +24,12 @@ from protocol.geometry import (
     vector,
 )
 
+Damping = Annotated[float, Field(ge=0.3, le=3)]
+
+
+def _each_axis(damping: Any) -> Any:
+    return (damping, damping, damping) if isinstance(damping, int | float) else damping
+
 
 class ChannelGains(ConfigRecord):
     """Poles of one channel's closed loop."""
@@ -31,7 +37,8 @@ class ChannelGains(ConfigRecord):
     natural_frequency_rad_s: tuple[
         Annotated[float, Field(gt=0, le=60)], Annotated[float, Field(gt=0, le=60)], Annotated[float, Field(gt=0, le=60)]
     ]
-    damping: Annotated[float, Field(ge=0.3, le=3)]
+    damping: Annotated[tuple[Damping, Damping, Damping], BeforeValidator(_each_axis)]
+    """Per axis; one number stands for all three."""
 
     def stiffness(self) -> Array:
         """[3], omega_n^2."""
@@ -39,7 +46,7 @@ class ChannelGains(ConfigRecord):
 
     def rate_gain(self) -> Array:
         """[3], 2 zeta omega_n."""
-        return np.array([2.0 * self.damping * w for w in self.natural_frequency_rad_s])
+        return np.array([2.0 * zeta * w for zeta, w in zip(self.damping, self.natural_frequency_rad_s, strict=True)])
 
     def closed_loop_matrix(self) -> Array:
         """A_rm = A - B K, [6, 6]."""

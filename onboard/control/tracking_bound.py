@@ -115,7 +115,7 @@ class AxisBound:
 
 
 def _axes(gains: ChannelGains) -> tuple[AxisBound, AxisBound, AxisBound]:
-    x, y, z = (AxisBound(omega, gains.damping) for omega in gains.natural_frequency_rad_s)
+    x, y, z = (AxisBound(*one) for one in zip(gains.natural_frequency_rad_s, gains.damping, strict=True))
     return x, y, z
 
 

@@ -67,17 +67,21 @@ void actuators_ahead(const ActuatorModel *self, const real commanded[4], Deliver
     }
 }
 
-/* ActuatorModel._driven: the motors obey T_dot = (command - T) / lag; the command makes that (wanted - T) / response */
-static real driven(const ActuatorModel *self, real now, real wanted) {
-    real gap = wanted - now;
-    real command = wanted + (gap > REAL(0.0) ? self->lead_up : self->lead_down) * gap;
-    real share = command / (self->scale * self->config.motor_thrust_max_n);
-    return real_min(real_max(share, self->config.motor_thrust_min_share), REAL(1.0));
-}
-
 /* ActuatorModel.overdriven */
 void actuators_overdriven(const ActuatorModel *self, const real wanted[4], real command[4]) {
+    real most = self->scale * self->config.motor_thrust_max_n, least = self->config.motor_thrust_min_share * most;
+    real share = REAL(1.0), leads[4];
     for (int i = 0; i < 4; i++) {
-        command[i] = driven(self, self->delivered.thrusts_n[i], wanted[i]);
+        real gap = wanted[i] - self->delivered.thrusts_n[i];
+        real lead = (gap > REAL(0.0) ? self->lead_up : self->lead_down) * gap;
+        real room = lead > REAL(0.0) ? most - wanted[i] : wanted[i] - least;
+        if (lead != REAL(0.0) && real_abs(lead) > room) {
+            share = real_min(share, real_max(room, REAL(0.0)) / real_abs(lead));
+        }
+        leads[i] = lead;
+    }
+    for (int i = 0; i < 4; i++) {
+        real asked = (wanted[i] + share * leads[i]) / most;
+        command[i] = real_min(real_max(asked, self->config.motor_thrust_min_share), REAL(1.0));
     }
 }

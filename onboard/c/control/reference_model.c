@@ -16,7 +16,7 @@ void gains_stiffness(const ChannelGains *gains, real K_1[3]) {
 /* ChannelGains.rate_gain */
 void gains_rate_gain(const ChannelGains *gains, real K_2[3]) {
     for (int i = 0; i < 3; i++) {
-        K_2[i] = REAL(2.0) * gains->damping * gains->natural_frequency_rad_s[i];
+        K_2[i] = REAL(2.0) * gains->damping[i] * gains->natural_frequency_rad_s[i];
     }
 }
 

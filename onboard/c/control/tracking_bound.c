@@ -82,8 +82,8 @@ static real axis_respond(AxisBound *self, real turn, real rate_fed_forward, real
 void tracking_bounds_init(TrackingBounds *self, const ChannelGains *position, const ChannelGains *attitude) {
     memset(self, 0, sizeof *self);
     for (int i = 0; i < 3; i++) {
-        axis_init(self->position + i, position->natural_frequency_rad_s[i], position->damping);
-        axis_init(self->attitude + i, attitude->natural_frequency_rad_s[i], attitude->damping);
+        axis_init(self->position + i, position->natural_frequency_rad_s[i], position->damping[i]);
+        axis_init(self->attitude + i, attitude->natural_frequency_rad_s[i], attitude->damping[i]);
     }
 }
 

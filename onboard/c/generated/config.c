@@ -220,7 +220,9 @@ static void read_ChannelGains(Cursor *from, ChannelGains *out) {
     for (int i = 0; i < 3; i++) {
         out->natural_frequency_rad_s[i] = read_real(from);
     }
-    out->damping = read_real(from);
+    for (int i = 0; i < 3; i++) {
+        out->damping[i] = read_real(from);
+    }
 }
 
 static void read_IntegralConfig(Cursor *from, IntegralConfig *out) {
@@ -443,7 +445,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x24, 0x8d, 0xa7, 0x18, 0xef, 0x89, 0x6b, 0xd9};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xa4, 0x51, 0x59, 0x4a, 0x36, 0xd0, 0x06, 0xba};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4052
+#define CONFIG_IMAGE_BYTES 4084
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -188,7 +188,7 @@ typedef struct {
 
 typedef struct {
     real natural_frequency_rad_s[3]; /* 0 */
-    real damping; /* 24 */
+    real damping[3]; /* 24 */
 } ChannelGains;
 
 typedef struct {
@@ -290,7 +290,7 @@ typedef struct {
 
 typedef struct {
     ChannelGains gains; /* 0 */
-    ChannelSettingsAugmentation augmentation; /* 32 */
+    ChannelSettingsAugmentation augmentation; /* 48 */
 } ChannelSettings;
 
 typedef struct {
@@ -344,15 +344,15 @@ typedef struct {
 
 typedef struct {
     ChannelSettings position; /* 0 */
-    ChannelSettings attitude; /* 440 */
-    bool hedging; /* 880: pseudo-control hedging of both reference models */
-    real position_error_max_m; /* 888 */
-    DemandLimitsConfig limits; /* 896 */
-    GuardConfig guard; /* 936 */
-    bool prediction; /* 1232: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1240: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1248: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1256 */
+    ChannelSettings attitude; /* 456 */
+    bool hedging; /* 912: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 920 */
+    DemandLimitsConfig limits; /* 928 */
+    GuardConfig guard; /* 968 */
+    bool prediction; /* 1264: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1272: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1280: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1288 */
 } CascadeSettings;
 
 typedef struct {
@@ -381,9 +381,9 @@ typedef struct {
     SupervisorConfig supervisor; /* 616 */
     GuidanceConfig guidance; /* 880 */
     CascadeSettings controller; /* 2616: of the cascade */
-    SamplerConfig samples; /* 3880 */
-    Swing lissajous[2]; /* 3928: north and east; zero on another path */
-    int32_t layout[8]; /* 3976: bytes of feature_digest */
+    SamplerConfig samples; /* 3912 */
+    Swing lissajous[2]; /* 3960: north and east; zero on another path */
+    int32_t layout[8]; /* 4008: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -97,7 +97,7 @@ def test_the_margins_of_dmrac_hold_with_the_steepest_map_that_is_accepted(share:
     worst = 0.0
     for stiffer, more_damped in itertools.product((1.0 - share, 1.0 + share), repeat=2):
         poles = [w * stiffer**0.5 for w in gains.natural_frequency_rad_s]
-        damping = gains.damping * more_damped / stiffer**0.5
+        damping = [zeta * more_damped / stiffer**0.5 for zeta in gains.damping]
         sets = (f"{path}.natural_frequency_rad_s={poles}", f"{path}.damping={damping}")
         config = resolve("hover", Choices("dmrac", assignments=sets))
         model = LinearModel(config, OMEGA)

@@ -28,6 +28,7 @@ GAINS = (
 )
 """Of l1, whatever the search has found since."""
 YAW_AS_ASSUMED = "vehicle.motors.torque_ratio_m=0.002414"
+NO_SAG = ("vehicle.battery.resistance_ohm=0.0", "vehicle.battery.polarisation_ohm=0.0")
 NO_SCALE = "onboard.thrust_scale.enabled=false"
 SLUGGISH = (
     NO_SCALE,
@@ -68,10 +69,10 @@ def test_on_the_nominal_vehicle_the_law_cancels_out(prediction: bool) -> None:
 
 def test_inertia_thrust_and_mass_act_as_gains() -> None:
     """Without the thrust scale. With it, the gain is divided by that of the lift, in both channels."""
-    plain = resolve(choices=Choices("none", 3, 20.0))
+    plain = resolve(choices=Choices("none", 3, 20.0, NO_SAG))
 
     def scaled_gain(channel: int, axis: int, *assignments: str) -> Array:
-        changed = resolve(choices=Choices("none", 3, 20.0, assignments))
+        changed = resolve(choices=Choices("none", 3, 20.0, (*NO_SAG, *assignments)))
         ratio: Array = predicted_loop(changed, channel, axis, OMEGA) / predicted_loop(plain, channel, axis, OMEGA)
         return ratio
 

@@ -11,8 +11,9 @@ from configs.flight_tree import Choices
 from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import resolve
 from experiments.margins.linear import predicted_loop
-from experiments.margins.measurement import Band, LoopMeasurementError, measure
+from experiments.margins.measurement import Band, LoopMeasurementError, flight_time_s, measure
 from experiments.margins.stability import margins
+from experiments.margins.table import measure_all
 
 SHORT = Band(1.0, 16.0, 10, 0.6, 5.0, 3)
 LONG = Band(1.0, 10.0, 10, 2.0, 10.0, 3)
@@ -54,6 +55,23 @@ def test_compensation_of_the_delays_raises_the_measured_and_the_predicted_phase_
     assert predicted_better > predicted_plain + 20.0
 
 
+HEIGHT = Band(0.6, 2.0, 5, 0.1, 10.0, 2)
+STIFF = ("vehicle.battery.resistance_ohm=0.0", "vehicle.battery.polarisation_ohm=0.0")
+
+
+@pytest.mark.parametrize(("battery", "least", "most"), [((), 0.70, 0.85), (STIFF, 0.95, 1.05)])
+def test_the_sag_of_the_battery_takes_gain_of_the_height_loop(
+    battery: tuple[str, ...], least: float, most: float
+) -> None:
+    """Measured and predicted alike; the ratio is to the predicted loop of a battery without resistance."""
+    down = measure(resolve("hover", Choices("pid", 3, 60.0, (*COMPENSATED, *battery))), 0, HEIGHT)[2]
+    fast = down.omega > 4.0
+    stiff = predicted_loop(resolve("hover", Choices("pid", 3, 60.0, (*COMPENSATED, *STIFF))), 0, 2, down.omega)
+    predicted = predicted_loop(resolve("hover", Choices("pid", 3, 60.0, (*COMPENSATED, *battery))), 0, 2, down.omega)
+    assert least < float(np.median(np.abs(down.L / stiff)[fast])) < most
+    assert float(np.median(np.abs(down.L / predicted)[fast])) == pytest.approx(1.0, abs=0.05)
+
+
 def test_a_delay_beyond_the_predicted_margin_loses_the_vehicle() -> None:
     config = resolve("hover", Choices("pid", 3, 20.0, PLAIN))
     margin_ms = margins(FINE, predicted_loop(config, 1, 0, FINE)).delay_margin_ms
@@ -66,6 +84,17 @@ def test_a_delay_beyond_the_predicted_margin_loses_the_vehicle() -> None:
 def test_a_flight_that_is_too_short_is_named() -> None:
     with pytest.raises(LoopMeasurementError, match="too short"):
         measure(resolve("hover", Choices("pid", 3, 10.0)), 1, SHORT)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("controller", ["none", "pid", "bias", "mrac", "dmrac", "l1", "indi", "repetitive", "ilc"])
+def test_shipped_gains_have_their_margins_in_flight(controller: str) -> None:
+    config = resolve("hover", Choices(controller, 3, flight_time_s()))
+    for loop in measure_all(config):
+        found = loop.measured.margins
+        assert found.phase_margin_deg >= 35.0, loop.measured.loop
+        assert not found.gain_margin_db < 6.0, loop.measured.loop  # NaN: it never crosses -180 degrees in the band
+        assert found.delay_margin_ms >= 15.0, loop.measured.loop
 
 
 @pytest.mark.full

@@ -187,3 +187,12 @@ def test_poles_are_where_the_gains_say():
     poles = np.linalg.eigvals(GAINS.closed_loop_matrix())
     np.testing.assert_allclose(sorted(np.abs(poles)), [4, 4, 4, 4, 5, 5])
     np.testing.assert_allclose(-poles.real / np.abs(poles), 0.8)
+
+
+def test_each_axis_has_its_own_damping_and_one_number_stands_for_all() -> None:
+    own = ChannelGains(natural_frequency_rad_s=(4.0, 5.0, 6.0), damping=(0.5, 0.7, 1.0))
+    np.testing.assert_allclose(own.rate_gain(), [4.0, 7.0, 12.0])
+    np.testing.assert_allclose(-np.diag(own.closed_loop_matrix()[3:, 3:]), own.rate_gain())
+    assert GAINS.damping == (0.8, 0.8, 0.8)
+    with pytest.raises(ValueError, match="damping"):
+        ChannelGains(natural_frequency_rad_s=(4.0, 5.0, 6.0), damping=(0.5, 0.1, 1.0))

@@ -110,7 +110,9 @@ def shipped_channels():
 @pytest.mark.parametrize(("gains", "augmentation"), list(shipped_channels()))
 def test_shipped_gains_satisfy_the_normalisation_condition(gains, augmentation):
     law = AdaptationConfig(**augmentation["law"])
-    channel = ChannelGains(natural_frequency_rad_s=tuple(gains["natural_frequency_rad_s"]), damping=gains["damping"])
+    channel = ChannelGains(
+        natural_frequency_rad_s=tuple(gains["natural_frequency_rad_s"]), damping=tuple(gains["damping"])
+    )
     weights = augmentation.get("error_weight", (1.0, 0.1))
     Q = np.diag(np.repeat(np.array(weights, dtype=float), 3))
     P = lyapunov_p(channel.closed_loop_matrix(), Q)
@@ -148,7 +150,9 @@ def test_the_gain_does_not_depend_on_the_size_of_q():
 @pytest.mark.parametrize(("gains", "augmentation"), list(shipped_channels()))
 def test_the_theorems_radius_contains_every_model_error_its_eps_can_cause(gains, augmentation):
     """The exact peak gain of e_dot = A_rm e + B delta, the integral of norm(exp(A_rm t) B), is below the radius's."""
-    channel = ChannelGains(natural_frequency_rad_s=tuple(gains["natural_frequency_rad_s"]), damping=gains["damping"])
+    channel = ChannelGains(
+        natural_frequency_rad_s=tuple(gains["natural_frequency_rad_s"]), damping=tuple(gains["damping"])
+    )
     weights = augmentation.get("error_weight", (1.0, 0.1))
     A_rm = channel.closed_loop_matrix()
     P = lyapunov_p(A_rm, np.diag(np.repeat(np.array(weights, dtype=float), 3)))
