@@ -61,7 +61,7 @@ def test_features_that_jump_too_far_are_refused_in_flight():
     loop = in_flight("dmrac")
     position = loop.core.controller.augmentations[0]
     position._config = position._config.model_copy(update={"swap": SwapConfig(jump_max=1e-6)})
-    position._signals = position._signals + np.array([0.0, 0.5])
+    position._signals = position._signals + np.array([0.0, 0.5, 0.0])
     position.step = lambda channel, telemetry: np.zeros(3)  # the next tick would see hover again
     loop.peer.sender.offer(features(last_layer=1.0), loop.now_ns)
     loop.fly(0.5)

@@ -23,14 +23,14 @@ def test_dmrac_flies_from_take_off_to_touch_down(scenario: str, seconds: float) 
 
 
 def test_a_flight_without_training_is_nearly_that_over_the_own_physics() -> None:
-    """In the air both integrate the same forces; a floor of another stiffness shifts the height by 1 mm."""
+    """In the air both integrate the same forces; a floor of another stiffness shifts the start by some millimetres."""
     own, other = (
         fly_lockstep(resolve("figure8_calm", Choices("pid", 3, 8.0, (f"vehicle.physics={name}",))), with_offboard=False)
         for name in ("own", "mujoco")
     )
     apart = [other.trace.truth[f"position_{axis}"] - own.trace.truth[f"position_{axis}"] for axis in "ned"]
     flying = other.trace.mode == FlightMode.FLYING
-    assert np.abs(apart[0][flying]).max() < 4e-3
-    assert np.abs(apart[1][flying]).max() < 4e-3
-    assert np.abs(apart[2][flying]).max() < 4e-3
+    assert np.abs(apart[0][flying]).max() < 6e-3
+    assert np.abs(apart[1][flying]).max() < 6e-3
+    assert np.abs(apart[2][flying]).max() < 6e-3
     assert own.trace_sha256 != other.trace_sha256
