@@ -100,10 +100,11 @@ def _unpack_channel(fields: Any, dtype: str) -> ChannelFeatures | None:
     inputs, offset, scale, widths, parameters = fields
     unknown = [name for name in inputs if type(name) is not str or name not in SIGNAL_INDEX]
     if unknown:
-        raise ProtocolError("inputs", f"unknown signal {unknown[0]!r}")
+        raise ProtocolError("inputs", f"unknown signal {_shown(unknown[0])}")
     widths_ok = all(type(width) is int and 1 <= width <= WIDTH_MAX for width in widths)
     if not widths_ok or not 1 <= len(widths) <= LAYERS_MAX or not inputs:
-        raise ProtocolError("undecodable", f"{len(inputs)} inputs and layers of width {widths}")
+        shown = ", ".join(_shown(width) for width in widths)
+        raise ProtocolError("undecodable", f"{len(inputs)} inputs and layers of width {shown}")
     m = len(inputs)
     shapes = _shapes(m, widths)
     arrays = _split(_floats(parameters, dtype), shapes)
@@ -113,6 +114,11 @@ def _unpack_channel(fields: Any, dtype: str) -> ChannelFeatures | None:
     return ChannelFeatures(
         tuple(inputs), vectors[0], vectors[1], tuple(arrays[0:-1:2]), tuple(arrays[1:-1:2]), arrays[-1]
     )
+
+
+def _shown(value: Any) -> str:
+    """A name or a number; of anything else only its type, as lists within lists may be too deep for repr."""
+    return repr(value) if type(value) in (str, int) else type(value).__name__
 
 
 def _shapes(m: int, widths: list[int]) -> list[tuple[int, ...]]:

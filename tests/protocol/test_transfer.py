@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import msgpack
 import numpy as np
 import pytest
 
@@ -209,6 +210,17 @@ def test_a_complete_but_invalid_set_is_refused_with_its_reason(make_features: Ma
     assert refusal_of(split(data[: -len(nan)] + nan, 1, 1100)) == "not_finite"
     signalling, wide = b"\x00\x00\xa0\x7f", encode_feature_set(make_features(), "float32")
     assert refusal_of(split(wide[:-4] + signalling, 1, 1100)) == "not_finite"
+
+
+@pytest.mark.parametrize("place", [0, 3])
+@pytest.mark.parametrize("depth", [1, 400, 1000, 60_000])
+def test_lists_within_lists_are_refused_however_deep(place: int, depth: int) -> None:
+    """As inputs or as widths. Their repr alone would exceed the interpreter's depth."""
+    vector = msgpack.packb(bytes(8))
+    channel = [msgpack.packb(["yaw", "roll"]), vector, vector, msgpack.packb([1]), msgpack.packb(bytes(18))]
+    channel[place] = b"\x91" * depth + b"\xc0"
+    data = b"\x97" + b"".join(map(msgpack.packb, (1, 2, 1, 0, 5))) + b"\x95" + b"".join(channel) + b"\xc0"
+    assert refusal_of(split(data, 1, 1100)) in ("inputs", "undecodable")
 
 
 def test_chunks_that_disagree_with_their_version_are_ignored(make_features: Make) -> None:

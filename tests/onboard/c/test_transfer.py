@@ -184,6 +184,21 @@ def test_an_empty_extension_is_a_value_of_another_kind(core: Core, code: int) ->
     decode(core, data.replace(msgpack.packb(1.5), bytes([0xDF, 0, 0, 0, 0]), 1))
 
 
+@pytest.mark.parametrize("place", [0, 3])
+@pytest.mark.parametrize("depth", [1, 400, 1000, 60_000])
+def test_lists_within_lists(core: Core, place: int, depth: int) -> None:
+    """The deepest ones are too deep for msgpack in Python, whatever they stand for."""
+    channel = [msgpack.packb(one) for one in small()[5]]
+    channel[place] = b"\x91" * depth + b"\xc0"
+    data = b"\x97" + b"".join(map(msgpack.packb, small()[:5])) + b"\x95" + b"".join(channel) + b"\xc0"
+    if depth <= 1000:
+        decode(core, data)
+    else:
+        refusal = core.decode_feature_set(octets(data), len(data), 7, core.FeatureSet())
+        assert REFUSALS[refusal] == ("inputs" if place == 0 else "undecodable")
+        assert expected(data, 7)[0] == "undecodable"
+
+
 # --- chunks ---
 
 
