@@ -89,7 +89,7 @@ class CompiledCore:
         self._state = VehicleState(**{name: view(getattr(state, name)) for name in names})
         """What the ground link shows; the arrays are those of the C core."""
         self._battery = BatteryReading(NEVER_NS, 0.0, -1.0)
-        self._reasons = _Reasons()
+        self._reasons, self._calibration_texts = _Reasons(), dict[int, str]()
         self._tracking_error_m = 0.0
 
     def tick(
@@ -104,11 +104,11 @@ class CompiledCore:
         """One tick (OnboardCore.tick)."""
         now_ns = self._clock.at(now_ns)
         core, output, inputs, result = self._core, self._output.cleared(), self._inputs, self._result
+        self._receive_ground(from_ground, land, now_ns)  # a refusal is about the last tick: before the new readings
         for datagram, arrival_ns in at_times(from_vehicle, now_ns):
             for reading in self._vehicle_link.receive(datagram, arrival_ns):
                 self._receive(reading)
         self._receive_offboard(from_offboard, now_ns)
-        self._receive_ground(from_ground, land, now_ns)
         posed = core.posed or core.estimator.state.last_pose_ns != NEVER_NS
         inputs.now_ns, inputs.missed_ticks = now_ns, missed_ticks
         inputs.preflight = self._reasons.number(self._arming.refusal(now_ns, posed, self._vehicle_link))
@@ -172,9 +172,10 @@ class CompiledCore:
     # --- reports -------------------------------------------------------------------------------------------------
 
     def _texts(self) -> tuple[dict[int, str], dict[int, str]]:
-        """Texts of the numbers of refusals: of arming checks, and of the calibration."""
+        """Texts of the numbers of refusals, of arming checks and of the calibration: the newest of each number."""
         bench = self._core.estimator.calibration
-        return self._reasons.texts, {bench.refusal: calibration_text(bench)}
+        self._calibration_texts[bench.refusal] = calibration_text(bench)
+        return self._reasons.texts, self._calibration_texts
 
     def _collect_events(self, output: OnboardOutput, now_ns: int) -> None:
         """Events in the order of OnboardCore; those of vehicle link, estimator and modes go to the pilot's screen."""

@@ -9,10 +9,10 @@
 
 /* The sequence numbers received in one session: the newest, a bitmap of those before it, and counts. */
 typedef struct {
+    uint64_t seen[REPLAY_WINDOW / 64]; /* bit i % 64 of word i / 64 stands for newest - i */
     uint64_t first;
     uint64_t newest;
     int64_t received;
-    uint64_t seen[REPLAY_WINDOW / 64]; /* bit i % 64 of word i / 64 stands for newest - i */
 } ReplayWindow;
 
 /* The current session of the peer, and the retired ones. */

@@ -10,6 +10,7 @@ from onboard.config import OnboardConfig
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.record.tick import OFFSET, TICK
 from protocol.endpoint import Endpoint
+from protocol.keys import LinkKeys
 from protocol.messages import SampleBatch
 
 NUMBERS_MAX = 1e-7
@@ -27,27 +28,30 @@ EXACT = (
     "law",
 )
 MOTORS = slice(OFFSET["motor_1"], OFFSET["motor_4"] + 1)
+UNKEYED = LinkKeys(None, None, None)
 
 
 class ShadowCore(OnboardCore):
     """Raises AssertionError at the first difference."""
 
-    def __init__(self, config: OnboardConfig, variant: Variant, **given: Any) -> None:
-        super().__init__(config, 1, None, **given)
-        self.ours = CompiledCore(config, 1, None, variant=variant, **given)
+    def __init__(self, config: OnboardConfig, variant: Variant, keys: LinkKeys = UNKEYED) -> None:
+        super().__init__(config, 1, *keys)
+        self.ours = CompiledCore(config, 1, *keys, variant=variant)
         self._exact = [OFFSET[name] for name in EXACT]
         self._largest = np.ones(len(TICK.fields))
         self.difference = np.zeros(len(TICK.fields))
         """Largest of each field so far."""
         self.motor_difference = 0.0
         """Largest of all motor commands so far, as a share of the maximum thrust."""
-        self._ends = Endpoint("offboard", 9, None), Endpoint("offboard", 9, None)
+        self._ends = [Endpoint("offboard", 9, keys.offboard) for _ in range(2)]
 
     def tick(self, *inputs: Any, **named: Any) -> OnboardOutput:
         expected = super().tick(*inputs, **named)
         found = self.ours.tick(*inputs, **named)
         assert found.events == expected.events
-        assert [len(one) for one in found.to_ground] == [len(one) for one in expected.to_ground]
+        for name in ("to_vehicle", "to_ground"):
+            ours, theirs = getattr(found, name), getattr(expected, name)
+            assert [len(one) for one in ours] == [len(one) for one in theirs], name
         assert (found.clock_offset is None) == (expected.clock_offset is None)
         self._compare_ticks(found.tick, expected.tick)
         self._compare_talk(found.to_offboard, expected.to_offboard)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from onboard.c.library import BuildError, Variant
 from onboard.core import OnboardCore
 from onboard.flight.modes import FlightMode
 from onboard.record.tick import OFFSET
+from protocol.keys import LinkKeys, write_key
 from protocol.transfer import split
 from tests.onboard.c.parity import SANITIZED
 from tests.onboard.c.shadow_core import ShadowCore
@@ -54,6 +56,22 @@ def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None
     assert shadow.summary()["samples"]["taken"] > (100 if SANITIZED else 400)
     assert bool(shadow.summary()["features"]["swaps"]) == learns
     assert shadow.motor_difference < MOTORS_MAX
+    shadow.compare_summaries()
+
+
+def test_a_flight_with_keys_beside_numpys(variant: Variant, tmp_path: Path) -> None:
+    keys = [bytes([number] * 32) for number in (1, 2, 3)]
+    names = ("key_file", "vehicle_key_file", "ground_key_file")
+    for name, key in zip(names, keys, strict=True):
+        write_key(tmp_path / name, key)
+    assignments = [f"network.{name}={tmp_path / name}" for name in names]
+    config = resolve("figure8_wind", Choices("l1", 3, 6.0, assignments))
+    lockstep, *_ = build(config)
+    shadow = lockstep._onboard = ShadowCore(config.onboard, variant, LinkKeys(*keys))
+    for _ in range(round(config.duration_s * 200)):
+        lockstep.step()
+    assert shadow.summary()["samples"]["taken"] > 100
+    assert shadow.summary()["estimator"]["pose_used"] > 100
     shadow.compare_summaries()
 
 
@@ -157,37 +175,50 @@ def versions_for_a_controller_without_networks(variant: Variant) -> ShadowLoop:
     return loop
 
 
+BY_HAND = ("onboard.supervisor.auto_arm=false", "onboard.supervisor.ground_silent_s=3.0")
+ARM, TAKE_OFF, LAND = (
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+    mavlink.MAV_CMD_NAV_LAND,
+)
+
+
+def send(loop: ShadowLoop, number: int, *parameters: float, confirmation: int = 0) -> None:
+    """A command of a ground station, and a datagram that is none."""
+    values = (*parameters, *([0.0] * (7 - len(parameters))))
+    message = mavlink.MAVLink_command_long_message(1, 1, number, confirmation, *values)
+    loop.from_ground += [bytes(message.pack(mavlink.MAVLink(None, 255, 190))), b"no command"]
+
+
 def a_pilot(variant: Variant) -> ShadowLoop:
-    by_hand = ("onboard.supervisor.auto_arm=false", "onboard.supervisor.ground_silent_s=3.0")
-    loop = ShadowLoop(variant, peer=Peer(), assignments=by_hand)
-    station = mavlink.MAVLink(None, 255, 190)
-
-    def send(number: int, *parameters: float, confirmation: int = 0) -> None:
-        values = (*parameters, *([0.0] * (7 - len(parameters))))
-        message = mavlink.MAVLink_command_long_message(1, 1, number, confirmation, *values)
-        loop.from_ground.append(bytes(message.pack(station)))
-        loop.from_ground.append(b"no command")
-
-    arm, take_off, land = (
-        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
-        mavlink.MAV_CMD_NAV_TAKEOFF,
-        mavlink.MAV_CMD_NAV_LAND,
-    )
-    send(arm, 1.0)
+    loop = ShadowLoop(variant, peer=Peer(), assignments=BY_HAND)
+    send(loop, ARM, 1.0)
     loop.fly(3.0)
-    send(take_off)
+    send(loop, TAKE_OFF)
     loop.fly(0.1)
-    send(arm, 1.0)
-    send(arm, 1.0, confirmation=1)
+    send(loop, ARM, 1.0)
+    send(loop, ARM, 1.0, confirmation=1)
     loop.fly(0.5)
-    send(take_off)
-    send(land, confirmation=1)
+    send(loop, TAKE_OFF)
+    send(loop, LAND, confirmation=1)
     loop.fly(2.0)
-    send(arm, 0.0, 21196.0)
+    send(loop, ARM, 0.0, 21196.0)
     loop.fly(0.3)
     assert loop.said("refused to arm")
     assert loop.said("refused to take off: not in mode READY")
     assert {FlightMode.ARMED, FlightMode.TAKE_OFF, FlightMode.TERMINATED} <= loop.modes
+    return loop
+
+
+def an_impatient_pilot(variant: Variant) -> ShadowLoop:
+    """Arms in every tick: also in the one whose IMU sample ends the calibration."""
+    loop = ShadowLoop(variant, peer=Peer(), assignments=BY_HAND)
+    while not loop.rows or FlightMode.ARMED not in loop.modes:
+        send(loop, ARM, 1.0)
+        loop.step()
+        assert loop.tick < 600
+    assert loop.said("refused to arm: calibrating the IMU")
+    assert loop.said("IMU calibrated")
     return loop
 
 
@@ -226,6 +257,7 @@ ALWAYS: tuple[Flight, ...] = (
     land_by_request,
     missed_ticks,
     a_pilot,
+    an_impatient_pilot,
     versions_good_bad_and_taken_back,
     nan_from_the_imu,
 )

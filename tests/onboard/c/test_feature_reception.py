@@ -135,3 +135,15 @@ def test_a_version_is_used_taken_back_and_refused(core: Core) -> None:
     both.send(version(4, 2))
     assert both.swap() == ["features 4 in use, parent 0, 5 samples"]
     both.restart()
+
+
+def test_a_version_that_waits_is_forgotten_with_its_session(core: Core) -> None:
+    """As is the transfer and the refusal; versions count from 1 again."""
+    both = Both(core)
+    for chunk in split(broken(encode_feature_set(version(7, 1), "float16"), "name"), 7, 1100):
+        both.receive(chunk)
+    both.send(version(9, 2))
+    both.restart()
+    assert both.swap() == []
+    both.send(version(1, 3))
+    assert both.swap() == ["features 1 in use, parent 0, 5 samples"]

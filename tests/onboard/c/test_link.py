@@ -192,6 +192,19 @@ def test_events_beyond_the_limit_are_counted(core: Core) -> None:
     assert both.ours.c.events_lost == 13
 
 
+def test_the_length_of_a_datagram(core: Core) -> None:
+    both, datagram = Both(core), peer(5).encode(POSE, 0)
+    for size in range(50):
+        both.receive(datagram[:size], S)
+        both.receive(bytes(size), S)
+    assert both.rejected["length"] == 92
+    for size in (0, 1, 2, 3, 1155, 1156, 1157, 1158, 5000):
+        both.receive(resealed(KEY, datagram, bytes(size)), S)
+    assert both.rejected["length"] == 97
+    assert both.rejected["body"] == 1
+    assert both.theirs.statistics.duplicate == 3
+
+
 @pytest.mark.parametrize("vehicle_id", [0, 1, 255, 256, 65535])
 def test_the_vehicle_id(core: Core, vehicle_id: int) -> None:
     config = onboard_config().model_copy(update={"vehicle_id": vehicle_id, "status_period_s": 0.033})

@@ -144,11 +144,19 @@ static void restart_peer(Script *script, Scene *scene) {
     }
 }
 
-/* Any body of any type with the right MAC; numbers near those that are due, or any */
+/* A sequence number: any, near the one that is due, or at the far end of the replay window */
+static uint64_t some_sequence(Script *script, const Scene *scene, uint64_t how) {
+    if (how & 32) {
+        return scene->link.endpoint.peer.window.newest - REPLAY_WINDOW + 3 - take(script, 1) % 6;
+    }
+    return how & 2 ? scene->sequence + take(script, 2) % 600 - 300 : take(script, 8);
+}
+
+/* Any body of any type with the right MAC */
 static size_t genuine_bytes(Script *script, Scene *scene, uint8_t *datagram) {
     uint64_t how = take(script, 1), sent_ns = take(script, how & 4 ? 8 : 2);
     uint64_t session = how & 1 ? scene->session : FIRST_SESSION + take(script, 1) % 8;
-    uint64_t sequence = how & 2 ? scene->sequence + take(script, 2) % 600 - 300 : take(script, 8);
+    uint64_t sequence = some_sequence(script, scene, how);
     uint8_t type = (uint8_t)take(script, 1);
     type = how & 8 ? (uint8_t)(type & 8 ? 64 + type % 4 : 3) : type;
     size_t room = how & 16 ? DATAGRAM_SPACE - HEADER_BYTES - MAC_BYTES : 40;
@@ -166,7 +174,7 @@ static size_t spoilt(Script *script, const Scene *scene, uint8_t *datagram, bool
     if (take(script, 1) % 8 == 0 && size > 0) {
         size = take(script, 2) % size;
     }
-    if (sealed && size >= HEADER_BYTES + MAC_BYTES) {
+    if (sealed && size >= MAC_BYTES) {
         size_t signed_size = size - MAC_BYTES;
         authenticator_mac(&scene->peer, datagram, signed_size, datagram + signed_size);
     }
@@ -302,6 +310,7 @@ static void start(Script *script, Scene *scene) {
     CHECK(authenticator_init(&scene->peer, key, key_size, DIRECTION_DOWN));
     CHECK(authenticator_init(&scene->up, key, key_size, DIRECTION_UP));
     scene->session = FIRST_SESSION;
+    scene->sequence = 1000; /* so that a script can go back by more than the window */
     scene->now_ns = (int64_t)(take(script, 8) >> 2); /* up to 146 years */
 }
 
