@@ -17,6 +17,7 @@ from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.flight_row import LinkBytes, Row, flight_row
 from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import FlightConfig
+from experiments.memory.law_prior import law_spreads
 from experiments.memory.learning import learnt_from_lessons, lesson
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -68,7 +69,8 @@ def fly_job(job: FlightJob) -> FlightResult:
     try:
         config = job.configuration()
         link = LinkBytes()
-        memory = learnt_from_lessons(job.lessons) if job.memory else None
+        spreads = law_spreads(config.onboard.controller.settings)
+        memory = learnt_from_lessons(job.lessons, spreads) if job.memory else None
         outcome = fly_lockstep(config, (link,), experience=memory or job.experience)
         row |= flight_row(config, outcome, link)
         trace = pack_trace(config, outcome) if job.keep_trace else None

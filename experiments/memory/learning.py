@@ -10,6 +10,7 @@ import numpy as np
 from configs.loader import ConfigError, fill_section, parse_mapping
 from experiments.flights.scenario import FlightConfig
 from experiments.flights.trace import FlightTrace
+from experiments.memory.law_prior import Spreads, default_spreads, law_spreads
 from experiments.memory.logged_samples import labelled_samples
 from experiments.replays.recorded_flight import CONFIG_NAME
 from flight_log.reader import Flight, FlightError, open_flight
@@ -18,6 +19,7 @@ from offboard.memory.config import MemoryConfig
 from offboard.memory.folder import memory_file, open_memory, write_memory
 from offboard.memory.memory import Condition, Memory, UnusableMemoryError, thinned, unlearnt
 from offboard.memory.memory_file import dump_memory, load_memory, require_fit
+from offboard.training.network import InputPlan
 from onboard.record.tick import TICK
 from protocol.feature_config import FeaturesConfig, TrainedFeatures
 
@@ -30,6 +32,8 @@ class Source(NamedTuple):
     conditions: tuple[Condition, ...]
     memory: Memory | None
     """None for a flight."""
+    spreads: Spreads | None
+    """Of the law that flew, or that the memory was learnt for; None if it had no prior."""
 
 
 def read_source(path: Path) -> Source:
@@ -42,7 +46,7 @@ def read_source(path: Path) -> Source:
     """
     if memory_file(path).is_file():
         memory = open_memory(path)
-        return Source(path, memory.features, memory.conditions, memory)
+        return _of_memory(path, memory)
     flight = _opened(path)
     tree, source = _config_tree(flight, path)
     features = fill_section(FeaturesConfig, tree, source, "features").trained
@@ -56,7 +60,21 @@ def read_source(path: Path) -> Source:
     samples = labelled_samples(ticks.time_ns, rows, LabelConfig())
     if samples.rows == 0:
         raise ConfigError(f"{path}: no sample above the floor in which the controller could adapt")
-    return Source(path, features, (Condition(name, vehicle, thinned(samples)),), None)
+    return Source(path, features, (Condition(name, vehicle, thinned(samples)),), None, _flown_spreads(tree))
+
+
+def _of_memory(path: Path, memory: Memory) -> Source:
+    spreads = dict(zip(InputPlan.of(memory.features).channels, memory.prior.variance**0.5, strict=True))
+    both = Spreads(*(float(spreads.get(at, one)) for at, one in enumerate(default_spreads())))
+    return Source(path, memory.features, memory.conditions, memory, both if memory.learnt else None)
+
+
+def _flown_spreads(tree: dict[str, Any]) -> Spreads | None:
+    """Of the controller in a flight's configuration."""
+    place: Any = tree
+    for key in ("onboard", "controller", "settings"):
+        place = place.get(key) if isinstance(place, dict) else None
+    return law_spreads(place) if isinstance(place, dict) else None
 
 
 def _opened(path: Path) -> Flight:
@@ -89,19 +107,21 @@ def lesson(config: FlightConfig, trace: FlightTrace) -> bytes:
 
 
 @lru_cache(maxsize=2)
-def learnt_from_lessons(lessons: tuple[bytes, ...]) -> bytes:
-    """The bytes of the memory that these memories teach together, with the default settings."""
-    sources = [
-        Source(Path(f"lesson {number}"), memory.features, memory.conditions, memory)
-        for number, memory in enumerate(map(load_memory, lessons))
-    ]
+def learnt_from_lessons(lessons: tuple[bytes, ...], spreads: Spreads | None) -> bytes:
+    """The bytes of the memory that these memories teach together, with the default settings.
+
+    spreads: of the law that will fly with it; None: it has no prior.
+    """
+    memories = enumerate(map(load_memory, lessons))
+    sources = [_of_memory(Path(f"lesson {number}"), memory)._replace(spreads=spreads) for number, memory in memories]
     return dump_memory(learn_from(sources, MemoryConfig()))
 
 
 def learn_from(sources: Sequence[Source], config: MemoryConfig) -> Memory:
     """The memory of all conditions of the sources, each once.
 
-    The inner layers of the memory with the most conditions, if there is one, are the start.
+    The inner layers of the memory with the most conditions, if there is one, are the start. S0 is that of the last
+    source whose law had a prior; without one, that of the controller that memories are made for.
 
     Raises
     ------
@@ -118,7 +138,8 @@ def learn_from(sources: Sequence[Source], config: MemoryConfig) -> Memory:
         for source in sources:
             _require_same(source, first)
         conditions = [condition for source in sources for condition in source.conditions]
-        return learn(features, conditions, config, start)
+        spreads = [source.spreads for source in sources if source.spreads is not None]
+        return learn(features, conditions, spreads[-1] if spreads else default_spreads(), config, start)
     except UnusableMemoryError as error:
         raise ConfigError(str(error)) from None
 

@@ -14,7 +14,3 @@ class MemoryConfig(ConfigRecord):
     samples_per_condition: int = Field(default=64, ge=8, le=600, description="n, samples of each in a step")
     learning_rate: float = Field(default=0.003, gt=0.0, description="of Adam; falls to a twentieth at the end")
     weight_decay: float = Field(default=1e-5, ge=0.0, description="l2 on the inner layers' weights")
-    position_spread_m_s2: float = Field(
-        default=0.6, gt=0.0, description="m/s^2, root of S0: of a condition's weights, as the law's own prior"
-    )
-    attitude_spread_rad_s2: float = Field(default=3.0, gt=0.0, description="rad/s^2, the same of the attitude channel")

@@ -31,12 +31,17 @@ LAST_RATE: Final = 0.05
 
 
 def learn(
-    features: TrainedFeatures, conditions: Sequence[Condition], config: MemoryConfig, start: Memory | None = None
+    features: TrainedFeatures,
+    conditions: Sequence[Condition],
+    spreads: tuple[float, float],
+    config: MemoryConfig,
+    start: Memory | None = None,
 ) -> Memory:
     """The memory that these conditions teach.
 
     Parameters
     ----------
+    spreads: roots of S0 of the position [m/s^2] and of the attitude channel [rad/s^2], as the law on board has them.
     start: a memory whose inner layers are the start; None: random ones.
 
     Raises
@@ -49,7 +54,7 @@ def learn(
         raise UnusableMemoryError("no samples to learn from")
     rng = np.random.default_rng([config.seed, 1])
     network = initial_state(features, rng) if start is None else start.prior.network
-    learner = _Learner(features, network, conditions, config)
+    learner = _Learner(features, network, conditions, spreads, config)
     for step in range(config.steps):
         learner.step(step, rng)
     prior = with_theta(learner.prior(), features, conditions)
@@ -60,16 +65,21 @@ class _Learner:
     """Inner layers and noise under training."""
 
     def __init__(
-        self, features: TrainedFeatures, network: NetworkState, conditions: Sequence[Condition], config: MemoryConfig
+        self,
+        features: TrainedFeatures,
+        network: NetworkState,
+        conditions: Sequence[Condition],
+        spreads: tuple[float, float],
+        config: MemoryConfig,
     ) -> None:
         torch.set_num_threads(1)
         self._features, self._network, self._config = features, network, config
         plan = InputPlan.of(features)
         labels = [one.samples.labels[:, list(plan.channels)].transpose(1, 0, 2) for one in conditions]
         self._scale = np.array([_rms([one[row] for one in labels]) for row in range(len(plan.channels))])
-        spreads = np.array([config.position_spread_m_s2, config.attitude_spread_rad_s2])[list(plan.channels)]
-        self._variance = spreads**2
-        self._relative = torch.from_numpy((spreads / self._scale) ** 2).float()[:, None, None, None]
+        of_channels = np.array(spreads)[list(plan.channels)]
+        self._variance = of_channels**2
+        self._relative = torch.from_numpy((of_channels / self._scale) ** 2).float()[:, None, None, None]
         """s of each channel."""
         self._data = [
             (

@@ -3,9 +3,11 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from async_dmrac.command_line import main
+from experiments.memory.law_prior import Spreads, default_spreads
 from experiments.memory.learning import learnt_from_lessons, lesson, read_source
 from offboard.memory.config import MemoryConfig
 from offboard.memory.folder import open_memory, remember, write_memory
@@ -37,6 +39,7 @@ def test_a_flight_becomes_a_memory_from_which_another_starts(
     out = tmp_path / "second"
     assert main([*FLY, "--seed", "5", "--memory", str(memory), "--remember", "--out", str(out)]) == 0
     assert len(open_memory(memory).conditions) == 2
+    np.testing.assert_allclose(open_memory(memory).prior.variance, np.square(default_spreads()))
     summary = json.loads((out / "summary.json").read_text())
     assert summary["features"]["version"] >= 1
     assert str(memory) in summary["command"]
@@ -58,8 +61,9 @@ def test_lessons_of_a_campaign_make_a_memory(flight: Path, monkeypatch: pytest.M
     assert recorded.trace is not None
     alone = lesson(recorded.config, recorded.trace)
     assert load_memory(alone).learnt == 0
-    taught = load_memory(learnt_from_lessons((alone,)))
+    taught = load_memory(learnt_from_lessons((alone,), Spreads(0.5, 2.0)))
     assert taught.learnt == 1
+    np.testing.assert_allclose(taught.prior.variance, [0.25, 4.0])
     assert taught.conditions[0].digest == read_source(flight).conditions[0].digest
 
 

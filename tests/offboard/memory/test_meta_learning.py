@@ -13,6 +13,7 @@ from offboard.training.network import InputPlan, feature_set, initial_state, phi
 from tests.offboard.memory.conditions import FEATURES, condition
 
 JETS = [condition(f"jet {seed}", jet=2.0 * (-1.0) ** seed, seed=seed) for seed in range(8)]
+SPREADS = 0.6, 3.0
 UNSEEN = condition("unseen", jet=-1.5, seed=50)
 
 
@@ -27,15 +28,15 @@ def left(memory: Memory, one: Condition) -> float:
 
 
 def test_learnt_inner_layers_need_fewer_samples_than_random_ones() -> None:
-    learnt = learn(FEATURES, JETS, MemoryConfig(steps=300))
-    random = learn(FEATURES, JETS, MemoryConfig(steps=0))
+    learnt = learn(FEATURES, JETS, SPREADS, MemoryConfig(steps=300))
+    random = learn(FEATURES, JETS, SPREADS, MemoryConfig(steps=0))
     assert left(learnt, UNSEEN) < 0.75 * left(random, UNSEEN)
     assert learnt.learnt == len(JETS)
 
 
 def test_learning_repeats_to_the_bit_and_keeps_the_bound() -> None:
     config = MemoryConfig(steps=30)
-    first, second = (learn(FEATURES, JETS[:3], config) for _ in range(2))
+    first, second = (learn(FEATURES, JETS[:3], SPREADS, config) for _ in range(2))
     for W, V in zip(first.prior.network.weights, second.prior.network.weights, strict=True):
         np.testing.assert_array_equal(W, V)
         assert np.linalg.norm(W, 2, axis=(1, 2)).max() <= FEATURES.spectral_norm_max
@@ -43,8 +44,8 @@ def test_learning_repeats_to_the_bit_and_keeps_the_bound() -> None:
 
 
 def test_no_steps_keep_the_inner_layers_of_the_start() -> None:
-    start = learn(FEATURES, JETS[:2], MemoryConfig(steps=5))
-    again = learn(FEATURES, JETS[:3], MemoryConfig(steps=0), start)
+    start = learn(FEATURES, JETS[:2], SPREADS, MemoryConfig(steps=5))
+    again = learn(FEATURES, JETS[:3], SPREADS, MemoryConfig(steps=0), start)
     for W, V in zip(start.prior.network.weights, again.prior.network.weights, strict=True):
         np.testing.assert_array_equal(W, V)
     assert again.learnt == 3
@@ -53,7 +54,7 @@ def test_no_steps_keep_the_inner_layers_of_the_start() -> None:
 def test_without_samples_there_is_nothing_to_learn() -> None:
     empty = Condition("empty", 1, SampleTable.empty(0))
     with pytest.raises(UnusableMemoryError, match="no samples to learn from"):
-        learn(FEATURES, [empty], MemoryConfig())
+        learn(FEATURES, [empty], SPREADS, MemoryConfig())
 
 
 def test_the_loss_is_the_evidence_of_the_labels() -> None:
@@ -63,7 +64,7 @@ def test_the_loss_is_the_evidence_of_the_labels() -> None:
     from offboard.memory.meta_learning import _Learner
 
     config = MemoryConfig(conditions_per_step=1, samples_per_condition=8)
-    learner = _Learner(FEATURES, initial_state(FEATURES, np.random.default_rng(0)), JETS[:1], config)
+    learner = _Learner(FEATURES, initial_state(FEATURES, np.random.default_rng(0)), JETS[:1], SPREADS, config)
     z, y = learner._drawn(np.random.default_rng(1))
     with torch.no_grad():
         loss = float(learner._loss(z, y))
@@ -80,7 +81,5 @@ def test_the_loss_is_the_evidence_of_the_labels() -> None:
 
 
 def test_the_prior_is_in_units_of_the_labels() -> None:
-    prior: Prior = learn(FEATURES, JETS[:2], MemoryConfig(steps=0)).prior
-    config = MemoryConfig()
-    expected = [config.position_spread_m_s2**2, config.attitude_spread_rad_s2**2]
-    np.testing.assert_allclose(prior.variance, expected)
+    prior: Prior = learn(FEATURES, JETS[:2], SPREADS, MemoryConfig(steps=0)).prior
+    np.testing.assert_allclose(prior.variance, np.square(SPREADS))
