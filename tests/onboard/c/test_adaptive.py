@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 from configs.parts import part_names, read_part
 from onboard.c.library import Core
 from onboard.control.features import NetworkFeatures
+from onboard.control.laws import slope_bound
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.kalman_last_layer import KalmanConfig
+from onboard.control.laws.kalman_state import KalmanState
 from onboard.control.laws.law import ChannelState
+from onboard.control.laws.slope_bound import bound_slopes
 from onboard.control.records import ChannelTelemetry
 from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.feature_set import ChannelFeatures
@@ -28,6 +31,7 @@ from tests.onboard.control.fixture import DT, FEATURES
 LAWS = {
     "gradient": law_config(),
     "covariance": kalman_config(slope=SlopeShares(place=0.1, motion=0.02, turn=0.02)),
+    "flattened": kalman_config(slope=SlopeShares(place=0.005, motion=0.001, turn=0.001)),
     "off": kalman_config(composite_gain=0.0, tracking_gain=0.0),
     "on the ball": kalman_config(weight_norm_max=2.0, prior=2.0, confidence=False),
 }
@@ -220,6 +224,25 @@ def test_what_these_swaps_reach(core: Core) -> None:
         offered = channel(5)
         found.add(plan_both(core, ours, theirs, dataclasses.replace(offered, last_layer=size * offered.last_layer)))
     assert found == {"", "swap_jump", "weight_norm", "lipschitz"}
+
+
+def test_what_the_bound_of_the_slope_reaches(core: Core, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In flights as above it changes the weights in some checks, and in others it does not."""
+    changed = []
+
+    def watched(state: KalmanState, *given: Any) -> None:
+        before = state.X_rows.copy()
+        bound_slopes(state, *given)
+        changed.append(bool((state.X_rows != before).any()))
+
+    monkeypatch.setattr(slope_bound, "bound_slopes", watched)
+    ours, theirs = both(core, adaptive_config("network", "flattened"), 7)
+    rng = np.random.default_rng(7)
+    for tick in range(60):
+        step_both(core, ours, theirs, path_state(tick, rng, states_of(theirs), tick % 20 < 17), 1e-10)
+    assert len(changed) == 13
+    assert set(changed) == {True, False}
+    same_learnt(core, ours, theirs, 1e-10)
 
 
 def test_a_swap_before_the_first_tick_and_one_after_numbers_that_are_not_finite(core: Core) -> None:
