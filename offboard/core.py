@@ -65,6 +65,8 @@ class OffboardCore:
         self.learner: Final = VehicleLearner(config)
         self._versions = VersionSender(config.transfer)
         self._relay = PoseRelay(config.pose_relay)
+        self.screens: Final = self._relay.screen, self.endpoint.screen
+        """Sort the datagrams of a flood without counting them: of the motion capture, and of onboard."""
         self._peer_session: int | None = None
         self._reported_session: int | None = None
         self._poses: list[Pose] = []

@@ -2,8 +2,8 @@
 
 `decode` makes the cheap and safe checks first: length, version, type and vehicle id, then the MAC, then session and
 sequence. Only then does msgpack parse the body. An invalid datagram is counted by reason and dropped; none raises. The
-time that a datagram can cost is bounded (about 3 us for a forged one). The process limits the number of datagrams per
-step to `DATAGRAMS_PER_STEP_MAX`.
+time that a datagram can cost is bounded (about 3 us for a forged one). Of more than
+`DATAGRAMS_PER_STEP_MAX` in a step the process passes on only what `screen` finds good.
 """
 
 from dataclasses import replace
@@ -28,9 +28,11 @@ from protocol.statistics import LinkStatistics
 DATAGRAM_MIN_BYTES: Final = HEADER.size + 2 + MAC_BYTES
 BODY_MAX_BYTES: Final = DATAGRAM_MAX_BYTES - HEADER.size - MAC_BYTES
 DATAGRAMS_PER_STEP_MAX: Final = 64
-"""Most datagrams that a process receives in a 5 ms step; others wait in the socket's buffer, or are dropped there."""
+"""Most datagrams that a step receives unscreened; of more, the process screens them first."""
 CHALLENGE_PERIOD_NS: Final = 500_000_000
 """Least time between two challenges, so that a replayed recording cannot cause many of them."""
+OTHER_SESSION: Final = 256
+"""Kind of a genuine datagram of an older session."""
 RATE_MAX_HZ: Final = 2000
 RATE_BURST: Final = 256
 
@@ -147,6 +149,23 @@ class Endpoint:
             else:
                 self.statistics.rejected[error.reason] += 1
             return None
+
+    def screen(self, datagram: bytes) -> int:
+        """The kind of a datagram: its type, or OTHER_SESSION; -1 if `decode` would refuse it. Nothing changes.
+
+        The body is not read, and the rate is not limited.
+        """
+        if not DATAGRAM_MIN_BYTES <= len(datagram) <= DATAGRAM_MAX_BYTES:
+            return -1
+        version, number, vehicle_id, session, sequence, _ = HEADER.unpack_from(datagram)
+        if version != PROTOCOL_VERSION or number not in self._receive_types or vehicle_id != self._vehicle_id:
+            return -1
+        if session == self._peer.current:
+            if self._peer.window.verdict(sequence):
+                return -1
+        elif not self._peer.is_newer(session):
+            number = OTHER_SESSION
+        return number if self._receive.is_genuine(datagram) else -1
 
     def _decode(self, datagram: bytes, now_ns: int) -> Message:
         if not DATAGRAM_MIN_BYTES <= len(datagram) <= DATAGRAM_MAX_BYTES:

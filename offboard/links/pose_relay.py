@@ -77,6 +77,11 @@ class PoseRelay:
         self.relayed += 1
         return pose
 
+    def screen(self, datagram: bytes) -> int:
+        """The kind of a datagram: its message id; -1 if it is not one frame of the motion capture."""
+        found = self._reader.screen(datagram) if len(datagram) <= FRAME_BYTES_MAX else None
+        return -1 if found is None else found[0]
+
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
         events, self._events = self._events, []

@@ -7,6 +7,8 @@ from typing import Final
 KEY_BYTES: Final = 32
 STREAMS_MAX: Final = 16
 """Signed streams (link, system, component) that one receiver remembers."""
+SIGNED_LEAST_BYTES: Final = 25
+"""Of a signed frame without a payload."""
 _EPOCH_2015_NS: Final = 1_420_070_400 * 10**9
 _TICK_NS: Final = 10_000
 _ALL_TICKS: Final = 2**48
@@ -61,6 +63,12 @@ class SignatureCheck:
         self._stream_times: dict[tuple[int, int, int], int] = {}
         self.newest = 0
         """Newest verified signature time."""
+
+    def is_new(self, frame: bytes) -> bool:
+        """Whether the signature of a signed frame is right and newer than its stream's newest. Stores nothing."""
+        if len(frame) <= SIGNED_LEAST_BYTES or not hmac.compare_digest(signature(self._key, frame[:-6]), frame[-6:]):
+            return False
+        return int.from_bytes(frame[-12:-6], "little") > self._stream_times.get((frame[-13], frame[5], frame[6]), -1)
 
     def fault(self, frame: bytes, signed: bool, now_ns: int) -> str:
         """Why the signature of `frame` is refused; "" if it is good."""

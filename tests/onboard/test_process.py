@@ -24,6 +24,7 @@ class FakeCore:
     """Answers every step; `script` is called first and may raise or press a key."""
 
     def __init__(self, script: Any) -> None:
+        self.screens = (lambda datagram: 0,) * 3
         self.script = script
         self.steps = 0
         self.airborne = True
