@@ -23,7 +23,9 @@ from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
 from protocol.feature_config import feature_digest
 from protocol.feature_set import FeatureSet
+from protocol.mavlink.signing import SigningClock
 from protocol.messages import Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
+from protocol.session import session_start_ns
 
 LINK_RECORD_PERIOD_NS: Final = 1_000_000_000
 GATHER_NS: Final = 20_000_000
@@ -53,10 +55,18 @@ class OffboardCore:
     ----------
     session: this process's session number.
     key: pre-shared key of the link to onboard; None only between loopback addresses.
+    capture_key: of the motion capture's MAVLink; None: unsigned.
     fleet: the vehicles to share the networks with, if the configuration says so (`trainer.shared`).
     """
 
-    def __init__(self, config: OffboardConfig, session: int, key: bytes | None, fleet: Fleet | None = None) -> None:
+    def __init__(
+        self,
+        config: OffboardConfig,
+        session: int,
+        key: bytes | None,
+        fleet: Fleet | None = None,
+        capture_key: bytes | None = None,
+    ) -> None:
         self._learning = config.experience.mode == "learn"
         self._round_period_ns = round(config.trainer.period_s * 1e9)
         self._checkpoint_period_ns = round(config.experience.checkpoint_period_s * 1e9)
@@ -64,7 +74,7 @@ class OffboardCore:
         self.endpoint: Final = Endpoint("offboard", session, key, config.vehicle_id, feature_digest(config.features))
         self.learner: Final = VehicleLearner(config)
         self._versions = VersionSender(config.transfer)
-        self._relay = PoseRelay(config.pose_relay)
+        self._relay = PoseRelay(config.pose_relay, capture_key, SigningClock(session_start_ns(session)))
         self.screens: Final = self._relay.screen, self.endpoint.screen
         """Sort the datagrams of a flood without counting them: of the motion capture, and of onboard."""
         self._peer_session: int | None = None

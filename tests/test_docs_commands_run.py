@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from async_dmrac.command_line import build_parser, main
-from configs.addresses import Addresses
+from configs.addresses import ADDRESSES
 from configs.loader import CONFIG_DIRECTORY
 from experiments.campaigns import campaign as campaign_module
 from experiments.results import campaign_data
@@ -28,7 +28,7 @@ from tests.dask_cluster import running_cluster
 from tests.docs_commands import BLOCKS, INLINE, NO_ARGUMENTS, PAGES, ROOT, block_commands, words_of
 from tests.experiments.processes import Processes
 
-NETWORK = sorted(name for name in Addresses.model_fields if not name.endswith("key_file"))
+NETWORK = ADDRESSES
 ADDRESSES = {name: f"127.0.0.1:{16660 + index}" for index, name in enumerate(NETWORK)}
 """Other addresses than those of a user's flights."""
 SHORT_FLIGHT = ["--duration", "6", *(f"--set=network.{name}={address}" for name, address in ADDRESSES.items())]

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from configs.addresses import Addresses
+from configs.addresses import LINK_KEYS, Addresses
 from experiments.flights import realtime_flight
 from experiments.flights.logged_flight import read_trace
 from experiments.flights.metrics import flight_metrics
@@ -28,7 +28,7 @@ PORTS: Final = {
 """By the name of the port in the reports: the address that is flooded, and that of its peer, in `network`. Onboard's
 port towards the ground station is any free one; the motion capture's may be anybody's."""
 RATES_HZ: Final = (1_000, 10_000, 50_000)
-KEYS: Final = ("key_file", "vehicle_key_file", "ground_key_file")
+KEYS: Final = tuple(key.setting for key in LINK_KEYS.values())
 END_LIMIT_S: Final = 10.0
 
 

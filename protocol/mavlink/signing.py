@@ -5,6 +5,11 @@ import hmac
 from typing import Final
 
 KEY_BYTES: Final = 32
+SIGNATURE_FAULTS: Final = (
+    *("unsigned", "signature", "signature_from_the_future", "signature_too_old", "signature_replayed"),
+    "too_many_streams",
+)
+"""Why `SignatureCheck.fault` refuses a frame."""
 STREAMS_MAX: Final = 16
 """Signed streams (link, system, component) that one receiver remembers."""
 SIGNED_LEAST_BYTES: Final = 25
