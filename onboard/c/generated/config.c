@@ -99,6 +99,12 @@ static void read_EstimatorConfig(Cursor *from, EstimatorConfig *out) {
     out->pose_delay_max_s = read_real(from);
     out->pose_reset_count = (int32_t)read_int(from);
     out->pose_agree_m = read_real(from);
+    out->pose_jump_m = read_real(from);
+    out->pose_jump_rate_m_s = read_real(from);
+    out->pose_blind_rate_m_s = read_real(from);
+    out->pose_turn_max_rad = read_real(from);
+    out->pose_drift_m = read_real(from);
+    out->pose_drift_average_s = read_real(from);
     out->jump_threshold_m = read_real(from);
     out->flow_rate_sigma_rad_s = read_real(from);
     out->flow_scale_sigma = read_real(from);
@@ -437,7 +443,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xa9, 0xae, 0xe3, 0x30, 0x7f, 0xe8, 0x5b, 0xa1};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x98, 0x21, 0xa3, 0xa4, 0x0f, 0x44, 0xad, 0x0d};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

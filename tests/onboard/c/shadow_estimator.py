@@ -94,6 +94,7 @@ class ShadowEstimator(Estimator):
         counts = {"imu_gap": self.ours.imu_gaps, "imu_out_of_order": self.ours.imu_out_of_order}
         counts |= {"pose_out_of_order": poses.out_of_order, "pose_wrong_time": poses.wrong_time}
         counts |= {"pose_used": poses.used, "pose_refused": poses.refused, "pose_jump": poses.jumps}
+        counts |= {"pose_implausible": poses.implausible, "pose_drift": poses.drifts}
         counts |= {"pose_attitude_refused": poses.attitude_refused}
         for index, aid in enumerate(AIDS):
             for what in ("used", "refused", "recovered"):
