@@ -78,6 +78,8 @@ class OffboardCore:
         self.screens: Final = self._relay.screen, self.endpoint.screen
         """Sort the datagrams of a flood without counting them: of the motion capture, and of onboard."""
         self._peer_session: int | None = None
+        self._known_session: int | None = None
+        self._reported_version = 0
         self._reported_session: int | None = None
         self._poses: list[Pose] = []
         self._requests: list[tuple[int, int]] = []
@@ -114,7 +116,7 @@ class OffboardCore:
         if isinstance(message, SampleBatch) and self._learning:
             self._start_with_fleet()
             self.learner.receive(message)
-        elif isinstance(message, Status):
+        elif isinstance(message, Status) and self._knows_versions(message, now_ns):
             event = self._versions.receive(message, now_ns)
             self.learner.note_versions(message.feature_version, message.transfer_version, message.refused_version)
             if event:
@@ -123,6 +125,21 @@ class OffboardCore:
         elif isinstance(message, TimeSyncRequest):
             self._requests.append((message.origin_ns, now_ns))
             self._report_layout(now_ns)
+
+    def _knows_versions(self, status: Status, now_ns: int) -> bool:
+        """Whether a status names only versions that can be; others must not be learnt, because numbers go on from them.
+
+        The first status of a session may name any, of a trainer that has ended; a later one only those that were sent.
+        """
+        named = max(status.feature_version, status.transfer_version, status.refused_version)
+        if self._known_session == self._peer_session and named > self.learner.version:
+            self.endpoint.statistics.rejected["version_not_sent"] += 1
+            if self._reported_version != named:
+                self._reported_version = named
+                self._event(now_ns, f"onboard names version {named}, which was never sent: status refused")
+            return False
+        self._known_session = self._peer_session
+        return True
 
     def _start_with_fleet(self) -> None:
         """Start a vehicle that has learnt nothing yet with the inner layers of the fleet, once there are any."""

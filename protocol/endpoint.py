@@ -14,10 +14,13 @@ from protocol.clock import ClockEstimate
 from protocol.codec import DOWN_TYPES, HEADER, PROTOCOL_VERSION, TYPE_NUMBERS, UP_TYPES, decode_body, encode_body
 from protocol.errors import ProtocolError
 from protocol.messages import (
+    APART_MAX_NS,
+    COUNTER_MAX,
     DATAGRAM_MAX_BYTES,
     NO_LAYOUT,
     FeatureChunk,
     Message,
+    Pose,
     SampleBatch,
     TimeSyncReply,
     TimeSyncRequest,
@@ -33,6 +36,8 @@ CHALLENGE_PERIOD_NS: Final = 500_000_000
 """Least time between two challenges, so that a replayed recording cannot cause many of them."""
 OTHER_SESSION: Final = 256
 """Kind of a genuine datagram of an older session."""
+AHEAD_MAX_NS: Final = 86_400 * 10**9
+"""A clock of the peer that steps ahead by more is not followed."""
 RATE_MAX_HZ: Final = 2000
 RATE_BURST: Final = 256
 
@@ -187,9 +192,12 @@ class Endpoint:
         else:
             self._challenge_wanted = self._peer.may_return(session) and self._is_silent(now_ns)
             raise ProtocolError("session")
+        self._require_time(sent_ns, now_ns)
         self._count(sequence, sent_ns, len(datagram), now_ns)
         self._spend_allowance(now_ns)
         message = decode_body(number, body)
+        if isinstance(message, SampleBatch | Pose) and abs(sent_ns - message.time_ns) > APART_MAX_NS:
+            raise ProtocolError("value")
         if isinstance(message, TimeSyncRequest | TimeSyncReply):
             self.peer_layout = message.layout
         elif isinstance(message, SampleBatch | FeatureChunk) and self.layout not in (NO_LAYOUT, self.peer_layout):
@@ -199,6 +207,13 @@ class Endpoint:
         ):
             raise ProtocolError("time_sync")
         return message
+
+    def _require_time(self, sent_ns: int, now_ns: int) -> None:
+        """Refuse a sender's time that does not fit 63 bits, or is a day or more ahead of the session's clock."""
+        if self._fastest_ns is not None and sent_ns - now_ns > AHEAD_MAX_NS - self._fastest_ns:
+            raise ProtocolError("value")
+        if sent_ns > COUNTER_MAX:
+            raise ProtocolError("value")
 
     def _require_new(self, sequence: int) -> None:
         verdict = self._peer.window.verdict(sequence)
