@@ -26,6 +26,7 @@ from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from protocol.arrival import Arrival
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
+from protocol.mavlink.signing import holds_key
 from runtime.intake import Intake
 from runtime.kernel import resident_mb
 from runtime.pace import DurationStatistics, PaceKeeper
@@ -109,9 +110,9 @@ class OnboardProcess:
         self._datagrams = DatagramLogWriter()
         vehicle, offboard, ground = core.screens
         self._intakes = (
-            Intake("vehicle", sockets.vehicle, VEHICLE_FEW, VEHICLE_KIND_MAX, vehicle),
+            Intake("vehicle", sockets.vehicle, VEHICLE_FEW, VEHICLE_KIND_MAX, vehicle, holds_key),
             Intake("offboard", sockets.offboard, DATAGRAMS_PER_STEP_MAX, OFFBOARD_KIND_MAX, offboard),
-            Intake("ground", sockets.ground, GROUND_FEW, GROUND_KIND_MAX, ground),
+            Intake("ground", sockets.ground, GROUND_FEW, GROUND_KIND_MAX, ground, holds_key),
         )
         self._last_vehicle_ns = 0
         self._stopping = False

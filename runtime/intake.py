@@ -40,23 +40,38 @@ class Intake:
     few: up to so many datagrams are passed on unscreened.
     kind_max: of more, at most so many of each kind are passed on.
     screen: sorts a datagram into a kind, or REFUSED; it must not raise, and changes nothing.
+    secret: whether a datagram holds a secret; such a one goes nowhere.
     """
 
-    def __init__(self, name: str, source: StampedSource, few: int, kind_max: int, screen: Screen) -> None:
+    def __init__(
+        self,
+        name: str,
+        source: StampedSource,
+        few: int,
+        kind_max: int,
+        screen: Screen,
+        secret: Callable[[bytes], bool] | None = None,
+    ) -> None:
         self.name = name
         self._source = source
         self._few = few
         self._kind_max = kind_max
         self._screen = screen
+        self._secret = secret
         self._reported_ns = 0
         self._reported = 0
         self._flooded = False
+        self._secrets_reported = 0
+        self.secrets = 0
+        """Datagrams dropped because they hold a secret."""
         self.dropped: Counter[str] = Counter()
         """By reason: refused (no message of the peer), repeated, surplus (of one kind), unread (not screened)."""
 
     def receive(self, periods: int = 1) -> list[Stamped]:
         """What is to be used of the datagrams that have arrived in `periods` steps, oldest first."""
         came = self._source.receive_stamped(READ_MAX)
+        if self._secret is not None and came:
+            came = self._without_secrets(came)
         if len(came) <= self._few * periods:
             return came
         chosen: list[Stamped] = []
@@ -84,11 +99,20 @@ class Intake:
         chosen.reverse()
         return chosen
 
+    def _without_secrets(self, came: list[Stamped]) -> list[Stamped]:
+        assert self._secret is not None
+        kept = [one for one in came if not self._secret(one.datagram)]
+        self.secrets += len(came) - len(kept)
+        return kept
+
     def report(self, now_ns: int) -> str:
         """At most once a second: that the port is being flooded, or no longer; else ""."""
         since_ns = now_ns - self._reported_ns
         if since_ns < REPORT_PERIOD_NS:
             return ""
+        if self.secrets > self._secrets_reported:
+            self._secrets_reported = self.secrets
+            return f"{self.name} port: a datagram with a key (SETUP_SIGNING) was dropped; keys come from files only"
         total = self.dropped.total() + self.overflowed
         more, self._reported, self._reported_ns = total - self._reported, total, now_ns
         flooded, before = more > 0, self._flooded
@@ -104,4 +128,5 @@ class Intake:
 
     def summary(self) -> dict[str, Any]:
         """What was dropped, by reason, for the flight record."""
-        return {**{reason: count for reason, count in self.dropped.items() if count}, "overflowed": self.overflowed}
+        counts = {**self.dropped, "secret": self.secrets}
+        return {**{reason: count for reason, count in counts.items() if count}, "overflowed": self.overflowed}

@@ -12,6 +12,9 @@ SIGNATURE_FAULTS: Final = (
 """Why `SignatureCheck.fault` refuses a frame."""
 STREAMS_MAX: Final = 16
 """Signed streams (link, system, component) that one receiver remembers."""
+_SETUP_SIGNING: Final = (256).to_bytes(3, "little")
+_ID_AT: Final = 7
+_MARKER: Final = 0xFD
 SIGNED_LEAST_BYTES: Final = 25
 """Of a signed frame without a payload."""
 _EPOCH_2015_NS: Final = 1_420_070_400 * 10**9
@@ -43,6 +46,19 @@ class SigningClock:
     def catch_up(self, stamp: int) -> None:
         """Adopt the tick of another clock, on a side without a clock of its own."""
         self._last = max(self._last, stamp)
+
+
+def holds_key(datagram: bytes) -> bool:
+    """Whether a frame of the datagram may be SETUP_SIGNING, with which a ground station sends a key in clear.
+
+    It is looked for anywhere in the datagram: also a frame that is not whole must not be logged.
+    """
+    at = datagram.find(_SETUP_SIGNING)
+    while at >= 0:
+        if at >= _ID_AT and datagram[at - _ID_AT] == _MARKER:
+            return True
+        at = datagram.find(_SETUP_SIGNING, at + 1)
+    return False
 
 
 def signature(key: bytes, frame: bytes) -> bytes:

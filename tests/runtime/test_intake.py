@@ -109,3 +109,13 @@ def test_a_reading_behind_a_real_queue_is_found_where_a_bounded_read_misses_it()
     finally:
         here.close()
         there.close()
+
+
+def test_a_datagram_with_a_secret_goes_nowhere_and_is_reported() -> None:
+    source = Source()
+    source.waiting = [b"1 good", b"1 the secret", b"1 also good"]
+    one = Intake("ground", source, FEW, KIND_MAX, kind_of, lambda datagram: b"secret" in datagram)
+    assert datagrams(one.receive()) == [b"1 good", b"1 also good"]
+    assert one.summary() == {"secret": 1, "overflowed": 0}
+    assert "SETUP_SIGNING" in one.report(REPORT_PERIOD_NS)
+    assert one.report(2 * REPORT_PERIOD_NS) == ""
