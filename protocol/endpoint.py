@@ -76,6 +76,8 @@ class Endpoint:
         self._sequence = 0
         self._peer = PeerSessions()
         self._clock = ClockEstimate()
+        self._began_ns: int | None = None
+        self._latest_ns: int | None = None
         self._fastest_ns: int | None = None
         self._allowance_ns = RATE_BURST * 10**9 // RATE_MAX_HZ
         self._allowance_at_ns: int | None = None
@@ -127,6 +129,7 @@ class Endpoint:
         ValueError
             If this role does not send such messages, or the message does not fit into a datagram.
         """
+        self._note_time(now_ns)
         number = TYPE_NUMBERS[type(message)]
         if number not in self._send_types:
             raise ValueError(f"{type(message).__name__} is not sent in this direction")
@@ -146,6 +149,7 @@ class Endpoint:
 
     def decode(self, datagram: bytes, now_ns: int) -> Message | None:
         """Decode a datagram of the peer; None if it was rejected (`statistics.rejected`) or is a duplicate."""
+        self._note_time(now_ns)
         try:
             return self._decode(datagram, now_ns)
         except ProtocolError as error:
@@ -200,6 +204,8 @@ class Endpoint:
             raise ProtocolError("value")
         if isinstance(message, TimeSyncRequest | TimeSyncReply):
             self.peer_layout = message.layout
+        elif self._is_of_before(sent_ns):
+            raise ProtocolError("before_start")
         elif isinstance(message, SampleBatch | FeatureChunk) and self.layout not in (NO_LAYOUT, self.peer_layout):
             raise ProtocolError("layout")
         if type(message) is TimeSyncReply and not self._clock.receive_reply(
@@ -214,6 +220,24 @@ class Endpoint:
             raise ProtocolError("value")
         if sent_ns > COUNTER_MAX:
             raise ProtocolError("value")
+
+    def _note_time(self, now_ns: int) -> None:
+        """Note when this side began; not known any more after its own clock went back."""
+        if self._latest_ns is None:
+            self._began_ns = now_ns
+        elif now_ns < self._latest_ns:
+            self._began_ns = None
+        self._latest_ns = now_ns
+
+    def _is_of_before(self, sent_ns: int) -> bool:
+        """Whether a datagram was sent before this side began: its sequence number may be new to us, but not to others.
+
+        Time sync messages are exempt: they prove by themselves that they are new, and show a clock that was set back.
+        """
+        offset_ns, round_trip_ns = self._clock.offset_ns, self._clock.round_trip_ns
+        if offset_ns is None or round_trip_ns is None or self._began_ns is None:
+            return False
+        return sent_ns - offset_ns + round_trip_ns // 2 < self._began_ns
 
     def _require_new(self, sequence: int) -> None:
         verdict = self._peer.window.verdict(sequence)

@@ -77,8 +77,13 @@ class SignatureCheck:
     """Verifies signatures. It stores nothing of a frame before its signature is verified."""
 
     def __init__(self, key: bytes, clock: SigningClock, tolerance_s: float | None) -> None:
-        """`tolerance_s`: allowed difference between a signature's time and ours; None: any."""
+        """`tolerance_s`: allowed difference between a signature's time and ours; None: any.
+
+        With a tolerance, what was signed before this side began is refused: a receiver that has just started knows no
+        stream, and would take a recording of its predecessor's for a new one.
+        """
         self._key = key
+        self._began: int | None = None
         self._clock = clock
         self._tolerance = _ALL_TICKS if tolerance_s is None else int(tolerance_s * 1e9) // _TICK_NS
         self._stream_times: dict[tuple[int, int, int], int] = {}
@@ -99,12 +104,13 @@ class SignatureCheck:
             return "signature"
         stamp = int.from_bytes(frame[-12:-6], "little")
         ours = self._clock.now(now_ns)
+        self._began = ours if self._began is None else self._began
         if stamp > ours + self._tolerance:
             return "signature_from_the_future"
         stream = (frame[-13], frame[5], frame[6])
         newest = self._stream_times.get(stream)
         if newest is None:
-            if stamp + self._tolerance < ours:
+            if stamp + self._tolerance < ours or (stamp < self._began and self._tolerance < _ALL_TICKS):
                 return "signature_too_old"
             if len(self._stream_times) >= STREAMS_MAX:
                 return "too_many_streams"
