@@ -74,7 +74,8 @@ class OffboardCore:
         self.endpoint: Final = Endpoint("offboard", session, key, config.vehicle_id, feature_digest(config.features))
         self.learner: Final = VehicleLearner(config)
         self._versions = VersionSender(config.transfer)
-        self._relay = PoseRelay(config.pose_relay, capture_key, SigningClock(session_start_ns(session)))
+        self._capture_clock = SigningClock(session_start_ns(session))
+        self._relay = PoseRelay(config.pose_relay, capture_key, self._capture_clock)
         self.screens: Final = self._relay.screen, self.endpoint.screen
         """Sort the datagrams of a flood without counting them: of the motion capture, and of onboard."""
         self._peer_session: int | None = None
@@ -190,6 +191,7 @@ class OffboardCore:
     def step(self, now_ns: int) -> OffboardOutput:
         """Run every block that is due; returns what to send, to train, to write and to log."""
         now_ns = self._clock.at(now_ns)
+        self._capture_clock.now(now_ns)  # it starts here: the first pose may come much later
         replies = [TimeSyncReply(origin_ns, receive_ns, now_ns) for origin_ns, receive_ns in self._requests]
         challenge = [request] if (request := self.endpoint.challenge(now_ns)) is not None else []
         self._resend_version(now_ns)
