@@ -28,6 +28,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "onboard": Subcommand("onboard.command", "the 200 Hz flight process alone"),
     "offboard": Subcommand("offboard.command", "the training process alone"),
     "sim": Subcommand("sim_vehicle.command", "the simulated vehicle and its radio alone"),
+    "mocap": Subcommand("async_dmrac.commands.mocap", "sign the poses of a motion capture and send them to offboard"),
     "replay": Subcommand(
         "async_dmrac.commands.replay", "re-fly a recorded flight with exactly the deliveries its link had"
     ),

@@ -4,7 +4,7 @@ import ipaddress
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple, Self
+from typing import Annotated, Any, Final, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -87,11 +87,42 @@ def is_loopback(address: str) -> bool:
         return False
 
 
+LinkName = Literal["offboard", "vehicle", "ground", "motion_capture"]
+
+
+class LinkKey(NamedTuple):
+    """What protects a link."""
+
+    setting: str
+    """Of `Addresses`: the file of its key."""
+    option: str
+    addresses: tuple[str, ...]
+    """Of `Addresses`: a link with one of them off this machine needs the key."""
+
+
+LINK_KEYS: Final[dict[LinkName, LinkKey]] = {
+    "offboard": LinkKey("key_file", "--key-file", ("radio_onboard", "onboard_link", "radio_offboard", "offboard_link")),
+    "vehicle": LinkKey("vehicle_key_file", "--vehicle-key-file", ("vehicle", "onboard_vehicle")),
+    "ground": LinkKey("ground_key_file", "--ground-key-file", ("ground",)),
+    "motion_capture": LinkKey("capture_key_file", "--capture-key-file", ("motion_capture",)),
+}
+
+
+def keyless_fault(link: LinkName, address: str) -> str:
+    """Why a link without a key is refused at an address that is not on this machine, and what to do."""
+    key = LINK_KEYS[link]
+    return (
+        f"{address} leaves this machine, and without {key.setting} only 127.0.0.0/8 is accepted; "
+        f"make a key with dmrac keygen and give it with {key.option}, "
+        f"or say --insecure {link} (network.insecure: [{link}])"
+    )
+
+
 class Addresses(ConfigRecord):
     """Who binds what. Each process binds its own addresses and sends from there to its peer's.
 
     By default all three processes are on this machine. For three machines give each address by the name or number of
-    the machine that binds it, and a key_file.
+    the machine that binds it, and the file of a key for each link between them.
     """
 
     vehicle: VehicleAddress = Field(
@@ -127,6 +158,12 @@ class Addresses(ConfigRecord):
     ground_key_file: str | None = Field(
         default=None, description="file with the key of the ground station's MAVLink: sign, take signed frames only"
     )
+    capture_key_file: str | None = Field(
+        default=None, description="file with the key of the motion capture's MAVLink: take signed frames only"
+    )
+    insecure: tuple[LinkName, ...] = Field(
+        default=(), description="links that may leave this machine without a key; anybody can then fly the vehicle"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -136,14 +173,27 @@ class Addresses(ConfigRecord):
             if address in taken and {taken[address], name} not in WITHOUT_RADIO:
                 raise ValueError(f"{taken[address]} and {name} are both {address}")
             taken[address] = name
-        link = (self.radio_onboard, self.onboard_link, self.radio_offboard, self.offboard_link)
-        for address in link:
-            if self.key_file is None and not is_loopback(address):
-                raise ValueError(
-                    f"{address} leaves this machine, and without key_file only 127.0.0.0/8 is accepted; "
-                    "make a key with dmrac keygen and give it with --key-file"
-                )
+        for link in self._open_links():
+            if link not in self.insecure:
+                raise ValueError(keyless_fault(link, self._leaving(link)[0]))
         return self
+
+    @property
+    def insecure_links(self) -> str:
+        """The links that leave this machine without a key, for the status lines; "" if there is none."""
+        return ", ".join(self._open_links())
+
+    def _open_links(self) -> list[LinkName]:
+        """Links that leave this machine without a key."""
+        keyless = [link for link, key in LINK_KEYS.items() if getattr(self, key.setting) is None]
+        return [link for link in keyless if self._leaving(link)]
+
+    def _leaving(self, link: LinkName) -> list[str]:
+        """The addresses of a link that are not on this machine. A serial line is a wire of this machine."""
+        addresses: list[str] = [getattr(self, name) for name in LINK_KEYS[link].addresses]
+        if serial_line(self.vehicle) is not None and link == "vehicle":
+            return []
+        return [address for address in addresses if not is_loopback(address)]
 
     def bound_by_sim(self) -> dict[str, str]:
         """Addresses that the simulation binds, by name; without the vehicle's if it is on a serial line."""
@@ -159,7 +209,13 @@ class Addresses(ConfigRecord):
         return {"offboard_link": self.offboard_link, "motion_capture": self.motion_capture}
 
 
-def load_network(path: Path, options: Mapping[str, str | None]) -> Addresses:
+ADDRESSES: Final = tuple(
+    sorted(name for name, field in Addresses.model_fields.items() if isinstance(field.default, str))
+)
+"""Names of the settings that are addresses."""
+
+
+def load_network(path: Path, options: Mapping[str, Any]) -> Addresses:
     """The addresses of a resolved configuration, overruled by those given as options.
 
     Raises
@@ -170,10 +226,10 @@ def load_network(path: Path, options: Mapping[str, str | None]) -> Addresses:
     return network_of(read_tree(path), str(path), options)
 
 
-def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, str | None]) -> Addresses:
+def network_of(tree: Mapping[str, Any], source: str, options: Mapping[str, Any]) -> Addresses:
     """The addresses of a flight's plain tree, overruled by those given as options. Raises ConfigError."""
     section = tree.get("network")
-    given = {name: address for name, address in options.items() if address is not None}
+    given = {name: value for name, value in options.items() if value not in (None, ())}
     source = f"{source} with {', '.join(given)} from options" if given else source
     return fill(Addresses, merge(section if isinstance(section, dict) else {}, given), source, at="network.")
 
@@ -193,7 +249,8 @@ def seen_from_offboard(options: Mapping[str, str | None]) -> dict[str, str | Non
     """All addresses without a radio, derived from onboard's where none is given."""
     onboard = options["radio_offboard"] or ""
     offboard_link = options.get("offboard_link") or own_address(onboard, OFFBOARD_LINK_PORT)
-    implied = {"offboard_link": offboard_link, "motion_capture": own_address(onboard, MOTION_CAPTURE_PORT)}
+    open_to = onboard if options.get("capture_key_file") else "localhost:0"  # without a key: from this machine only
+    implied = {"offboard_link": offboard_link, "motion_capture": own_address(open_to, MOTION_CAPTURE_PORT)}
     implied |= {"onboard_link": onboard, "radio_onboard": offboard_link}
     return {**implied, **{name: address for name, address in options.items() if address is not None}}
 

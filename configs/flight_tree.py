@@ -164,7 +164,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "offboard": merge({"seed": seed}, file.offboard),
         "vehicle": merge(merge(vehicle.simulated, {"disturbances": list(file.disturbances)}), file.vehicle_values),
         "radio": merge(read_part("radio", file.radio), file.radio_values),
-        "network": Addresses().model_dump(exclude_none=True),
+        "network": Addresses().model_dump(mode="json", exclude_none=True),
     }
 
 

@@ -41,6 +41,8 @@ from numpy.typing import NDArray
 from flight_log.schema import RecordType
 
 MAGIC: Final = b"\x89MCAP0\r\n"
+PRIVATE: Final = 0o600
+"""Only the owner reads a log: it has what was on the wires."""
 LIBRARY: Final = "async-dmrac flight record"
 FORMAT_VERSION: Final = 1
 METADATA_NAME: Final = "async_dmrac"
@@ -156,7 +158,7 @@ class McapFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), PRIVATE)
         self._position = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from configs.addresses import seen_from_offboard
+from configs.addresses import is_loopback, seen_from_offboard
 from configs.loader import ConfigError
 from flight_log.writer import FlightLogWriter
 from offboard.background import BackgroundThread
@@ -38,7 +38,7 @@ EXAMPLES: Final = """examples:
   dmrac offboard --config flight.yaml --out flight
   dmrac offboard --config flight.yaml --out flight --resume flight/checkpoint.npz
   dmrac offboard --config flight.yaml --onboard 10.0.0.2:14571 --bind-link 10.0.0.7:14573 \\
-      --bind-motion-capture 10.0.0.7:14574 --key-file flight.key
+      --bind-motion-capture 10.0.0.7:14574 --key-file flight.key --capture-key-file capture.key
   dmrac offboard --config first.yaml --also second.yaml --out flights      two vehicles, one trainer
   dmrac offboard --config flight.yaml --out flight --memory memory --remember
 """
@@ -47,6 +47,7 @@ OPTIONS: Final = {
     "offboard_link": "--bind-link",
     "motion_capture": "--bind-motion-capture",
     "key_file": "--key-file",
+    "capture_key_file": "--capture-key-file",
 }
 """The option that overrules each key of the configuration's `network`."""
 
@@ -79,6 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bind-motion-capture", metavar="HOST:PORT", help="own address for the motion capture")
     parser.add_argument("--key-file", metavar="FILE", help="key shared with onboard")
     parser.add_argument(
+        "--capture-key-file", metavar="FILE", help="key of the motion capture's MAVLink: take signed poses only"
+    )
+    parser.add_argument(
         "--resume",
         type=Path,
         metavar="FILE",
@@ -108,7 +112,9 @@ def run(arguments: argparse.Namespace) -> int:
         sys.setswitchinterval(THREAD_SWITCH_S)
         for vehicle in vehicles:
             network = vehicle.flight.network
-            vehicle.status.report(f"onboard {network.radio_offboard}, motion capture on {network.motion_capture}")
+            alone = ", from this machine only" if is_loopback(network.motion_capture) else ""
+            captured = f"motion capture on {network.motion_capture}{alone}"
+            vehicle.status.report(f"onboard {network.radio_offboard}, {captured}")
         for vehicle in vehicles:
             vehicle.status.report("ready")
         result = serve(services, stop)
@@ -147,7 +153,8 @@ def _open_services(vehicles: Sequence[Vehicle], logs: ExitStack, several: bool) 
         make_folder(vehicle.out)
     try:
         for vehicle in vehicles:
-            metadata, attachments = {"seed": str(vehicle.config.seed)}, {"config.yaml": vehicle.flight.text}
+            metadata = {"seed": str(vehicle.config.seed), "insecure": vehicle.flight.network.insecure_links}
+            attachments = {"config.yaml": vehicle.flight.text}
             file = vehicle.out / "offboard.mcap"
             log = logs.enter_context(FlightLogWriter(file, "offboard", metadata, attachments))
             core, network, out, status = vehicle.core, vehicle.flight.network, vehicle.out, vehicle.status
@@ -209,9 +216,11 @@ def _vehicle(arguments: argparse.Namespace, config_path: Path | None, fleet: Fle
     flight = flight_of(own, OPTIONS, {"--onboard": "HOST:PORT"}, seen_from_offboard)
     config = _with_memory(fill_process(OffboardConfig, flight.tree, flight.source, "offboard"), arguments)
     session = session_number(time.time_ns(), secrets.randbits(20))
-    core = OffboardCore(config, session, load_key(flight.network.key_file), fleet)
+    network = flight.network
+    core = OffboardCore(config, session, load_key(network.key_file), fleet, load_key(network.capture_key_file))
     out = arguments.out / f"vehicle_{config.vehicle_id}" if several else arguments.out
-    status = StatusLines(f"offboard {config.vehicle_id}" if several else "offboard", arguments.json)
+    name = f"offboard {config.vehicle_id}" if several else "offboard"
+    status = StatusLines(name, arguments.json, network.insecure_links)
     return Vehicle(flight, config, core, out, status)
 
 

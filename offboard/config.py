@@ -123,6 +123,9 @@ class PoseRelayConfig(ConfigRecord):
         default=0.010, ge=0.0, le=0.2, description="s, least time from capture to arrival here, as in the simulation"
     )
     position_limit_m: float = Field(default=50.0, gt=0.0, description="m, farther poses are refused")
+    signing_tolerance_s: float = Field(
+        default=60.0, gt=0.0, description="s; signing clock of the motion capture against this machine's"
+    )
 
 
 class OffboardConfig(ConfigRecord):

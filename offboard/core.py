@@ -23,7 +23,9 @@ from protocol.clock import ForwardClock
 from protocol.endpoint import Endpoint
 from protocol.feature_config import feature_digest
 from protocol.feature_set import FeatureSet
+from protocol.mavlink.signing import SigningClock
 from protocol.messages import Message, Pose, SampleBatch, Status, TimeSyncReply, TimeSyncRequest
+from protocol.session import session_start_ns
 
 LINK_RECORD_PERIOD_NS: Final = 1_000_000_000
 GATHER_NS: Final = 20_000_000
@@ -53,10 +55,18 @@ class OffboardCore:
     ----------
     session: this process's session number.
     key: pre-shared key of the link to onboard; None only between loopback addresses.
+    capture_key: of the motion capture's MAVLink; None: unsigned.
     fleet: the vehicles to share the networks with, if the configuration says so (`trainer.shared`).
     """
 
-    def __init__(self, config: OffboardConfig, session: int, key: bytes | None, fleet: Fleet | None = None) -> None:
+    def __init__(
+        self,
+        config: OffboardConfig,
+        session: int,
+        key: bytes | None,
+        fleet: Fleet | None = None,
+        capture_key: bytes | None = None,
+    ) -> None:
         self._learning = config.experience.mode == "learn"
         self._round_period_ns = round(config.trainer.period_s * 1e9)
         self._checkpoint_period_ns = round(config.experience.checkpoint_period_s * 1e9)
@@ -64,8 +74,13 @@ class OffboardCore:
         self.endpoint: Final = Endpoint("offboard", session, key, config.vehicle_id, feature_digest(config.features))
         self.learner: Final = VehicleLearner(config)
         self._versions = VersionSender(config.transfer)
-        self._relay = PoseRelay(config.pose_relay)
+        self._capture_clock = SigningClock(session_start_ns(session))
+        self._relay = PoseRelay(config.pose_relay, capture_key, self._capture_clock)
+        self.screens: Final = self._relay.screen, self.endpoint.screen
+        """Sort the datagrams of a flood without counting them: of the motion capture, and of onboard."""
         self._peer_session: int | None = None
+        self._known_session: int | None = None
+        self._reported_version = 0
         self._reported_session: int | None = None
         self._poses: list[Pose] = []
         self._requests: list[tuple[int, int]] = []
@@ -102,7 +117,7 @@ class OffboardCore:
         if isinstance(message, SampleBatch) and self._learning:
             self._start_with_fleet()
             self.learner.receive(message)
-        elif isinstance(message, Status):
+        elif isinstance(message, Status) and self._knows_versions(message, now_ns):
             event = self._versions.receive(message, now_ns)
             self.learner.note_versions(message.feature_version, message.transfer_version, message.refused_version)
             if event:
@@ -111,6 +126,21 @@ class OffboardCore:
         elif isinstance(message, TimeSyncRequest):
             self._requests.append((message.origin_ns, now_ns))
             self._report_layout(now_ns)
+
+    def _knows_versions(self, status: Status, now_ns: int) -> bool:
+        """Whether a status names only versions that can be; others must not be learnt, because numbers go on from them.
+
+        The first status of a session may name any, of a trainer that has ended; a later one only those that were sent.
+        """
+        named = max(status.feature_version, status.transfer_version, status.refused_version)
+        if self._known_session == self._peer_session and named > self.learner.version:
+            self.endpoint.statistics.rejected["version_not_sent"] += 1
+            if self._reported_version != named:
+                self._reported_version = named
+                self._event(now_ns, f"onboard names version {named}, which was never sent: status refused")
+            return False
+        self._known_session = self._peer_session
+        return True
 
     def _start_with_fleet(self) -> None:
         """Start a vehicle that has learnt nothing yet with the inner layers of the fleet, once there are any."""
@@ -161,6 +191,7 @@ class OffboardCore:
     def step(self, now_ns: int) -> OffboardOutput:
         """Run every block that is due; returns what to send, to train, to write and to log."""
         now_ns = self._clock.at(now_ns)
+        self._capture_clock.now(now_ns)  # it starts here: the first pose may come much later
         replies = [TimeSyncReply(origin_ns, receive_ns, now_ns) for origin_ns, receive_ns in self._requests]
         challenge = [request] if (request := self.endpoint.challenge(now_ns)) is not None else []
         self._resend_version(now_ns)

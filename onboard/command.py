@@ -25,12 +25,13 @@ from runtime.signals import StopRequest
 from runtime.status import StatusLines
 
 EXAMPLES: Final = """examples:
-  dmrac onboard --vehicle udp://192.168.3.1:14560 --offboard 10.0.0.7:14573 --key-file flight.key --out flight
+  dmrac onboard --vehicle udp://192.168.3.1:14560 --vehicle-key-file vehicle.key \\
+      --offboard 10.0.0.7:14573 --key-file flight.key --out flight
   dmrac onboard --vehicle "serial:///dev/ttyUSB0?baud=921600" --offboard 127.0.0.1:14573 --controller pid
   dmrac config figure8_wind > flight.yaml
   dmrac onboard --config flight.yaml --out flight
   dmrac onboard --config flight.yaml --vehicle udp://192.168.3.1:14560 --bind-vehicle 192.168.3.2:14561 \\
-      --offboard 10.0.0.7:14573 --bind-link 10.0.0.2:14571 --key-file flight.key
+      --vehicle-key-file vehicle.key --offboard 10.0.0.7:14573 --bind-link 10.0.0.2:14571 --key-file flight.key
 """
 OPTIONS: Final = {
     "vehicle": "--vehicle",
@@ -74,11 +75,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the process; returns the exit status (0 flown, 1 ended by failures, 2 bad configuration or address)."""
     stop = StopRequest()
-    status = StatusLines("onboard", arguments.json)
     try:
         needed = {"--vehicle": "URL", "--offboard": "HOST:PORT"}
         flight = flight_of(arguments, OPTIONS, needed, seen_from_onboard)
         network = flight.network
+        status = StatusLines("onboard", arguments.json, network.insecure_links)
         config = fill_process(OnboardConfig, flight.tree, flight.source, "onboard")
         keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
         session = session_number(time.time_ns(), secrets.randbits(20))
@@ -90,7 +91,12 @@ def run(arguments: argparse.Namespace) -> int:
         print(error, file=sys.stderr)
         return 2
     attachments = {"config.yaml": flight.text}
-    about = {"seed": str(config.seed), "session": str(session), "keyed": str(keys.any)}
+    about = {
+        "seed": str(config.seed),
+        "session": str(session),
+        "keyed": str(keys.any),
+        "insecure": network.insecure_links,
+    }
     about |= {"arming_bar": clearance.refusal, "notice": clearance.notice}
     log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
     try:

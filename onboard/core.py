@@ -101,6 +101,7 @@ class OnboardCore:
         self._vehicle_link = VehicleLink(config.vehicle_link, vehicle_key, SigningClock(utc_at_first_use_ns=utc_ns))
         self._offboard_link = OffboardLink(config, session, key)
         self._ground_link = GroundLink(config.ground_link, ground_key, SigningClock(utc_at_first_use_ns=utc_ns))
+        self.screens: Final = self._vehicle_link.screen, self._offboard_link.endpoint.screen, self._ground_link.screen
         self._estimator = Estimator(config.estimator)
         self._supervisor = Supervisor(config.supervisor)
         self._arming = ArmingChecks(config, clearance)

@@ -27,6 +27,8 @@ from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from protocol.arrival import Arrival
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
+from protocol.mavlink.signing import holds_key
+from runtime.intake import Intake
 from runtime.kernel import resident_mb
 from runtime.pace import DurationStatistics, PaceKeeper
 from runtime.serial_port import SerialPort
@@ -34,8 +36,13 @@ from runtime.signals import StopRequest
 from runtime.sockets import AddressInUseError, DatagramSocket, Stamped
 from runtime.status import StatusLines
 
-VEHICLE_DATAGRAMS_PER_TICK: Final = 16
-GROUND_DATAGRAMS_PER_TICK: Final = 4
+VEHICLE_FEW: Final = 16
+GROUND_FEW: Final = 4
+"""Datagrams of a tick that are not screened (runtime/intake.py); of offboard DATAGRAMS_PER_STEP_MAX."""
+VEHICLE_KIND_MAX: Final = 4
+OFFBOARD_KIND_MAX: Final = 16
+GROUND_KIND_MAX: Final = 2
+"""Messages of one kind that a flooded tick uses."""
 VEHICLE_SILENT_NS: Final = 500_000_000
 """A vehicle that has said nothing for so long is not waited for when the process is asked to end."""
 FINAL_SAFE_COMMANDS: Final = 3
@@ -102,6 +109,12 @@ class OnboardProcess:
         self._lateness = DurationStatistics()
         self._loop_record = np.zeros(len(LOOP.fields))
         self._datagrams = DatagramLogWriter()
+        vehicle, offboard, ground = core.screens
+        self._intakes = (
+            Intake("vehicle", sockets.vehicle, VEHICLE_FEW, VEHICLE_KIND_MAX, vehicle, holds_key),
+            Intake("offboard", sockets.offboard, DATAGRAMS_PER_STEP_MAX, OFFBOARD_KIND_MAX, offboard),
+            Intake("ground", sockets.ground, GROUND_FEW, GROUND_KIND_MAX, ground, holds_key),
+        )
         self._last_vehicle_ns = 0
         self._stopping = False
         self._land_pending = False
@@ -134,12 +147,8 @@ class OnboardProcess:
 
         After missed ticks more have come from the vehicle: the newest must be among them, or its IMU seems silent.
         """
-        sockets, periods = self._sockets, min(1 + self._pace.skipped, CATCH_UP_MAX)
-        return (
-            sockets.vehicle.receive_stamped(VEHICLE_DATAGRAMS_PER_TICK * periods),
-            sockets.offboard.receive_stamped(DATAGRAMS_PER_STEP_MAX),
-            sockets.ground.receive_stamped(GROUND_DATAGRAMS_PER_TICK),
-        )
+        vehicle, offboard, ground = self._intakes
+        return vehicle.receive(min(1 + self._pace.skipped, CATCH_UP_MAX)), offboard.receive(), ground.receive()
 
     def _logged(
         self, received: tuple[list[Stamped], list[Stamped], list[Stamped]], now: int
@@ -175,6 +184,9 @@ class OnboardProcess:
             self._status.report(text)
         if self._status.due(now):
             self._status.write({**self._core.status(now), "missed_ticks": self._pace.missed, "escapes": self.escapes})
+            for text in filter(None, (intake.report(now) for intake in self._intakes)):
+                self._log.event(now, text)
+                self._status.report(text)
 
     def _note_loop(self, now: int, woke_ns: int) -> None:
         duration_ns = time.monotonic_ns() - woke_ns
@@ -225,6 +237,7 @@ class OnboardProcess:
             "tick_us": self._ticks.summary(),
             "lateness_us": self._lateness.summary(),
             "escapes": self.escapes,
+            "dropped": {intake.name: intake.summary() for intake in self._intakes},
             "rss_mb": round(resident_mb(), 1),
         }
 

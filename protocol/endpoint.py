@@ -2,8 +2,8 @@
 
 `decode` makes the cheap and safe checks first: length, version, type and vehicle id, then the MAC, then session and
 sequence. Only then does msgpack parse the body. An invalid datagram is counted by reason and dropped; none raises. The
-time that a datagram can cost is bounded (about 3 us for a forged one). The process limits the number of datagrams per
-step to `DATAGRAMS_PER_STEP_MAX`.
+time that a datagram can cost is bounded (about 3 us for a forged one). Of more than
+`DATAGRAMS_PER_STEP_MAX` in a step the process passes on only what `screen` finds good.
 """
 
 from dataclasses import replace
@@ -14,10 +14,13 @@ from protocol.clock import ClockEstimate
 from protocol.codec import DOWN_TYPES, HEADER, PROTOCOL_VERSION, TYPE_NUMBERS, UP_TYPES, decode_body, encode_body
 from protocol.errors import ProtocolError
 from protocol.messages import (
+    APART_MAX_NS,
+    COUNTER_MAX,
     DATAGRAM_MAX_BYTES,
     NO_LAYOUT,
     FeatureChunk,
     Message,
+    Pose,
     SampleBatch,
     TimeSyncReply,
     TimeSyncRequest,
@@ -28,9 +31,13 @@ from protocol.statistics import LinkStatistics
 DATAGRAM_MIN_BYTES: Final = HEADER.size + 2 + MAC_BYTES
 BODY_MAX_BYTES: Final = DATAGRAM_MAX_BYTES - HEADER.size - MAC_BYTES
 DATAGRAMS_PER_STEP_MAX: Final = 64
-"""Most datagrams that a process receives in a 5 ms step; others wait in the socket's buffer, or are dropped there."""
+"""Most datagrams that a step receives unscreened; of more, the process screens them first."""
 CHALLENGE_PERIOD_NS: Final = 500_000_000
 """Least time between two challenges, so that a replayed recording cannot cause many of them."""
+OTHER_SESSION: Final = 256
+"""Kind of a genuine datagram of an older session."""
+AHEAD_MAX_NS: Final = 86_400 * 10**9
+"""A clock of the peer that steps ahead by more is not followed."""
 RATE_MAX_HZ: Final = 2000
 RATE_BURST: Final = 256
 
@@ -77,6 +84,8 @@ class Endpoint:
         self._sequence = 0
         self._peer = PeerSessions()
         self._clock = ClockEstimate()
+        self._began_ns: int | None = None
+        self._latest_ns: int | None = None
         self._fastest_ns: int | None = None
         self._allowance_ns = RATE_BURST * 10**9 // RATE_MAX_HZ
         self._allowance_at_ns: int | None = None
@@ -125,6 +134,7 @@ class Endpoint:
         ValueError
             If this role does not send such messages, or the message does not fit into a datagram.
         """
+        self._note_time(now_ns)
         number = TYPE_NUMBERS[type(message)]
         if number not in self._send_types:
             raise ValueError(f"{type(message).__name__} is not sent in this direction")
@@ -144,6 +154,7 @@ class Endpoint:
 
     def decode(self, datagram: bytes, now_ns: int) -> Message | None:
         """Decode a datagram of the peer; None if it was rejected (`statistics.rejected`) or is a duplicate."""
+        self._note_time(now_ns)
         try:
             return self._decode(datagram, now_ns)
         except ProtocolError as error:
@@ -152,6 +163,23 @@ class Endpoint:
             else:
                 self.statistics.rejected[error.reason] += 1
             return None
+
+    def screen(self, datagram: bytes) -> int:
+        """The kind of a datagram: its type, or OTHER_SESSION; -1 if `decode` would refuse it. Nothing changes.
+
+        The body is not read, and the rate is not limited.
+        """
+        if not DATAGRAM_MIN_BYTES <= len(datagram) <= DATAGRAM_MAX_BYTES:
+            return -1
+        version, number, vehicle_id, session, sequence, _ = HEADER.unpack_from(datagram)
+        if version != PROTOCOL_VERSION or number not in self._receive_types or vehicle_id != self._vehicle_id:
+            return -1
+        if session == self._peer.current:
+            if self._peer.window.verdict(sequence):
+                return -1
+        elif not self._peer.is_newer(session):
+            number = OTHER_SESSION
+        return number if self._receive.is_genuine(datagram) else -1
 
     def _decode(self, datagram: bytes, now_ns: int) -> Message:
         if not DATAGRAM_MIN_BYTES <= len(datagram) <= DATAGRAM_MAX_BYTES:
@@ -173,11 +201,16 @@ class Endpoint:
         else:
             self._challenge_wanted = self._peer.may_return(session) and self._is_silent(now_ns)
             raise ProtocolError("session")
+        self._require_time(sent_ns, now_ns)
         self._count(sequence, sent_ns, len(datagram), now_ns)
         self._spend_allowance(now_ns)
         message = decode_body(number, body)
+        if isinstance(message, SampleBatch | Pose) and abs(sent_ns - message.time_ns) > APART_MAX_NS:
+            raise ProtocolError("value")
         if isinstance(message, TimeSyncRequest | TimeSyncReply):
             self.peer_layout = message.layout
+        elif self._is_of_before(sent_ns):
+            raise ProtocolError("before_start")
         elif isinstance(message, SampleBatch | FeatureChunk) and self.layout not in (NO_LAYOUT, self.peer_layout):
             raise ProtocolError("layout")
         if type(message) is TimeSyncReply and not self._clock.receive_reply(
@@ -185,6 +218,31 @@ class Endpoint:
         ):
             raise ProtocolError("time_sync")
         return message
+
+    def _require_time(self, sent_ns: int, now_ns: int) -> None:
+        """Refuse a sender's time that does not fit 63 bits, or is a day or more ahead of the session's clock."""
+        if self._fastest_ns is not None and sent_ns - now_ns > AHEAD_MAX_NS - self._fastest_ns:
+            raise ProtocolError("value")
+        if sent_ns > COUNTER_MAX:
+            raise ProtocolError("value")
+
+    def _note_time(self, now_ns: int) -> None:
+        """Note when this side began; not known any more after its own clock went back."""
+        if self._latest_ns is None:
+            self._began_ns = now_ns
+        elif now_ns < self._latest_ns:
+            self._began_ns = None
+        self._latest_ns = now_ns
+
+    def _is_of_before(self, sent_ns: int) -> bool:
+        """Whether a datagram was sent before this side began: its sequence number may be new to us, but not to others.
+
+        Time sync messages are exempt: they prove by themselves that they are new, and show a clock that was set back.
+        """
+        offset_ns, round_trip_ns = self._clock.offset_ns, self._clock.round_trip_ns
+        if offset_ns is None or round_trip_ns is None or self._began_ns is None:
+            return False
+        return sent_ns - offset_ns + round_trip_ns // 2 < self._began_ns
 
     def _require_new(self, sequence: int) -> None:
         verdict = self._peer.window.verdict(sequence)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from protocol.conventions import Array
+from protocol.messages import VERSION_MAX
 from protocol.signals import input_indices
 
 LAYERS_MAX: Final = 4
@@ -92,7 +93,7 @@ class FeatureSet:
     attitude: ChannelFeatures | None
 
     def __post_init__(self) -> None:
-        if not (0 <= self.version < 2**32 and 0 <= self.parent < 2**32 and self.samples >= 0):
+        if not (0 <= self.version <= VERSION_MAX and 0 <= self.parent <= VERSION_MAX and self.samples >= 0):
             raise ValueError("version, parent or samples out of range")
         if self.position is None and self.attitude is None:
             raise ValueError("a feature set without any channel")

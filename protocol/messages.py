@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from protocol.signals import CHANNELS, SIGNAL_COUNT
 
+MODES: Final = 11
+"""Number of flight modes (onboard.flight.modes.FlightMode)."""
 DATAGRAM_MAX_BYTES: Final = 1200
 SAMPLES_PER_BATCH_MAX: Final = 8
 CHUNK_DATA_MAX_BYTES: Final = 1100
@@ -22,6 +24,10 @@ LAYOUT_BYTES: Final = 8
 NO_LAYOUT: Final = bytes(LAYOUT_BYTES)
 ABSOLUTE_VALUE_MAX: Final = 1e6
 """Largest magnitude of a number in an array; a larger one is an error of the sender."""
+VERSION_MAX: Final = 1_000_000
+"""Of feature versions; one a second is reached after 11 days."""
+APART_MAX_NS: Final = 600 * 10**9
+"""The time of a batch or a pose is no further from the time at which it was sent."""
 COUNTER_MAX: Final = 2**63 - 1
 """Times, indices and counters are non-negative and fit 63 bits."""
 
@@ -70,7 +76,7 @@ class SampleBatch:
         n = self.signals.shape[0]
         _require(1 <= n <= SAMPLES_PER_BATCH_MAX, f"{n} samples, allowed 1 to {SAMPLES_PER_BATCH_MAX}")
         _require_counters("first_index, time_ns", self.first_index, self.time_ns)
-        _require(0 <= self.feature_version < 2**32, "feature_version out of range")
+        _require(0 <= self.feature_version <= VERSION_MAX, "feature_version out of range")
         _require(0 < self.period_ns <= 10**9, f"period of {self.period_ns} ns, allowed 1 to 10^9")
         _require_array("signals", self.signals, (n, SIGNAL_COUNT))
         _require_array("delivered", self.delivered, (n, len(CHANNELS), 3))
@@ -105,8 +111,9 @@ class Status:
 
     def __post_init__(self) -> None:
         _require(len(self.received_chunks) <= CHUNK_COUNT_MAX // 8, "bitmap too long")
-        numbers = (self.mode, self.feature_version, self.transfer_version, self.refused_version, self.refusal)
-        _require(all(0 <= number < 2**32 for number in numbers), "a number is out of range")
+        versions = (self.feature_version, self.transfer_version, self.refused_version)
+        _require(all(0 <= version <= VERSION_MAX for version in versions), "a version is out of range")
+        _require(0 <= self.mode < MODES and self.refusal >= 0, "a number is out of range")
         _require(self.refusal < len(REFUSALS), f"refusal {self.refusal} unknown")
         _require_counters("counters", self.ticks, self.missed_ticks, self.received, self.lost, self.rejected)
         _require(-1 <= self.pose_age_ms < 2**32, "pose_age_ms out of range")
@@ -146,7 +153,7 @@ class FeatureChunk:
     data: bytes
 
     def __post_init__(self) -> None:
-        _require(1 <= self.version < 2**32, f"version {self.version} out of range")
+        _require(1 <= self.version <= VERSION_MAX, f"version {self.version} out of range")
         _require(1 <= self.count <= CHUNK_COUNT_MAX, f"count {self.count}, allowed 1 to {CHUNK_COUNT_MAX}")
         _require(0 <= self.index < self.count, f"index {self.index} not below count {self.count}")
         _require(len(self.digest) == DIGEST_BYTES, f"digest of {len(self.digest)} bytes")

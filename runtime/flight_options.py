@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import yaml
 
-from configs.addresses import Addresses, check_address, check_vehicle_address, network_of
+from configs.addresses import LINK_KEYS, Addresses, check_address, check_vehicle_address, network_of
 from configs.flight_tree import Choices, flight_tree
 from configs.loader import ConfigError, fill, merge, read_tree
 
@@ -42,6 +42,20 @@ def add_flight_options(parser: argparse.ArgumentParser) -> None:
     alone.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="overrule a value by path"
     )
+    add_insecure_option(parser)
+
+
+def add_insecure_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that lets a link leave this machine without a key."""
+    parser.add_argument(
+        "--insecure",
+        action="append",
+        default=[],
+        choices=tuple(LINK_KEYS),
+        metavar="LINK",
+        help=f"let this link leave this machine without a key ({', '.join(LINK_KEYS)}); may be repeated. Anybody in "
+        "the network can then fly the vehicle; every status line says so",
+    )
 
 
 def flight_of(
@@ -64,10 +78,11 @@ def flight_of(
         Naming file or option, value and what is allowed.
     """
     given = {name: _address(option, _value(arguments, option), name) for name, option in options.items()}
+    insecure = {"insecure": tuple(arguments.insecure)}
     if arguments.config is not None:
         _refuse_beside_config(arguments)
         tree, source = read_tree(arguments.config), str(arguments.config)
-        return FlightOptions(tree, source, arguments.config.read_bytes(), network_of(tree, source, given))
+        return FlightOptions(tree, source, arguments.config.read_bytes(), network_of(tree, source, given | insecure))
     missing = [f"{option} {what}" for option, what in needed.items() if _value(arguments, option) is None]
     if missing:
         raise ConfigError(f"{' and '.join(missing)} missing; give them, or --config FILE made by dmrac config")
@@ -75,7 +90,8 @@ def flight_of(
     choices = Choices(controller, None, arguments.duration, arguments.assignments, real=True)
     tree, source = flight_tree(arguments.scenario or REAL_SCENARIO, choices)
     words = [f"{option} {value}" for option in options.values() if (value := _value(arguments, option)) is not None]
-    addresses = {name: address for name, address in implied(given).items() if address is not None}
+    addresses: dict[str, Any] = {name: address for name, address in implied(given).items() if address is not None}
+    addresses |= insecure
     network = fill(Addresses, merge(tree["network"], addresses), " ".join(words), at="network.")
     tree["network"] = network.model_dump(mode="json")
     return FlightOptions(tree, source, yaml.safe_dump(tree, sort_keys=False, allow_unicode=True).encode(), network)

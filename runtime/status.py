@@ -20,10 +20,12 @@ class StatusLines:
     ----------
     process: "onboard", "offboard" or "sim".
     as_json: one JSON object per line; non-blocking if standard output is a pipe.
+    insecure: the links without a key that leave this machine, which every status then names.
     """
 
-    def __init__(self, process: str, as_json: bool) -> None:
+    def __init__(self, process: str, as_json: bool, insecure: str = "") -> None:
         self._process = process
+        self._standing = {"INSECURE": insecure} if insecure else {}
         self._json = as_json
         self._descriptor = sys.stdout.fileno()
         self._next_ns = 0
@@ -42,6 +44,7 @@ class StatusLines:
     def write(self, values: dict[str, Any]) -> None:
         """Write the current values."""
         self._count += 1
+        values = {**self._standing, **values}
         if self._json:
             self._put({"process": self._process, "kind": "status", **values})
         elif self._count % PLAIN_EVERY == 1:

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Final, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from flight_log.writer import FlightLogWriter
 from protocol.keys import load_key
 from runtime.errors import StartError
 from runtime.files import make_folder, write_json
+from runtime.flight_options import add_insecure_option
 from runtime.kernel import prepare_interpreter, request_realtime
 from runtime.signals import StopRequest
 from runtime.sockets import AddressInUseError
@@ -29,7 +30,8 @@ PRIORITY: Final = 10
 EXAMPLES: Final = """examples:
   dmrac sim --config flight.yaml --out flight
   dmrac sim --config flight.yaml --physics mujoco
-  dmrac sim --config flight.yaml --bind-vehicle 192.168.3.1:14560 --onboard 192.168.3.2:14561
+  dmrac sim --config flight.yaml --bind-vehicle 192.168.3.1:14560 --onboard 192.168.3.2:14561 \\
+      --vehicle-key-file vehicle.key
 """
 
 
@@ -50,13 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bind-radio-onboard", metavar="HOST:PORT", help="own radio address towards onboard")
     parser.add_argument("--bind-radio-offboard", metavar="HOST:PORT", help="own radio address towards offboard")
     parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the MAVLink to onboard: sign it")
+    parser.add_argument("--capture-key-file", metavar="FILE", help="key of the motion capture's MAVLink: sign it")
+    add_insecure_option(parser)
     parser.add_argument("--json", action="store_true", help="status as JSON lines, for a supervising program")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the process. Returns the exit status: 0 flown, 1 no command from onboard, 2 bad configuration or address."""
     stop = StopRequest()
-    status = StatusLines("sim", arguments.json)
     try:
         seed, duration_s = _seed_and_duration(arguments.config)
         config = load_section(SimVehicleConfig, arguments.config, "vehicle")
@@ -64,10 +67,11 @@ def run(arguments: argparse.Namespace) -> int:
             config = config.model_copy(update={"physics": arguments.physics})
         radio_config = load_section(RadioConfig, arguments.config, "radio")
         network = load_network(arguments.config, _addresses(arguments))
+        status = StatusLines("sim", arguments.json, network.insecure_links)
         key = load_key(network.vehicle_key_file)
         if serial_line(network.vehicle) is not None:
             raise StartError(f"network.vehicle: {network.vehicle}: the simulated vehicle supports UDP only")
-        vehicle = _warm_vehicle(config, seed, key)
+        vehicle = _warm_vehicle(config, seed, key, load_key(network.capture_key_file))
         make_folder(arguments.out)
     except (ConfigError, StartError) as error:
         print(error, file=sys.stderr)
@@ -92,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     return result
 
 
-def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
+def _addresses(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "onboard_vehicle": arguments.onboard,
         "onboard_link": arguments.onboard_link,
@@ -102,10 +106,12 @@ def _addresses(arguments: argparse.Namespace) -> dict[str, str | None]:
         "radio_onboard": arguments.bind_radio_onboard,
         "radio_offboard": arguments.bind_radio_offboard,
         "vehicle_key_file": arguments.vehicle_key_file,
+        "capture_key_file": arguments.capture_key_file,
+        "insecure": tuple(arguments.insecure),
     }
 
 
-def _warm_vehicle(config: SimVehicleConfig, seed: int, key: bytes | None) -> SimVehicle:
+def _warm_vehicle(config: SimVehicleConfig, seed: int, key: bytes | None, capture_key: bytes | None) -> SimVehicle:
     """The vehicle. Another one is stepped first, so that no step of the flight waits for the compiler.
 
     Raises ConfigError as SimVehicle does.
@@ -113,7 +119,7 @@ def _warm_vehicle(config: SimVehicleConfig, seed: int, key: bytes | None) -> Sim
     vehicle = SimVehicle(config, seed)
     for step in range(WARM_UP_STEPS):
         vehicle.step(step * PERIOD_NS)
-    return SimVehicle(config, seed, key)
+    return SimVehicle(config, seed, key, capture_key)
 
 
 def _seed_and_duration(path: Path) -> tuple[int, float]:

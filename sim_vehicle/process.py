@@ -123,6 +123,7 @@ class SimProcess:
             first = self._motors.receive(MOTOR_DATAGRAMS_PER_WAKE)
             if first:
                 self._start_ns = time.monotonic_ns() + START_PHASE_NS
+                self._vehicle.start_capture(time.time_ns())
                 self._vehicle.receive(first[-1], 0)
                 return True
         if self._stop.count == 0:

@@ -37,9 +37,16 @@ SampleT = TypeVar("SampleT")
 
 
 class SimVehicle:
-    """One Mambo in its world. key: of its MAVLink; None: unsigned. Raises ConfigError if its physics cannot be used."""
+    """One Mambo in its world, and the motion capture that sees it.
 
-    def __init__(self, config: SimVehicleConfig, seed: int, key: bytes | None = None) -> None:
+    key, capture_key: of the MAVLink of vehicle and motion capture; None: unsigned.
+
+    Raises ConfigError if its physics cannot be used.
+    """
+
+    def __init__(
+        self, config: SimVehicleConfig, seed: int, key: bytes | None = None, capture_key: bytes | None = None
+    ) -> None:
         self._config = config
         self._world = World(config, seed)
         self._advance = physics_of(config)
@@ -55,7 +62,8 @@ class SimVehicle:
         self._flow = Flow(sensors.flow, seed, FLOW_STREAM)
         self._capture = MotionCapture(sensors.motion_capture, seed, CAPTURE_STREAM)
         self._battery = Battery(sensors.battery_noise_v, config.battery.capacity_mah, seed, BATTERY_STREAM)
-        self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key)
+        self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key, capture_key)
+        self.start_capture: Final = self._codec.start_capture
         self._last_samples: dict[str, Any] = {}
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
         self._command_delay_ns = round(config.motors.command_delay_s * 1e9)

@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from async_dmrac.command_line import build_parser, main
-from configs.addresses import Addresses
+from configs.addresses import ADDRESSES as NETWORK
 from configs.loader import CONFIG_DIRECTORY
 from experiments.campaigns import campaign as campaign_module
 from experiments.results import campaign_data
@@ -28,7 +28,6 @@ from tests.dask_cluster import running_cluster
 from tests.docs_commands import BLOCKS, INLINE, NO_ARGUMENTS, PAGES, ROOT, block_commands, words_of
 from tests.experiments.processes import Processes
 
-NETWORK = sorted(name for name in Addresses.model_fields if not name.endswith("key_file"))
 ADDRESSES = {name: f"127.0.0.1:{16660 + index}" for index, name in enumerate(NETWORK)}
 """Other addresses than those of a user's flights."""
 SHORT_FLIGHT = ["--duration", "6", *(f"--set=network.{name}={address}" for name, address in ADDRESSES.items())]
@@ -130,8 +129,9 @@ def test_a_cheap_command_runs(command: str, tmp_path: Path, monkeypatch: pytest.
 
 
 def make_key(command: str) -> None:
-    if "key_file=" in command and not Path("flight.key").exists():
-        assert main(["keygen", "flight.key"]) == 0
+    for name in re.findall(r"key[_-]file[= ](\S+\.key)", command):
+        if not Path(name).exists():
+            assert main(["keygen", name]) == 0
 
 
 @pytest.fixture(scope="module")
@@ -212,6 +212,7 @@ def run_view(words: list[str]) -> None:
 
 def run_preflight(words: list[str], place: Path) -> None:
     """Checks the simulated vehicle; on a busy machine its jitter may fail the check."""
+    make_key(" ".join(words))
     assert main(short_form("dmrac config hover --out vehicle.yaml")) == 0
     with Processes(place) as processes:
         processes.start("sim", place / "vehicle.yaml")
@@ -223,8 +224,8 @@ def run_preflight(words: list[str], place: Path) -> None:
 def test_the_processes_of_a_page_run_together(page: Path, place: Path) -> None:
     commands = dict.fromkeys(block_commands(page))
     for command in commands:
+        make_key(command)
         if words_of(command)[:1] == ["config"] and "--help" not in command:
-            make_key(command)
             assert main(short_form(command)) == 0
     words = [short_form(command) for command in commands if way_of(command) == "together"]
     with Processes(place) as processes:

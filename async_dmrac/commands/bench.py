@@ -1,6 +1,7 @@
 """`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
 
-`dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead.
+`dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
+flies while ports are flooded.
 """
 
 import argparse
@@ -13,9 +14,11 @@ from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
 SENSORS: Final = "sensors"
+FLOOD: Final = "flood"
 EXAMPLES: Final = """examples:
   dmrac bench
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
+  dmrac bench flood --controller mrac --seconds 12
   dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
 """
 
@@ -26,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "scenario",
         nargs="?",
         default=DEFAULT_SCENARIO,
-        help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs",
+        help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
+        "flood: fly with flooded ports (needs root)",
     )
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
@@ -38,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0. Raises ConfigError for bad options."""
     if not 2.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
-    report = _sensors(arguments) if arguments.scenario == SENSORS else _times(arguments)
+    report: Any = {SENSORS: _sensors, FLOOD: _flood}.get(arguments.scenario, _times)(arguments)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return 0
@@ -49,6 +53,16 @@ def _times(arguments: argparse.Namespace) -> dict[str, Any]:
 
     choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
     return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console().print)
+
+
+def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    from experiments.link.flood import PORTS, RATES_HZ, as_json, measure, table
+
+    choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
+    console = plain_console()
+    flights = measure(resolve(DEFAULT_SCENARIO, choices), tuple(PORTS), RATES_HZ, console.print)
+    console.print(table(flights))
+    return as_json(flights)
 
 
 def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:

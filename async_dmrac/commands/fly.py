@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from configs.addresses import LINK_KEYS
 from configs.loader import ConfigError
 from experiments.flights.flight_folder import clear_folder, make_folder
 from experiments.flights.flight_summary import print_summary
@@ -18,7 +19,7 @@ from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig
 from experiments.memory.learning import remember
 from offboard.memory.folder import memory_file
 from onboard.cores import CORES
-from protocol.keys import load_keys
+from protocol.keys import load_key
 
 EXAMPLES = """examples:
   dmrac fly                                   the default scenario, figure8_wind, in real time
@@ -71,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     network = config.network
     if not arguments.lockstep:
         require_free_ports(network)
-    load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)  # reports bad ones before the start
+    for key in LINK_KEYS.values():  # reports bad ones before the start
+        load_key(getattr(network, key.setting))
     folder = make_folder(arguments.out, config.scenario)
     earlier = tuple(folder.iterdir())
     console = Console()

@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_key(arguments.file, key_of_passphrase(_passphrase()) if arguments.passphrase else None)
     print(
         f"{arguments.file}: new key, readable only by you; set it on both sides: network.key_file (onboard and "
-        "offboard), network.vehicle_key_file or network.ground_key_file (MAVLink)"
+        "offboard), network.vehicle_key_file, ground_key_file or capture_key_file (MAVLink)"
     )
     return 0
 

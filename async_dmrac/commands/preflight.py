@@ -7,14 +7,24 @@ certificate.
 import argparse
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from configs.addresses import ONBOARD_VEHICLE_PORT, check_address, check_vehicle_address, load_network, own_address
+from configs.addresses import (
+    ONBOARD_VEHICLE_PORT,
+    LinkName,
+    check_address,
+    check_vehicle_address,
+    is_loopback,
+    keyless_fault,
+    load_network,
+    own_address,
+    serial_line,
+)
 from configs.loader import ConfigError, read_tree
 from experiments.flights.preflight_session import PreflightSession
 from offboard.config import PoseRelayConfig
@@ -30,11 +40,13 @@ from protocol.keys import load_key
 from protocol.mavlink.signing import SigningClock
 from runtime.errors import StartError
 from runtime.files import write_atomically
+from runtime.flight_options import add_insecure_option
 from runtime.kernel import request_realtime
 from runtime.sockets import DatagramSocket
 
 EXAMPLES = """examples:
-  dmrac preflight --vehicle udp://192.168.3.1:14560 --pose 0.0.0.0:14574
+  dmrac preflight --vehicle udp://192.168.3.1:14560 --vehicle-key-file vehicle.key \\
+      --pose 0.0.0.0:14574 --capture-key-file capture.key
   dmrac preflight --vehicle "serial:///dev/ttyUSB0?baud=921600" --no-motors
   dmrac preflight --vehicle udp://127.0.0.1:14560 --listen-only     # the simulated vehicle of `dmrac sim`
 """
@@ -54,6 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pose", metavar="HOST:PORT", help="own address to which motion capture sends ODOMETRY")
     parser.add_argument("--config", type=Path, help="resolved configuration, for key file and battery limit")
     parser.add_argument("--vehicle-key-file", metavar="FILE", help="key of the vehicle's MAVLink, if it is signed")
+    parser.add_argument("--capture-key-file", metavar="FILE", help="key of the motion capture's MAVLink")
+    add_insecure_option(parser)
     parser.add_argument(
         "--certificate",
         type=Path,
@@ -66,17 +80,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the check; returns 0 if no check failed, else 1. Bad usage (2) is raised."""
-    link, config, key_file = VehicleLinkConfig(), PreflightConfig(), arguments.vehicle_key_file
+    link, config = VehicleLinkConfig(), PreflightConfig()
+    key_files = {"vehicle_key_file": arguments.vehicle_key_file, "capture_key_file": arguments.capture_key_file}
+    insecure = tuple(arguments.insecure)
     if arguments.config is not None:
-        key_file = load_network(arguments.config, {"vehicle_key_file": key_file}).vehicle_key_file
+        network = load_network(arguments.config, {**key_files, "insecure": insecure})
+        key_files, insecure = {name: getattr(network, name) for name in key_files}, network.insecure
         onboard = fill_process(OnboardConfig, read_tree(arguments.config), str(arguments.config), "onboard")
         link = onboard.vehicle_link
         config = config.model_copy(update={"battery_min_v": onboard.supervisor.battery_arm_v})
-    key = load_key(key_file)
+    key, capture_key = map(load_key, key_files.values())
     file: Path | None = arguments.certificate
     if file is not None and not file.parent.is_dir():  # before the person's work, not after
         raise ConfigError(f"--certificate {file}: there is no folder {file.parent}")
-    wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose)
+    keyed = {link for link, one in (("vehicle", key), ("motion_capture", capture_key)) if one is not None}
+    wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose, keyed | {*insecure}, capture_key)
     request_realtime(PRIORITY)  # or the delay of this process would count as the vehicle's
     console = Console()
     recorder = StepRecorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
@@ -118,21 +136,36 @@ def write_certificate_file(path: Path, vehicle: str, with_pose: bool, checks: li
     return f"{path}: written; {f'dmrac onboard will not arm: {reason}' if reason else 'dmrac onboard will arm'}"
 
 
+def _require_allowed(link: LinkName, address: str, allowed: Collection[str]) -> None:
+    """Raise ConfigError if a link leaves this machine and is not `allowed` to."""
+    if link not in allowed and serial_line(address) is None and not is_loopback(address):
+        raise ConfigError(keyless_fault(link, address))
+
+
 class UdpOrSerialWire:
     """The vehicle by UDP or serial line, the motion capture, and the clock."""
 
-    def __init__(self, vehicle: str, bind: str | None, pose: str | None) -> None:
-        """Raises ConfigError for an invalid address, StartError for one that cannot be opened."""
+    def __init__(
+        self, vehicle: str, bind: str | None, pose: str | None, allowed: Collection[str], capture_key: bytes | None
+    ) -> None:
+        """`allowed`: links that may leave this machine, because they have a key or are said to be insecure.
+
+        Raises ConfigError for an invalid address, StartError for one that cannot be opened.
+        """
         self.vehicle = _checked("--vehicle", vehicle, check_vehicle_address)
         local = _checked("--bind", bind or own_address(self.vehicle, ONBOARD_VEHICLE_PORT), check_address)
         pose = None if pose is None else _checked("--pose", pose, check_address)
+        _require_allowed("vehicle", self.vehicle, allowed)
+        if pose is not None:
+            _require_allowed("motion_capture", pose, allowed)
         self._vehicle = open_vehicle(self.vehicle, local, "--bind")
         try:
             self._pose = None if pose is None else DatagramSocket("--pose", pose, None)
         except StartError:
             self._vehicle.close()
             raise
-        self._relay = PoseRelay(PoseRelayConfig(latency_s=0.0, position_limit_m=1e5))  # so large that mm are recognised
+        config = PoseRelayConfig(latency_s=0.0, position_limit_m=1e5)  # so large that mm are recognised
+        self._relay = PoseRelay(config, capture_key, SigningClock(utc_at_first_use_ns=time.time_ns()))
         self._sources = [one for one in (self._vehicle, self._pose) if one is not None]
 
     def now_ns(self) -> int:

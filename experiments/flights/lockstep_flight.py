@@ -19,6 +19,7 @@ from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
 from protocol.conventions import Array
 from protocol.keys import load_key, load_keys
+from protocol.session import session_start_ns
 from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Delivery, Direction, Radio, RecordedDeliveries
 from sim_vehicle.lockstep import Lockstep, TickResult
 from sim_vehicle.records import TRUTH
@@ -75,7 +76,8 @@ def build(
     config = config if with_offboard else with_pose_wait(config)
     network = config.network
     keys = load_keys(network.key_file, network.vehicle_key_file, network.ground_key_file)
-    vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle)
+    vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle, load_key(network.capture_key_file))
+    vehicle.start_capture(session_start_ns(OFFBOARD_SESSION))
     radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
     onboard = build_core(core, config.onboard, ONBOARD_SESSION, keys)
     offboard = build_offboard(config, OFFBOARD_SESSION, fleet) if with_offboard else None
@@ -85,7 +87,8 @@ def build(
 
 def build_offboard(config: FlightConfig, session: int, fleet: Fleet | None = None) -> OffboardCore:
     """Return the offboard core; its first round of training imports torch."""
-    return OffboardCore(config.offboard, session, load_key(config.network.key_file), fleet)
+    network = config.network
+    return OffboardCore(config.offboard, session, load_key(network.key_file), fleet, load_key(network.capture_key_file))
 
 
 def fly_lockstep(

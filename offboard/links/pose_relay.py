@@ -17,11 +17,14 @@ from protocol.clock_map import ClockMap
 from protocol.geometry import Quaternion, Vector3
 from protocol.mavlink.frames import FrameReader
 from protocol.mavlink.motion_capture import DECODERS, FRAME_BYTES_MAX, CapturedPose
+from protocol.mavlink.signing import SIGNATURE_FAULTS, SigningClock
 from protocol.messages import Pose
 
 QUATERNION_TOLERANCE: Final = 0.01
 CLOCK_JUMP_NS: Final = 500_000_000
-"""A larger difference between the actual and the expected arrival means that the capture's clock jumped."""
+"""A larger difference between the actual and the expected arrival is a recording, or the capture's clock jumped."""
+CLOCK_SILENT_NS: Final = 300_000_000
+"""Such a jump is followed after this time without a pose on the present clock: the one with recordings goes on."""
 LATE_NS: Final = 50_000_000
 """A pose that is later than expected by more than this is not relayed."""
 LATE_POSES_MAX: Final = 50
@@ -37,12 +40,14 @@ REASONS: Final = {
     "length": "wrong length of a datagram",
     "message": "message without a pose",
     "frame_bytes": "corrupted frame, or several frames in one datagram",
+    **dict.fromkeys(SIGNATURE_FAULTS, "the signature is missing, wrong or repeated"),
     "frame": "frame is not local north-east-down with body forward-right-down",
     "not_finite": "nan or infinity",
     "too_far": "position beyond position_limit_m",
     "quaternion": "length of the quaternion is not 1",
     "old": "time does not increase",
     "late": "late datagram",
+    "other_clock": "time is far from that of the poses before",
     "ahead": "time is ahead of the arrival",
     "frozen": "repeats one pose (frozen)",
 }
@@ -52,11 +57,15 @@ REASONS: Final = {
 class PoseRelay:
     """Decodes the motion capture's datagrams. Refused datagrams are counted by reason in `rejected`."""
 
-    def __init__(self, config: PoseRelayConfig) -> None:
+    def __init__(
+        self, config: PoseRelayConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
+    ) -> None:
+        """With a `key` unsigned frames are refused. Raises ValueError if the key is not 32 bytes long."""
         self._config = config
-        self._reader = FrameReader(DECODERS)
+        self._reader = FrameReader(DECODERS, key, signing_clock, config.signing_tolerance_s)
         self._clock = ClockMap()
         self._last_capture_ns: int | None = None
+        self._used_ns = 0
         self._ahead = 0
         self._late: deque[int] = deque(maxlen=LATE_POSES_MAX)
         self._last_pose: tuple[Vector3, Quaternion] | None = None
@@ -64,6 +73,8 @@ class PoseRelay:
         self._reported_ns: dict[str, int] = {}
         self._events: list[tuple[int, str]] = []
         self.relayed = 0
+        self.clock_steps = 0
+        """How often the capture's clock stepped, or was restarted."""
         self.rejected: Counter[str] = Counter()
 
     def receive(self, datagram: bytes, now_ns: int) -> Pose | None:
@@ -76,6 +87,11 @@ class PoseRelay:
             return None
         self.relayed += 1
         return pose
+
+    def screen(self, datagram: bytes) -> int:
+        """The kind of a datagram: its message id; -1 if it is not one frame of the motion capture."""
+        found = self._reader.screen(datagram) if len(datagram) <= FRAME_BYTES_MAX else None
+        return -1 if found is None else found[0]
 
     def take_events(self) -> list[tuple[int, str]]:
         """Return and clear the events since the last call: (time_ns, text)."""
@@ -103,8 +119,10 @@ class PoseRelay:
             raise _RejectedError("length")
         frames = self._reader.read(datagram, now_ns)
         if len(frames) != 1:
-            others = self._reader.rejected.pop("message_not_allowed", 0)
-            raise _RejectedError("message" if others else "frame_bytes")
+            found, unusable = self._reader.rejected, not frames
+            reason = next((one for one in (*REASONS, "message_not_allowed") if unusable and found.pop(one, 0)), "")
+            found.clear()
+            raise _RejectedError({"": "frame_bytes", "message_not_allowed": "message"}.get(reason, reason))
         pose = DECODERS[frames[0].message_id](frames[0].fields)
         if pose is None:
             raise _RejectedError("frame")
@@ -134,7 +152,9 @@ class PoseRelay:
         """The time of the pose in our clock; refuses a pose older than the last one, a late one and one ahead."""
         clock, delay_ns = self._clock, now_ns - capture_ns
         if clock.known and abs(delay_ns - clock.offset_ns) > CLOCK_JUMP_NS:
-            clock.reset()
+            if now_ns - self._used_ns < CLOCK_SILENT_NS:
+                raise _RejectedError("other_clock")
+            self._follow_step(delay_ns, now_ns)
             self._last_capture_ns = None
         if self._last_capture_ns is not None and capture_ns <= self._last_capture_ns:
             raise _RejectedError("old")
@@ -142,15 +162,22 @@ class PoseRelay:
             self._ahead += 1
             if self._ahead < AHEAD_POSES:
                 raise _RejectedError("ahead")
-            clock.reset()
+            self._follow_step(delay_ns, now_ns)
         elif clock.known and delay_ns - clock.offset_ns > LATE_NS:
             self._require_clock_jump(delay_ns)
-            clock.reset()
+            self._follow_step(delay_ns, now_ns)
         self._late.clear()
         self._ahead = 0
         clock.add(delay_ns, now_ns)
-        self._last_capture_ns = capture_ns
+        self._last_capture_ns, self._used_ns = capture_ns, now_ns
         return max(0, clock.to_ours(capture_ns, now_ns) - int(self._config.latency_s * 1e9))
+
+    def _follow_step(self, delay_ns: int, now_ns: int) -> None:
+        """Map the capture's clock anew, and report by how much it stepped."""
+        step_s = (self._clock.offset_ns - delay_ns) * 1e-9
+        self._clock.reset()
+        self.clock_steps += 1
+        self._events.append((now_ns, f"motion capture: its clock stepped by {step_s:+.3f} s; mapped again"))
 
     def _require_clock_jump(self, delay_ns: int) -> None:
         """Refuse a late pose, unless many poses in a row are equally late: then the mapping starts again."""

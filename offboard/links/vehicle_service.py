@@ -14,15 +14,19 @@ from flight_log.writer import FlightLogWriter
 from offboard.background import BackgroundThread, Results
 from offboard.core import OffboardCore, OffboardOutput
 from offboard.training.job import TrainingResult
+from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from runtime.files import write_atomically
+from runtime.intake import Intake
 from runtime.kernel import resident_mb
 from runtime.sockets import AddressInUseError, DatagramSocket, Stamped
 from runtime.status import StatusLines
 
 STEP_PERIOD_NS: Final = 10_000_000
 """The core steps this often, and whenever a datagram has arrived."""
-LINK_DATAGRAMS_PER_STEP: Final = 64
-POSE_DATAGRAMS_PER_STEP: Final = 16
+POSES_FEW: Final = 16
+"""Datagrams of a step that are not screened (runtime/intake.py); of onboard DATAGRAMS_PER_STEP_MAX."""
+KIND_MAX: Final = 16
+"""Messages of one kind that a flooded step uses."""
 ESCAPES_MAX: Final = 100
 """Steps that may raise before the service of a vehicle stops; the vehicle flies on without it."""
 
@@ -63,6 +67,11 @@ class VehicleService:
             self._link.close()
             raise
         self.sockets: Final = (self._link, self._poses)
+        captured, messages = core.screens
+        self._intakes = (
+            Intake("motion capture", self._poses, POSES_FEW, KIND_MAX, captured),
+            Intake("onboard", self._link, DATAGRAMS_PER_STEP_MAX, KIND_MAX, messages),
+        )
         self._background = background
         self._trained: Results = queue.SimpleQueue()
         self._unwritten: Results = queue.SimpleQueue()
@@ -90,8 +99,7 @@ class VehicleService:
         now = time.monotonic_ns()
         self._due_ns = now + STEP_PERIOD_NS
         try:
-            poses = self._poses.receive_stamped(POSE_DATAGRAMS_PER_STEP)
-            messages = self._link.receive_stamped(LINK_DATAGRAMS_PER_STEP)
+            poses, messages = (intake.receive() for intake in self._intakes)
             now = time.monotonic_ns()  # after the reads: no arrival is later
             self._receive(poses, messages, now)
             self._send(self._core.step(now), now)
@@ -150,6 +158,9 @@ class VehicleService:
             self._background.submit(partial(write_atomically, file, content), self._unwritten)
         if self._status.due(now):
             self._status.write({**self._core.status(now), "escapes": self.escapes})
+            for text in filter(None, (intake.report(now) for intake in self._intakes)):
+                self._log.event(now, text)
+                self._status.report(text)
 
     def _write_checkpoint(self, content: bytes, last: bool = False) -> None:
         """Write the checkpoint file: in flight from the background thread, the last one from the main thread."""
@@ -189,6 +200,7 @@ class VehicleService:
             "escapes": self.escapes,
             "failed_jobs": self.failed_jobs,
             "failed_writes": self.failed_writes,
+            "dropped": {intake.name: intake.summary() for intake in self._intakes},
             "rss_mb": round(resident_mb(), 1),
         }
 

@@ -47,7 +47,13 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.estimation.stuck_gyro": ("KEPT=GYRO_KEPT", "PER_REPEAT", "REPEATS_MAX=REPEATS_ALLOWED"),
     "onboard.estimation.calibration": ("BLOCK_S=CALIBRATION_BLOCK_S", "LEAST_SAMPLES=CALIBRATION_LEAST_SAMPLES"),
     "onboard.estimation.corrections": ("REFUSED_MIN", "EVENTS_MAX=ESTIMATOR_EVENTS_MAX"),
-    "onboard.estimation.pose_fusion": ("FUTURE_NS", "WRONG_FOR_S", "LARGE_TURN_RAD"),
+    "onboard.estimation.pose_fusion": (
+        *("FUTURE_NS", "WRONG_FOR_S", "LARGE_TURN_RAD"),
+        *("DRIFT_VELOCITY_SIGMA", "DRIFT_HEIGHT_SIGMA", "DRIFT_CLIMB_SIGMA"),
+    ),
+    "onboard.estimation.pose_trust": (
+        *("SLOW_S", "FAST_S", "RANGE_STEP_MAX_M", "PRESSURE_SHARE", "TURN_RATE_RAD_S", "STEP_MAX_S"),
+    ),
     "onboard.estimation.estimator": (
         *("AIR_PA_PER_M", "SLOW_AIDS", "PRESSURE_TURN", "COS_TILT_MIN", "RATE_SIGMA", "TURN_SIGMA", "GAP_MAX_S"),
     ),

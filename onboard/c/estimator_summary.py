@@ -12,6 +12,7 @@ def counts(estimator: Any) -> dict[str, int]:
     named = {"imu_gap": estimator.imu_gaps, "imu_out_of_order": estimator.imu_out_of_order}
     named |= {"pose_out_of_order": poses.out_of_order, "pose_wrong_time": poses.wrong_time}
     named |= {"pose_used": poses.used, "pose_refused": poses.refused, "pose_jump": poses.jumps}
+    named |= {"pose_implausible": poses.implausible, "pose_drift": poses.drifts}
     named |= {"pose_attitude_refused": poses.attitude_refused}
     for index, aid in enumerate(AIDS):
         for what in ("used", "refused", "recovered"):

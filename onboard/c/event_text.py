@@ -103,8 +103,10 @@ def estimator_text(event: Any) -> str:
         case 6:
             sensor, unit = ("accelerometer", "m/s^2") if number < 3 else ("gyroscope", "rad/s")
             return f"{MOVED}: {sensor} {AXES[number % 3]} off by {values[0]:+.2g} {unit}"
-        case _:
+        case 7:
             return _bias_text(number, values[0], values[1])
+        case _:
+            return f"the poses drift, by {values[0]:.2f} m against flow or range: refused"
 
 
 def link_text(event: Any) -> str:

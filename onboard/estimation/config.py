@@ -65,6 +65,18 @@ class EstimatorConfig(ConfigRecord):
     pose_delay_max_s: float = Field(default=0.4, gt=0, le=0.6, description="s; older poses are refused")
     pose_reset_count: int = Field(default=5, ge=2, description="refused poses in a row that agree: state jumps to them")
     pose_agree_m: float = Field(default=0.2, gt=0, description="m between successive refused poses that agree")
+    pose_jump_m: float = Field(
+        default=0.25, gt=0, description="m in flight; a pose off by more is implausible; less than pose_drift_m"
+    )
+    pose_jump_rate_m_s: float = Field(
+        default=0.3, ge=0, description="m/s without a pose, with flow, by which that limit grows"
+    )
+    pose_blind_rate_m_s: float = Field(default=3.0, ge=0, description="m/s, the same without flow")
+    pose_turn_max_rad: float = Field(default=0.6, gt=0, description="rad in flight; an attitude off by more, the same")
+    pose_drift_m: float = Field(
+        default=0.3, gt=0, description="m by which poses may lead the estimate away from flow, or range and pressure"
+    )
+    pose_drift_average_s: float = Field(default=2.0, gt=0, description="s over which the flow is summed up for that")
     jump_threshold_m: float = Field(default=0.05, gt=0, description="m; a larger correction is announced as a jump")
 
     flow_rate_sigma_rad_s: float = Field(default=0.08, gt=0, description="rad/s, per axis, of the flow rate")

@@ -22,6 +22,7 @@ axis by axis for speed, the equation stands above it.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -58,23 +59,32 @@ class ErrorStateFilter:
         self.gyro_bias: Vector3 = ZERO
         self.accelerometer_bias: Vector3 = ZERO
         self.P: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
-        self._P_diagonal = self.P.reshape(-1)[:: ERROR_SIZE + 1]
         self._Phi: Array = np.eye(ERROR_SIZE)
-        self._Phi_T = self._Phi.T
-        self._Phi_velocity_bias = self._Phi[3:6, 12:15]
-        self._Phi_attitude_bias = self._Phi[6:9, 9:12]
         self._Q: Array = np.zeros(ERROR_SIZE)
         self._scratch: Array = np.zeros((ERROR_SIZE, ERROR_SIZE))
         self._H_position: Array = np.eye(3, ERROR_SIZE)
-        self._H_position_T = self._H_position.T
         self._G_inverse: Array = np.zeros(9)
-        self._G_inverse_T = self._G_inverse.reshape(3, 3).T
         self._whitened: Array = np.zeros(3)
         self._collected = 0
         self._collected_s = 0.0
         self._collected_dv: Vector3 = ZERO
         self._last_rate: Vector3 | None = None
         self._history = StateHistory()
+        self._make_views()
+
+    def _make_views(self) -> None:
+        """Parts of the arrays under names of their own."""
+        self._P_diagonal = self.P.reshape(-1)[:: ERROR_SIZE + 1]
+        self._Phi_T = self._Phi.T
+        self._Phi_velocity_bias = self._Phi[3:6, 12:15]
+        self._Phi_attitude_bias = self._Phi[6:9, 9:12]
+        self._H_position_T = self._H_position.T
+        self._G_inverse_T = self._G_inverse.reshape(3, 3).T
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Of a copy: its views are of its own arrays."""
+        self.__dict__.update(state)
+        self._make_views()
 
     def start(self, quaternion: Quaternion, gyro_bias: Vector3, sigmas: tuple[float, ...]) -> None:
         """Set the attitude and gyro bias at rest in the origin. `sigmas`: standard deviations of the 15 errors."""

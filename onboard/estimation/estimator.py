@@ -299,6 +299,7 @@ class Estimator:
         if not self._pressure_zero_pa:
             self._pressure_zero_pa = zero_pa
         config, off_pa = self._config, zero_pa - self._pressure_zero_pa
+        self._poses.trust.note_pressure(off_pa / AIR_PA_PER_M, now_ns)
         if self._on_ground or now_ns - self.state.last_height_ns < self._aid_fresh_ns:
             self._corrections.note_score("pressure", (off_pa / config.pressure_sigma_pa) ** 2, config.pressure_gate)
             self._pressure_zero_pa += 0.02 * off_pa
@@ -330,7 +331,7 @@ class Estimator:
         measured = (scale * (reading.flow_y - rotation_y), -scale * (reading.flow_x - rotation_x))
         vx, vy, vz = past.velocity
         R, h = past.rotation, self._h_flow
-        used = True
+        used, residual = True, [0.0, 0.0]
         for axis in (0, 1):
             rx, ry, rz = R[axis], R[3 + axis], R[6 + axis]
             expected = rx * vx + ry * vy + rz * vz
@@ -338,12 +339,14 @@ class Estimator:
             h[9], h[10] = self._flow_of_lost_rate(axis, distance_m)
             h[6], h[7], h[8] = ry * vz - rz * vy, rz * vx - rx * vz, rx * vy - ry * vx
             sigma = config.flow_rate_sigma_rad_s * distance_m + config.flow_scale_sigma * abs(expected)
-            innovation = measured[axis] - expected
+            innovation = residual[axis] = measured[axis] - expected
             used &= self._corrections.correct("flow", h, innovation, sigma * sigma, config.flow_gate, now_ns)
         if used:
             self.state.last_velocity_aid_ns = max(now_ns, self.state.last_velocity_aid_ns)
         else:
             self._recover("flow", VELOCITY, 3, now_ns)
+        self._poses.trust.note_flow((residual[0], residual[1]), R, now_ns)
+        self._poses.check_drift(now_ns)
 
     def _flow_rotation(self, reading: FlowReading) -> tuple[float, float]:
         """The rotation in the flow, rad. It comes from the gyroscope, so that of a stuck axis is replaced as well."""
@@ -375,12 +378,15 @@ class Estimator:
         if past is None or self._on_ground or not valid or past.rotation[8] < COS_TILT_MIN:
             return
         beyond = math.acos(min(1.0, past.rotation[8])) - config.range_half_cone_rad
-        innovation = -reading.distance_m * (math.cos(beyond) if beyond > 0.0 else 1.0) - past.position[2]
+        down_m = -reading.distance_m * (math.cos(beyond) if beyond > 0.0 else 1.0)
+        innovation = down_m - past.position[2]
         variance, gate = config.range_sigma_m**2, config.range_gate
         if self._corrections.correct("range", POSITION + 2, innovation, variance, gate, now_ns):
             self.state.last_height_ns = now_ns
         else:
             self._recover("range", POSITION + 2, 1, now_ns)
+        self._poses.trust.note_range(down_m, innovation, now_ns)
+        self._poses.check_drift(now_ns)
 
     def _recover(self, aid: str, start: int, size: int, now_ns: int) -> None:
         """After long refusal of an aid without a fresh pose: increase the uncertainty, so that it is accepted again."""

@@ -1,10 +1,14 @@
 """Fuses the poses of the motion capture: position and attitude as of their capture time.
 
-A pose outside the gate is refused, until several refused poses in a row agree with each other: then the state jumps to
-them. The very first poses always jump. An error of the capture time is a position error in proportion to speed, and an
-attitude error in proportion to rate; the variances contain both. While the vehicle rotates, an attitude that a wrong
-capture time explains is left out, also in a jump: it would disturb a vehicle that knows its tilt better. Under strong
-vibration, poses that disagree mean that the velocity is wrong.
+A pose outside the gate is refused, until several refused poses in a row agree with each other: then the state jumps
+to them. The very first poses always jump. An error of the capture time is a position error in proportion to speed,
+and an attitude error in proportion to rate; the variances contain both. While the vehicle rotates, an attitude that
+a wrong capture time explains is left out, also in a jump: it would disturb a vehicle that knows its tilt better.
+Under strong vibration, poses that disagree mean that the velocity is wrong.
+
+In flight a pose that is implausible (pose_trust.py) is refused, however many agree with it. If the poses drift away
+from flow, or from range and pressure, the estimate goes back by the drift, and flies on without poses until they
+are plausible.
 """
 
 import math
@@ -13,6 +17,7 @@ from typing import Final
 from onboard.estimation.config import EstimatorConfig
 from onboard.estimation.corrections import Corrections
 from onboard.estimation.error_state_filter import ATTITUDE, POSITION, VELOCITY, ErrorStateFilter
+from onboard.estimation.pose_trust import PoseTrust
 from onboard.estimation.state import VehicleState
 from onboard.estimation.state_history import PastState
 from onboard.estimation.stuck_gyro import StuckGyro
@@ -35,6 +40,10 @@ FUTURE_NS: Final = 20_000_000
 WRONG_FOR_S: Final = 0.02
 """How long a velocity has been wrong when poses show it: the time between two poses."""
 LARGE_TURN_RAD: Final = 0.2
+DRIFT_VELOCITY_SIGMA: Final = 0.2
+DRIFT_HEIGHT_SIGMA: Final = 0.1
+DRIFT_CLIMB_SIGMA: Final = 0.3
+"""m and m/s, of height and climb then, which come from the range."""
 
 
 class PoseFusion:
@@ -59,6 +68,7 @@ class PoseFusion:
         self._refused = 0
         self._refused_position: Vector3 = ZERO
         self._had_pose = False
+        self.trust = PoseTrust(config)
 
     def receive(self, pose: Pose, capture_ns: int, now_ns: int, time_sigma_s: float) -> None:
         """A pose that was true at `capture_ns` (onboard clock, standard deviation `time_sigma_s`)."""
@@ -72,12 +82,46 @@ class PoseFusion:
             return
         self._last_capture_ns = capture_ns
         innovation = subtract(vector(pose.position_ned_m.tolist()), past.position)
+        if self._is_implausible(pose, past, innovation, now_ns):
+            self._counts["pose_implausible"] += 1
+            self._counts["pose_refused"] += 1
+            return
         if self._had_pose and self._fuse(pose, innovation, capture_ns, now_ns, time_sigma_s):
             self._refused = 0
             self._counts["pose_used"] += 1
             self._accept(now_ns)
             return
         self._refuse(pose, capture_ns, now_ns)
+
+    def _is_implausible(self, pose: Pose, past: PastState, innovation: Vector3, now_ns: int) -> bool:
+        """Whether a pose in flight is where the vehicle cannot be. The first one may be anywhere."""
+        if not self._had_pose or not self._corrections.in_flight:
+            return False
+        turn = ZERO if self._gyro.axes else rotation_between(tuple(pose.quaternion.tolist()), past.rotation)
+        age_s = (now_ns - self._state.last_pose_ns) * 1e-9
+        return self.trust.implausible(innovation, turn, past.rate_world, age_s, now_ns)
+
+    def check_drift(self, now_ns: int) -> None:
+        """After a residual of flow or range: undo what drifting poses have done to the estimate."""
+        config, f, trust = self._config, self._filter, self.trust
+        if not (self._had_pose and self._corrections.in_flight) or self._gyro.axes or trust.drifting:
+            trust.forget()
+            return
+        fresh = now_ns - self._state.last_pose_ns < int(config.aid_fresh_s * 1e9)
+        found = trust.drift(f.position, f.velocity, now_ns) if fresh else None
+        if found is None:
+            return
+        before = f.position
+        f.shift(found[0], found[1], ZERO)
+        f.inflate(VELOCITY, DRIFT_VELOCITY_SIGMA, 2)
+        if found[0][2]:
+            f.inflate(POSITION + 2, DRIFT_HEIGHT_SIGMA, 1)
+            f.inflate(VELOCITY + 2, DRIFT_CLIMB_SIGMA, 1)
+        self._refused = 0
+        self._counts["pose_drift"] += 1
+        text = f"the poses drift, by {math.hypot(*found[0]):.2f} m against flow or range: refused"
+        self._corrections.report(now_ns, text)
+        self._corrections.announce_jump(before, "pose", now_ns, always=True)
 
     def _fuse(self, pose: Pose, innovation: Vector3, capture_ns: int, now_ns: int, time_sigma_s: float) -> bool:
         """Position, then attitude. True if the pose was used.
@@ -156,6 +200,7 @@ class PoseFusion:
     def _accept(self, now_ns: int) -> None:
         state = self._state
         self._had_pose = True
+        self.trust.drifting = False
         state.last_pose_ns = state.last_velocity_aid_ns = state.last_height_ns = now_ns
 
     def _refuse(self, pose: Pose, capture_ns: int, now_ns: int) -> None:
@@ -179,14 +224,18 @@ class PoseFusion:
         if self._had_pose and self._explained_by_time(turn, past.rate_world):
             turn = ZERO
         before, yaw = f.position, self._state.euler[2]
-        f.shift(subtract(vector(pose.position_ned_m.tolist()), past.position), ZERO, turn)
+        step = subtract(vector(pose.position_ned_m.tolist()), past.position)
+        self.trust.note_jump(step, (now_ns - self._state.last_pose_ns) * 1e-9, now_ns)
+        f.shift(step, ZERO, turn)
         # The velocity turns with the frame: what flow measured was in the body frame.
         f.velocity = turned_about_vertical(turn, f.velocity)
         f.restart_error(POSITION, 2.0 * config.pose_position_sigma_m)
         if any(turn):
             f.restart_error(ATTITUDE, 2.0 * config.pose_attitude_sigma_rad)
         if self._had_pose:
-            f.restart_error(VELOCITY, 1.0)
+            # the position is known as of the capture time: since then the velocity has moved it
+            f.restart_error(VELOCITY, 0.0)
+            f.inflate_motion(1.0, (self._state.last_imu_ns - capture_ns) * 1e-9)
         if math.hypot(*turn) > LARGE_TURN_RAD:
             f.forget_history()
         self._counts["pose_jump"] += 1

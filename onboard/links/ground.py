@@ -127,6 +127,11 @@ class GroundLink:
                 self._waiting.append(wire.encode_answer(frame, self._config.system))
         return commands
 
+    def screen(self, datagram: bytes) -> int:
+        """The kind of a datagram: message id of its first frame; -1 if it would be refused."""
+        found = self._reader.screen(datagram)
+        return -1 if found is None or found[1] == self._config.system else found[0]
+
     def acknowledge(self, command: GroundCommand, refusal: str, now_ns: int) -> None:
         """Answer a command: accepted if `refusal` is "", else refused with that text on the pilot's screen."""
         result = REFUSED if refusal else ACCEPTED

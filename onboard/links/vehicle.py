@@ -32,6 +32,8 @@ from protocol.mavlink.vehicle import BatteryReading, ImuReading, SensorReading
 FROZEN: Final = {"imu": "IMU", "flow": "optical flow", "range": "ultrasonic", "pressure": "pressure"}
 """Name of each sensor in the event."""
 BATTERY_MAX_V: Final = 60.0
+OTHER_VEHICLE: Final = 2**24
+"""Kind of the datagrams of a second vehicle: no message id is so large."""
 _CONFLICT_NS: Final = 5 * 10**9
 _CONFLICT_COUNT: Final = 20
 _EVENT_PERIOD_NS: Final = 10**9
@@ -153,6 +155,14 @@ class VehicleLink:
                 readings.append(reading)
         self.received += len(readings)
         return readings
+
+    def screen(self, datagram: bytes) -> int:
+        """The kind of a datagram, by its first frame: message id, or OTHER_VEHICLE; -1 if it would be refused."""
+        found = self._reader.screen(datagram)
+        if found is None:
+            return -1
+        message_id, system = found
+        return message_id if self.system in (0, system) else OTHER_VEHICLE
 
     def encode_motors(self, fractions: Array | Sequence[float], armed: bool, now_ns: int) -> bytes:
         """Motor command, fractions 0..1 in PX4 quad-X order. Zeros unless armed, and if a fraction is not finite.

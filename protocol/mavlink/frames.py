@@ -151,6 +151,21 @@ class FrameReader:
         self.rejected["too_many_frames"] += 1
         return frames
 
+    def screen(self, datagram: bytes) -> tuple[int, int] | None:
+        """Message id and system id of the first frame; None if `read` would refuse it. Nothing is stored or counted.
+
+        With a key the signature must be right and newer than the newest of its stream; the clock is not consulted.
+        """
+        if len(datagram) < HEADER_BYTES + CHECKSUM_BYTES or datagram[0] != MARKER or datagram[2] & ~SIGNED_FLAG:
+            return None
+        layout = self._layouts.get(message_id_of(datagram))
+        signatures = self._signatures
+        if layout is None or (signatures is not None and not datagram[2] & SIGNED_FLAG):
+            return None
+        frame = datagram[: frame_length(datagram, 0)]
+        good = checked_fields(frame, layout) is not None if signatures is None else signatures.is_new(frame)
+        return (layout.message_id, frame[5]) if good else None
+
     def _check(self, data: bytes, now_ns: int) -> Frame | None:
         """The frame whose bytes are `data`; None, and counted, if it is refused."""
         if data[2] & ~SIGNED_FLAG:

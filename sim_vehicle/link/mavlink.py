@@ -36,11 +36,16 @@ class VehicleCodec:
         ultrasonic: UltrasonicConfig,
         capture: MotionCaptureConfig,
         key: bytes | None = None,
+        capture_key: bytes | None = None,
     ) -> None:
-        """With a `key` (32 bytes) sent frames are signed, and unsigned commands are refused."""
-        self._clocks = (SigningClock(), SigningClock())
-        self._sensors = FrameWriter(config.system_id, config.component_id, key, self._clocks[0])
-        self._capture = FrameWriter(config.system_id, MOTION_CAPTURE_COMPONENT, key, self._clocks[1])
+        """With a `key` (32 bytes) sent frames are signed, and unsigned commands are refused.
+
+        `capture_key` signs the poses.
+        """
+        self._clock = SigningClock()
+        self._sensors = FrameWriter(config.system_id, config.component_id, key, self._clock)
+        self._capture_identity = config.system_id, MOTION_CAPTURE_COMPONENT, capture_key
+        self.start_capture(0)
         self._reader = FrameReader([wire.MOTORS], key, tolerance_s=None)
         self._range = (ultrasonic.least_m, ultrasonic.greatest_m), ultrasonic.noise_m
         position, attitude = capture.position_noise_m**2, capture.attitude_noise_rad**2
@@ -50,6 +55,10 @@ class VehicleCodec:
     def rejected(self) -> Counter[str]:
         """Frames dropped, by reason."""
         return self._reader.rejected
+
+    def start_capture(self, utc_ns: int) -> None:
+        """Begin the flight at `utc_ns`: the motion capture signs with the time of the day."""
+        self._capture = FrameWriter(*self._capture_identity, SigningClock(utc_ns))
 
     def imu(self, sample: ImuSample, time_us: int) -> bytes:
         """HIL_SENSOR."""
@@ -76,7 +85,7 @@ class VehicleCodec:
 
     def pose(self, sample: PoseSample, time_us: int) -> bytes:
         """ODOMETRY."""
-        return self._capture.write(encode_odometry(time_us, *sample, self._covariances), 0)
+        return self._capture.write(encode_odometry(time_us, *sample, self._covariances), time_us * 1000)
 
     def motor_command(self, datagram: bytes) -> tuple[Fractions, bool] | None:
         """The newest motor command in a datagram: fractions, and whether armed. None if there is none."""
@@ -86,8 +95,8 @@ class VehicleCodec:
         command = None
         for frame in self._reader.read(datagram, 0):
             command = self._checked(frame.fields) or command
-        for clock in self._clocks:  # the vehicle has no clock of its own: it adopts onboard's time
-            clock.catch_up(self._reader.newest_signature_time)
+        # the vehicle has no clock of its own: it adopts onboard's time
+        self._clock.catch_up(self._reader.newest_signature_time)
         return command
 
     def _checked(self, fields: Fields) -> tuple[Fractions, bool] | None:

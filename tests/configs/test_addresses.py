@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from configs.addresses import RESERVED_PORTS, Addresses, SerialLine, load_network, serial_line
+from configs.addresses import ADDRESSES, LINK_KEYS, RESERVED_PORTS, Addresses, SerialLine, load_network, serial_line
 from configs.flight_tree import numbered
 from configs.loader import ConfigError, fill
 from experiments.flights.scenario import Choices, resolve
@@ -32,7 +32,9 @@ def test_vehicles_of_all_numbers_stand_beside_one_another() -> None:
         assert not taken & set(bound.values())
         taken |= set(bound.values())
         assert flight.onboard.vehicle_id == flight.offboard.vehicle_id == number
-    given = resolve("hover", Choices(vehicle=2, assignments=("network.vehicle=10.0.0.2:14560",)))
+    given = resolve(
+        "hover", Choices(vehicle=2, assignments=("network.vehicle=10.0.0.2:14560", "network.vehicle_key_file=key"))
+    )
     assert given.network.vehicle == "10.0.0.2:14560", "what is set by name stays"
     real = resolve("hover", Choices(vehicle=2, real=True)).network
     assert (real.vehicle, real.ground) == (DEFAULTS["vehicle"], DEFAULTS["ground"]), "these are not ours to choose"
@@ -71,6 +73,36 @@ def test_without_a_key_the_link_stays_on_this_machine(name: str, host: str) -> N
     assert changed(**{name: f"{host}:15000", "key_file": "/etc/key"}).key_file == "/etc/key"
 
 
+@pytest.mark.parametrize(
+    ("link", "name", "setting"),
+    [
+        ("vehicle", "vehicle", "vehicle_key_file"),
+        ("vehicle", "onboard_vehicle", "vehicle_key_file"),
+        ("ground", "ground", "ground_key_file"),
+        ("motion_capture", "motion_capture", "capture_key_file"),
+        ("offboard", "onboard_link", "key_file"),
+    ],
+)
+def test_a_link_leaves_this_machine_with_its_key_or_if_it_is_said_to_be_insecure(
+    link: str, name: str, setting: str
+) -> None:
+    away = {name: "192.168.3.1:15000"}
+    others = {key.setting: "key" for key in LINK_KEYS.values() if key.setting != setting}
+    with pytest.raises(ConfigError, match=rf"without {setting} only .* --insecure {link} "):
+        changed(**away, **others)
+    with pytest.raises(ConfigError, match=rf"without {setting} only"):
+        changed(**away, insecure=tuple(other for other in LINK_KEYS if other != link))
+    assert changed(**away, **{setting: "key"}).insecure_links == ""
+    assert changed(**away, insecure=(link,)).insecure_links == link
+    assert changed(insecure=(link,)).insecure_links == "", "on this machine nothing is insecure"
+    with pytest.raises(ConfigError, match="insecure"):
+        changed(insecure=("everything",))
+
+
+def test_a_serial_line_is_no_network() -> None:
+    assert changed(vehicle="serial:///dev/ttyUSB0").insecure_links == ""
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.9.9.9", "localhost"])
 def test_this_machine_needs_no_key(host: str) -> None:
     assert changed(onboard_link=f"{host}:15000").key_file is None
@@ -78,7 +110,7 @@ def test_this_machine_needs_no_key(host: str) -> None:
 
 def test_options_are_laid_over_the_file_and_named_in_faults(tmp_path: Path) -> None:
     path = tmp_path / "config.yaml"
-    lines = "".join(f"  {name}: {address}\n" for name, address in DEFAULTS.items())
+    lines = "".join(f"  {name}: {DEFAULTS[name]}\n" for name in ADDRESSES)
     path.write_text(f"network:\n{lines}", encoding="utf-8")
     network = load_network(path, {"vehicle": "127.0.0.1:15001", "ground": None})
     assert (network.vehicle, network.ground) == ("127.0.0.1:15001", DEFAULTS["ground"])
@@ -96,7 +128,7 @@ def test_options_are_laid_over_the_file_and_named_in_faults(tmp_path: Path) -> N
     ],
 )
 def test_a_vehicle_is_named_by_address_or_url(given: str, kept: str, line: SerialLine | None) -> None:
-    network = changed(vehicle=given)
+    network = changed(vehicle=given, vehicle_key_file="key")
     assert network.vehicle == kept
     assert serial_line(network.vehicle) == line
     assert ("vehicle" in network.bound_by_sim()) == (line is None)

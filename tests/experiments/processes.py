@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from configs.addresses import ADDRESSES
 from experiments.flights.scenario import FlightConfig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,8 +20,7 @@ READY_LIMIT_S = 40.0
 
 def on_ports(config: FlightConfig, first: int) -> FlightConfig:
     """Return the flight with addresses that other flights do not use: ports of this machine from `first` on."""
-    names = sorted(name for name in type(config.network).model_fields if not name.endswith("key_file"))
-    addresses = {name: f"127.0.0.1:{first + index}" for index, name in enumerate(names)}
+    addresses = {name: f"127.0.0.1:{first + index}" for index, name in enumerate(ADDRESSES)}
     network = config.network.model_validate(config.network.model_dump() | addresses)
     return config.model_copy(update={"network": network})
 

@@ -219,3 +219,13 @@ def test_topics_declared_while_the_thread_writes_are_all_logged(tmp_path: Path) 
     flight = open_flight(tmp_path)
     assert len(flight.topics) == 60
     assert all(flight[f"onboard/topic_{i}"]["x"].tolist() == [float(i)] for i in range(60))
+
+
+def test_only_the_owner_can_read_a_log(tmp_path: Path) -> None:
+    path = tmp_path / "onboard.mcap"
+    before = os.umask(0o022)
+    try:
+        FlightLogWriter(path, "onboard", {}, {}).close()
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o600

@@ -211,7 +211,8 @@ class JumpingPeer(Peer):
 
 @pytest.mark.parametrize("jump_m", [2.0, 4.45])
 def test_after_a_jump_of_the_pose_the_vehicle_flies_back_slowly_and_reports_it(jump_m):
-    loop = Loop("mrac", peer=JumpingPeer()).fly(5.0)
+    limits = ("onboard.estimator.pose_jump_m=10.0", "onboard.estimator.pose_drift_m=20.0")
+    loop = Loop("mrac", peer=JumpingPeer(), assignments=limits).fly(5.0)
     loop.peer.jump = jump_m
     start = loop.tick
     loop.fly(0.3)
@@ -223,6 +224,16 @@ def test_after_a_jump_of_the_pose_the_vehicle_flies_back_slowly_and_reports_it(j
     assert north[-1] == pytest.approx(-jump_m, abs=0.05)
     assert north.min() > -jump_m - 0.1
     assert -0.9 < speed.min() < -0.4  # without the limit: -4.5
+
+
+def test_a_jump_of_the_pose_that_the_vehicle_cannot_have_made_does_not_move_it():
+    loop = Loop("mrac", peer=JumpingPeer()).fly(5.0)
+    loop.peer.jump = 2.0
+    start = loop.tick
+    loop.fly(2.0)
+    assert not loop.said("position estimate jumped 2")
+    assert loop.core.summary()["estimator"]["pose_implausible"] > 150
+    assert np.abs(np.array(loop.truths)[start:, :2]).max() < 0.2
 
 
 def test_arming_waits_for_the_first_pose_and_reports_it():

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from configs.realtime import RealtimeConfig
 from onboard.core import OnboardOutput
 from onboard.process import FINAL_SAFE_COMMANDS, OnboardProcess
 from onboard.record.datagram_log import Entry, LoggedTick, read_tick
+from protocol.mavlink.frames import FrameWriter, Message
 from runtime.sockets import Stamped
 
 PERIOD_NS = 1_000_000
@@ -24,6 +26,7 @@ class FakeCore:
     """Answers every step; `script` is called first and may raise or press a key."""
 
     def __init__(self, script: Any) -> None:
+        self.screens = (lambda datagram: 0,) * 3
         self.script = script
         self.steps = 0
         self.airborne = True
@@ -109,6 +112,28 @@ def test_takes_in_steps_gives_out_and_logs_until_asked_to_end() -> None:
     summary = bench.process.summary()
     assert (summary["ticks"], summary["mode"], summary["escapes"]) == (10, "LANDED", 0)
     assert summary["tick_us"]["p50"] <= summary["tick_us"]["p99"] <= summary["tick_us"]["max"] + 1
+
+
+def test_a_key_that_a_ground_station_sends_reaches_neither_core_nor_log() -> None:
+    """SETUP_SIGNING has the key in clear, and the datagram log has every datagram of a tick."""
+    bench = Bench(lambda core: None)
+    key = bytes(range(100, 132))
+    frame = FrameWriter(255, 190).write(Message(mavlink.MAVLink_setup_signing_message, (7, 1, 1, *key)), 0)
+    arriving = [frame, b"noise" + frame, frame[:30], b"hello"]
+    for socket in (bench.sockets.ground, bench.sockets.vehicle):
+        socket.receive_stamped = lambda limit: [Stamped(one, time.monotonic_ns()) for one in arriving]
+
+    def script(core: FakeCore) -> None:
+        bench.stop.count = 2
+
+    bench.core.script = script
+    assert bench.process.fly() == 0
+    assert {datagram for name, datagram in bench.core.received} == {b"hello"}
+    (tick,) = bench.datagram_log
+    assert {one.datagram for _, one in tick.entries if key[:8] in one.datagram} == set()
+    assert tick.of(Entry.FROM_GROUND) == tick.of(Entry.FROM_VEHICLE) == [b"hello"]
+    dropped = bench.process.summary()["dropped"]
+    assert dropped["ground"]["secret"] == dropped["vehicle"]["secret"] == 3
 
 
 def test_a_failing_step_is_answered_with_motors_off_and_flown_on(capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,7 +31,8 @@ def offboard(*words: str) -> FlightOptions:
 
 
 def test_addresses_alone_make_a_flight_with_the_settings_for_a_real_vehicle() -> None:
-    flight = onboard("--vehicle", "udp://192.168.3.1:14560", "--offboard", "127.0.0.1:14573")
+    words = ("--vehicle", "udp://192.168.3.1:14560", "--vehicle-key-file", "vehicle.key")
+    flight = onboard(*words, "--offboard", "127.0.0.1:14573")
     tree = parse_mapping(flight.text.decode(), "log")
     config = complete(tree, "log")
     expected = resolve("hover", Choices("dmrac", real=True))
@@ -65,9 +66,19 @@ def test_with_another_machine_a_key_is_required_and_all_interfaces_are_bound() -
     with pytest.raises(ConfigError, match=r"--onboard 10\.0\.0\.2:14571: network: .*key_file.*dmrac keygen"):
         offboard("--onboard", "10.0.0.2:14571")
     network = offboard("--onboard", "10.0.0.2:14571", "--key-file", "link.key").network
-    assert (network.offboard_link, network.motion_capture) == ("0.0.0.0:14573", "0.0.0.0:14574")
+    assert (network.offboard_link, network.motion_capture) == ("0.0.0.0:14573", "127.0.0.1:14574")
+    words = ("--onboard", "10.0.0.2:14571", "--key-file", "link.key", "--capture-key-file", "capture.key")
+    assert offboard(*words).network.motion_capture == "0.0.0.0:14574"
     assert network.radio_offboard == "10.0.0.2:14571"
     assert offboard("--onboard", "127.0.0.1:14571").network.motion_capture == "127.0.0.1:14574"
+
+
+def test_a_link_is_insecure_only_if_that_link_is_named() -> None:
+    words = ("--vehicle", "udp://10.0.0.9:14560", "--offboard", "127.0.0.1:14573")
+    with pytest.raises(ConfigError, match="vehicle_key_file"):
+        onboard(*words, "--insecure", "ground")
+    network = onboard(*words, "--insecure", "ground", "--insecure", "vehicle").network
+    assert network.insecure_links == "vehicle"
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,19 @@ def test_a_reader_that_does_not_read_loses_lines_and_costs_no_time(monkeypatch: 
     assert [json.loads(line)["number"] for line in lines] == list(range(len(lines)))
 
 
+def test_an_insecure_link_is_on_every_status_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "out"
+    for as_json in (True, False):
+        with path.open("w") as out, monkeypatch.context() as patch:
+            patch.setattr("sys.stdout", out)
+            status = StatusLines("onboard", as_json, insecure="vehicle, ground")
+            for number in range(13):
+                status.write({"number": number})
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert len(lines) == (13 if as_json else 3)
+        assert all("vehicle, ground" in line for line in lines)
+
+
 def test_due_at_most_three_times_a_second(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with (tmp_path / "out").open("w") as out, monkeypatch.context() as patch:
         patch.setattr("sys.stdout", out)

@@ -6,6 +6,7 @@
 #include "numerics/elementary.h"
 #include "protocol/geometry.h"
 
+#define AROUND(self) (&(PoseSurroundings){&(self)->filter, &(self)->state, &(self)->corrections, &(self)->gyro})
 #define ALWAYS REAL(HUGE_VAL) /* a gate that accepts everything */
 
 static real square(real x) {
@@ -192,11 +193,10 @@ static void fuse_ground(Estimator *self, int32_t turn, const ImuReading *reading
         real variance = square(config->still_velocity_sigma_m_s);
         filter_correct_component(f, VELOCITY + turn, -f->velocity[turn], variance, ALWAYS);
     } else if (turn < 6) {
-        int axis = turn - 3;
-        real innovation = reading->gyroscope[axis] - f->gyro_bias[axis];
+        real innovation = reading->gyroscope[turn - 3] - f->gyro_bias[turn - 3];
         if (real_abs(innovation) < config->start_rate_max_rad_s) { /* else a person is carrying the vehicle */
             real variance = square(REAL(3.0) * config->gyro_sigma);
-            filter_correct_component(f, GYRO_BIAS + axis, innovation, variance, ALWAYS);
+            filter_correct_component(f, GYRO_BIAS + turn - 3, innovation, variance, ALWAYS);
         }
     } else if (reading->time_ns - self->state.last_pose_ns > self->recovery_ns) {
         filter_correct_component(f, POSITION + 2, -f->position[2], square(config->still_height_sigma_m), ALWAYS);
@@ -217,6 +217,7 @@ static void fuse_pressure(Estimator *self, int64_t now_ns) {
         self->pressure_zero_pa = zero_pa;
     }
     real off_pa = zero_pa - self->pressure_zero_pa;
+    pose_trust_note_pressure(&self->poses.trust, off_pa / AIR_PA_PER_M, now_ns);
     if (self->on_ground || now_ns - self->state.last_height_ns < self->aid_fresh_ns) {
         real score = square(off_pa / config->pressure_sigma_pa);
         corrections_note_score(&self->corrections, AID_PRESSURE, score, config->pressure_gate, 1);
@@ -225,9 +226,8 @@ static void fuse_pressure(Estimator *self, int64_t now_ns) {
     }
     /* Means of neighbouring samples have the same drift, so they count as one independent value a second. */
     real noise_pa = real_sqrt(square(config->pressure_sigma_pa) + square(config->pressure_drift_pa));
-    real sigma_m = REAL(5.0) * noise_pa / AIR_PA_PER_M;
-    real innovation_m = off_pa / AIR_PA_PER_M;
-    correct_component(self, AID_PRESSURE, POSITION + 2, innovation_m, square(sigma_m), config->pressure_gate, now_ns);
+    real innovation_m = off_pa / AIR_PA_PER_M, variance = square(REAL(5.0) * noise_pa / AIR_PA_PER_M);
+    correct_component(self, AID_PRESSURE, POSITION + 2, innovation_m, variance, config->pressure_gate, now_ns);
 }
 
 /* Estimator._fuse_slow_aid */
@@ -344,7 +344,7 @@ void estimator_receive_flow(Estimator *self, const FlowReading *reading) {
     if (distance_m < config->flow_height_min_m) {
         return;
     }
-    real rotation[2], h[ERROR_SIZE], scale = distance_m / reading->integration_s;
+    real rotation[2], residual[2], h[ERROR_SIZE], scale = distance_m / reading->integration_s;
     flow_rotation(self, reading, rotation);
     const real measured[2] = {scale * (reading->flow_y - rotation[1]), -scale * (reading->flow_x - rotation[0])};
     bool used = true;
@@ -352,8 +352,8 @@ void estimator_receive_flow(Estimator *self, const FlowReading *reading) {
         real expected = flow_row(self, &past, axis, distance_m, h), before[3];
         real sigma = config->flow_rate_sigma_rad_s * distance_m + config->flow_scale_sigma * real_abs(expected);
         vector_copy(self->filter.position, before);
-        real score =
-            filter_correct_scalar(&self->filter, h, measured[axis] - expected, sigma * sigma, config->flow_gate);
+        residual[axis] = measured[axis] - expected;
+        real score = filter_correct_scalar(&self->filter, h, residual[axis], sigma * sigma, config->flow_gate);
         used = corrections_conclude(&self->corrections, &self->filter, &self->state, AID_FLOW, score,
                                     config->flow_gate, before, now_ns) && used;
     }
@@ -362,6 +362,8 @@ void estimator_receive_flow(Estimator *self, const FlowReading *reading) {
     } else if (now_ns > self->state.last_velocity_aid_ns) {
         self->state.last_velocity_aid_ns = now_ns;
     }
+    pose_trust_note_flow(&self->poses.trust, residual, past.rotation, now_ns);
+    pose_fusion_check_drift(&self->poses, AROUND(self), now_ns);
 }
 
 /* Estimator._receive_range: height over a level floor at d = 0. The first echo comes from straight below while the tilt is
@@ -378,19 +380,20 @@ void estimator_receive_range(Estimator *self, const RangeReading *reading) {
     }
     real beyond = real_acos(real_min(REAL(1.0), past.rotation[8])) - config->range_half_cone_rad;
     real share = beyond > REAL(0.0) ? real_cos(beyond) : REAL(1.0);
-    real innovation = -reading->distance_m * share - past.position[2];
-    real variance = square(config->range_sigma_m);
+    real down_m = -reading->distance_m * share, variance = square(config->range_sigma_m);
+    real innovation = down_m - past.position[2];
     if (correct_component(self, AID_RANGE, POSITION + 2, innovation, variance, config->range_gate, now_ns)) {
         self->state.last_height_ns = now_ns;
     } else {
         recover(self, AID_RANGE, POSITION + 2, 1, now_ns);
     }
+    pose_trust_note_range(&self->poses.trust, down_m, innovation, now_ns);
+    pose_fusion_check_drift(&self->poses, AROUND(self), now_ns);
 }
 
 /* Estimator.receive_pose */
 void estimator_receive_pose(Estimator *self, const Pose *pose, int64_t capture_ns, int64_t now_ns, real time_sigma_s) {
-    PoseSurroundings at = {&self->filter, &self->state, &self->corrections, &self->gyro};
     if (self->state.initialised) {
-        pose_fusion_receive(&self->poses, &at, pose, capture_ns, now_ns, time_sigma_s);
+        pose_fusion_receive(&self->poses, AROUND(self), pose, capture_ns, now_ns, time_sigma_s);
     }
 }

@@ -18,7 +18,8 @@ typedef enum {
     ESTIMATOR_GYRO_STUCK,     /* `number`: axis */
     ESTIMATOR_CALIBRATED,     /* values: gyroscope bias, accelerometer along gravity, s */
     ESTIMATOR_MOVED,          /* `number`: 0 to 2 accelerometer, 3 to 5 gyroscope; values: change */
-    ESTIMATOR_BIASED          /* `number`: axis; values: bias and its limit, rad/s */
+    ESTIMATOR_BIASED,         /* `number`: axis; values: bias and its limit, rad/s */
+    ESTIMATOR_POSES_DRIFT     /* values: by how much, m */
 } EstimatorEventKind;
 
 typedef struct {

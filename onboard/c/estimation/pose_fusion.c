@@ -12,10 +12,54 @@ void pose_fusion_init(PoseFusion *self, const EstimatorConfig *config) {
     self->config = *config;
     self->delay_max_ns = (int64_t)((double)config->pose_delay_max_s * 1e9);
     self->last_capture_ns = NEVER_NS;
+    pose_trust_init(&self->trust, config);
 }
 
 static real square(real x) {
     return x * x;
+}
+
+/* PoseFusion._is_implausible: whether a pose in flight is where the vehicle cannot be. The first one may be anywhere. */
+static bool is_implausible(const PoseFusion *self, const PoseSurroundings *at, const Pose *pose, const PastState *past,
+                           const real innovation[3], int64_t now_ns) {
+    real turn[3];
+    if (!self->had_pose || !at->corrections->in_flight) {
+        return false;
+    }
+    if (stuck_gyro_any(at->gyro)) {
+        vector_zero(turn);
+    } else {
+        rotation_between(pose->quaternion, past->rotation, turn);
+    }
+    real age_s = (real)(now_ns - at->state->last_pose_ns) * REAL(1e-9);
+    return pose_trust_implausible(&self->trust, innovation, turn, past->rate_world, age_s, now_ns);
+}
+
+/* PoseFusion.check_drift */
+void pose_fusion_check_drift(PoseFusion *self, const PoseSurroundings *at, int64_t now_ns) {
+    const real level[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    ErrorStateFilter *filter = at->filter;
+    PoseTrust *trust = &self->trust;
+    if (!self->had_pose || !at->corrections->in_flight || stuck_gyro_any(at->gyro) || trust->drifting) {
+        pose_trust_forget(trust);
+        return;
+    }
+    real before[3], moved_m[3], moved_m_s[3];
+    bool fresh = now_ns - at->state->last_pose_ns < trust->fresh_ns;
+    if (!fresh || !pose_trust_drift(trust, filter->position, filter->velocity, now_ns, moved_m, moved_m_s)) {
+        return;
+    }
+    vector_copy(filter->position, before);
+    filter_shift(filter, moved_m, moved_m_s, level);
+    filter_inflate(filter, VELOCITY, DRIFT_VELOCITY_SIGMA, 2);
+    if (moved_m[2] != REAL(0.0)) {
+        filter_inflate(filter, POSITION + 2, DRIFT_HEIGHT_SIGMA, 1);
+        filter_inflate(filter, VELOCITY + 2, DRIFT_CLIMB_SIGMA, 1);
+    }
+    self->refused_in_a_row = 0;
+    self->drifts++;
+    estimator_report(&at->corrections->events, now_ns, ESTIMATOR_POSES_DRIFT, 0)->values[0] = vector_length(moved_m);
+    corrections_announce_jump(at->corrections, filter, at->state, before, AID_POSE_POSITION, now_ns, REAL(0.0), true);
 }
 
 /* _softened: the variance at which an innovation of squared length `off` passes the gate, if it is not larger than
@@ -114,6 +158,7 @@ static bool fuse(PoseFusion *self, const PoseSurroundings *at, const Pose *pose,
 /* PoseFusion._accept */
 static void accept(PoseFusion *self, VehicleState *state, int64_t now_ns) {
     self->had_pose = true;
+    self->trust.drifting = false;
     state->last_pose_ns = state->last_velocity_aid_ns = state->last_height_ns = now_ns;
 }
 
@@ -134,6 +179,8 @@ static void jump_to(PoseFusion *self, const PoseSurroundings *at, const Pose *po
     }
     vector_copy(filter->position, before);
     vector_subtract(pose->position, past.position, step);
+    real age_s = (real)(now_ns - at->state->last_pose_ns) * REAL(1e-9);
+    pose_trust_note_jump(&self->trust, step, age_s, now_ns);
     filter_shift(filter, step, still, turn);
     /* The velocity turns with the frame: what flow measured was in the body frame. */
     turned_about_vertical(turn, filter->velocity, filter->velocity);
@@ -142,7 +189,8 @@ static void jump_to(PoseFusion *self, const PoseSurroundings *at, const Pose *po
         filter_restart_error(filter, ATTITUDE, REAL(2.0) * self->config.pose_attitude_sigma_rad);
     }
     if (self->had_pose) {
-        filter_restart_error(filter, VELOCITY, REAL(1.0));
+        filter_restart_error(filter, VELOCITY, REAL(0.0));
+        filter_inflate_motion(filter, REAL(1.0), (real)(at->state->last_imu_ns - capture_ns) * REAL(1e-9));
     }
     if (vector_length(turn) > LARGE_TURN_RAD) {
         filter_forget_history(filter);
@@ -185,6 +233,11 @@ void pose_fusion_receive(PoseFusion *self, const PoseSurroundings *at, const Pos
     self->last_capture_ns = capture_ns;
     real innovation[3];
     vector_subtract(pose->position, past.position, innovation);
+    if (is_implausible(self, at, pose, &past, innovation, now_ns)) {
+        self->implausible++;
+        self->refused++;
+        return;
+    }
     if (self->had_pose && fuse(self, at, pose, innovation, capture_ns, now_ns, time_sigma_s)) {
         self->refused_in_a_row = 0;
         self->used++;

@@ -99,6 +99,12 @@ static void read_EstimatorConfig(Cursor *from, EstimatorConfig *out) {
     out->pose_delay_max_s = read_real(from);
     out->pose_reset_count = (int32_t)read_int(from);
     out->pose_agree_m = read_real(from);
+    out->pose_jump_m = read_real(from);
+    out->pose_jump_rate_m_s = read_real(from);
+    out->pose_blind_rate_m_s = read_real(from);
+    out->pose_turn_max_rad = read_real(from);
+    out->pose_drift_m = read_real(from);
+    out->pose_drift_average_s = read_real(from);
     out->jump_threshold_m = read_real(from);
     out->flow_rate_sigma_rad_s = read_real(from);
     out->flow_scale_sigma = read_real(from);
@@ -453,7 +459,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x9e, 0x80, 0x76, 0x98, 0x1b, 0xaf, 0x80, 0x2a};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x48, 0xfd, 0x79, 0xce, 0x30, 0x70, 0xc2, 0xdd};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4132
+#define CONFIG_IMAGE_BYTES 4180
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -68,28 +68,34 @@ typedef struct {
     real pose_delay_max_s; /* 240: s; older poses are refused */
     int32_t pose_reset_count; /* 248: refused poses in a row that agree: state jumps to them */
     real pose_agree_m; /* 256: m between successive refused poses that agree */
-    real jump_threshold_m; /* 264: m; a larger correction is announced as a jump */
-    real flow_rate_sigma_rad_s; /* 272: rad/s, per axis, of the flow rate */
-    real flow_scale_sigma; /* 280: 1; relative error of the flow velocity */
-    int32_t flow_quality_min; /* 288: flow of lower quality is ignored */
-    real flow_height_min_m; /* 296: m; flow below this height is ignored */
-    real flow_gate; /* 304: chi-square limit, 1 degree of freedom */
-    real range_sigma_m; /* 312: m */
-    real range_floor_m; /* 320: m; least distance of the ultrasonic sensor */
-    real range_margin_m; /* 328: m above that distance, from which readings count */
-    real range_max_m; /* 336: m */
-    real range_half_cone_rad; /* 344: rad; half the beam's opening angle */
-    real range_gate; /* 352: chi-square limit, 1 degree of freedom */
-    real pressure_sigma_pa; /* 360: Pa, of a mean of eight samples */
-    real pressure_drift_pa; /* 368: Pa, drift within a flight */
-    real pressure_gate; /* 376: chi-square limit, 1 degree of freedom */
-    real still_velocity_sigma_m_s; /* 384: m/s on the ground */
-    real still_height_sigma_m; /* 392: m on the ground, without a pose */
-    real unaided_velocity_sigma_m_s; /* 400: m/s; assumed without any aid */
-    real recovery_s; /* 408: s of refused aids after which the uncertainty grows */
-    real aid_fresh_s; /* 416: s; a younger aid counts as present */
-    int32_t covariance_every; /* 424: IMU samples per covariance step */
-    real gap_s; /* 432: s; after a longer IMU gap the uncertainty grows */
+    real pose_jump_m; /* 264: m in flight; a pose off by more is implausible; less than pose_drift_m */
+    real pose_jump_rate_m_s; /* 272: m/s without a pose, with flow, by which that limit grows */
+    real pose_blind_rate_m_s; /* 280: m/s, the same without flow */
+    real pose_turn_max_rad; /* 288: rad in flight; an attitude off by more, the same */
+    real pose_drift_m; /* 296: m by which poses may lead the estimate away from flow, or range and pressure */
+    real pose_drift_average_s; /* 304: s over which the flow is summed up for that */
+    real jump_threshold_m; /* 312: m; a larger correction is announced as a jump */
+    real flow_rate_sigma_rad_s; /* 320: rad/s, per axis, of the flow rate */
+    real flow_scale_sigma; /* 328: 1; relative error of the flow velocity */
+    int32_t flow_quality_min; /* 336: flow of lower quality is ignored */
+    real flow_height_min_m; /* 344: m; flow below this height is ignored */
+    real flow_gate; /* 352: chi-square limit, 1 degree of freedom */
+    real range_sigma_m; /* 360: m */
+    real range_floor_m; /* 368: m; least distance of the ultrasonic sensor */
+    real range_margin_m; /* 376: m above that distance, from which readings count */
+    real range_max_m; /* 384: m */
+    real range_half_cone_rad; /* 392: rad; half the beam's opening angle */
+    real range_gate; /* 400: chi-square limit, 1 degree of freedom */
+    real pressure_sigma_pa; /* 408: Pa, of a mean of eight samples */
+    real pressure_drift_pa; /* 416: Pa, drift within a flight */
+    real pressure_gate; /* 424: chi-square limit, 1 degree of freedom */
+    real still_velocity_sigma_m_s; /* 432: m/s on the ground */
+    real still_height_sigma_m; /* 440: m on the ground, without a pose */
+    real unaided_velocity_sigma_m_s; /* 448: m/s; assumed without any aid */
+    real recovery_s; /* 456: s of refused aids after which the uncertainty grows */
+    real aid_fresh_s; /* 464: s; a younger aid counts as present */
+    int32_t covariance_every; /* 472: IMU samples per covariance step */
+    real gap_s; /* 480: s; after a longer IMU gap the uncertainty grows */
 } EstimatorConfig;
 
 typedef enum { SUPERVISOR_ON_POSE_STALE_HOLD, SUPERVISOR_ON_POSE_STALE_CONTINUE } SupervisorOnPoseStale;
@@ -386,12 +392,12 @@ typedef struct {
     AirframeConfig airframe; /* 32 */
     ThrustScaleConfig thrust_scale; /* 128 */
     EstimatorConfig estimator; /* 176 */
-    SupervisorConfig supervisor; /* 616 */
-    GuidanceConfig guidance; /* 880 */
-    CascadeSettings controller; /* 2616: of the cascade */
-    SamplerConfig samples; /* 3960 */
-    Swing lissajous[2]; /* 4008: north and east; zero on another path */
-    int32_t layout[8]; /* 4056: bytes of feature_digest */
+    SupervisorConfig supervisor; /* 664 */
+    GuidanceConfig guidance; /* 928 */
+    CascadeSettings controller; /* 2664: of the cascade */
+    SamplerConfig samples; /* 4008 */
+    Swing lissajous[2]; /* 4056: north and east; zero on another path */
+    int32_t layout[8]; /* 4104: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -67,6 +67,15 @@
 #define FUTURE_NS 20000000 /* onboard.estimation.pose_fusion */
 #define WRONG_FOR_S REAL(0.02) /* onboard.estimation.pose_fusion */
 #define LARGE_TURN_RAD REAL(0.2) /* onboard.estimation.pose_fusion */
+#define DRIFT_VELOCITY_SIGMA REAL(0.2) /* onboard.estimation.pose_fusion */
+#define DRIFT_HEIGHT_SIGMA REAL(0.1) /* onboard.estimation.pose_fusion */
+#define DRIFT_CLIMB_SIGMA REAL(0.3) /* onboard.estimation.pose_fusion */
+#define SLOW_S REAL(0.2) /* onboard.estimation.pose_trust */
+#define FAST_S REAL(0.1) /* onboard.estimation.pose_trust */
+#define RANGE_STEP_MAX_M REAL(0.3) /* onboard.estimation.pose_trust */
+#define PRESSURE_SHARE REAL(0.6) /* onboard.estimation.pose_trust */
+#define TURN_RATE_RAD_S REAL(0.02) /* onboard.estimation.pose_trust */
+#define STEP_MAX_S REAL(0.1) /* onboard.estimation.pose_trust */
 #define AIR_PA_PER_M REAL(11.6) /* onboard.estimation.estimator */
 #define SLOW_AIDS 8 /* onboard.estimation.estimator */
 #define PRESSURE_TURN 7 /* onboard.estimation.estimator */

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from configs.addresses import Addresses
+from configs.addresses import ADDRESSES
 from experiments.flights.scenario import Choices, resolve
 from flight_log.reader import open_flight
 from tests.experiments.processes import Processes
@@ -22,7 +22,7 @@ pytestmark = [
 
 
 def test_the_flight_goes_on(tmp_path: Path) -> None:
-    names = sorted(name for name in Addresses.model_fields if not name.endswith("key_file"))
+    names = ADDRESSES
     addresses = tuple(f"network.{name}=127.0.0.1:{16760 + index}" for index, name in enumerate(names))
     config = resolve("hover", Choices("pid", 1, DURATION_S, addresses))
     path = tmp_path / "config.yaml"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from configs.addresses import Addresses
+from configs.addresses import ADDRESSES
 from flight_log.live import END_FILE
 from flight_log.reader import open_flight
 from tests import browser
@@ -69,7 +69,7 @@ def test_a_browser_shows_the_flight_while_it_is_flown(tmp_path: Path) -> None:
 
 def fly_command(folder: Path) -> list[str]:
     """The flight, on addresses that no flight of a person uses."""
-    names = sorted(name for name in Addresses.model_fields if not name.endswith("key_file"))
+    names = ADDRESSES
     command = [sys.executable, "-m", "async_dmrac", "fly", "figure8_wind", "--view", "--web"]
     command += ["--out", str(folder), "--duration", str(DURATION_S)]
     for index, name in enumerate(names):

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from configs.addresses import Addresses
+from configs.addresses import ADDRESSES, Addresses
 from experiments.flights import realtime_flight
 from experiments.flights.realtime_flight import Child, FlightStartError, RealtimeResult, run
 from runtime.sockets import AddressInUseError, DatagramSocket
 
 ROOT = Path(__file__).resolve().parents[3]
 NETWORK = Addresses()
-LATER = {name: f"127.0.0.1:{15460 + index}" for index, name in enumerate(sorted(Addresses.model_fields))}
-NETWORK = NETWORK.model_copy(update={name: address for name, address in LATER.items() if name != "key_file"})
+LATER = {name: f"127.0.0.1:{15460 + index}" for index, name in enumerate(ADDRESSES)}
+NETWORK = NETWORK.model_copy(update=LATER)
 
 STAND_IN = """
 import json, signal, sys, time

@@ -1,14 +1,16 @@
 """Keys are read from files only: a signed flight flies, is checked bit for bit, and its record contains no key."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from async_dmrac.command_line import main
+from configs.addresses import LINK_KEYS
 from flight_log.reader import open_flight
 from protocol.keys import read_key
 
-KEYS = ("key_file", "vehicle_key_file", "ground_key_file")
+KEYS = tuple(key.setting for key in LINK_KEYS.values())
 
 
 @pytest.fixture
@@ -23,10 +25,12 @@ def test_a_flight_with_all_links_keyed_leaves_no_key_in_its_record(
     keys: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "flight"
-    words = ["fly", "hover", "--controller", "pid", "--lockstep", "--no-offboard", "--duration", "8"]
+    words = ["fly", "hover", "--controller", "pid", "--lockstep", "--duration", "8"]
     for name, path in keys.items():
         words += ["--set", f"network.{name}={path}"]
     assert main([*words, "--out", str(folder)]) == 0
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["link"]["down"]["sent"] > 700, "the signed poses are relayed"
     assert main(["replay", str(folder), "--check"]) == 0
     assert "equal bit for bit" in capsys.readouterr().out
     left = [path.read_bytes() for path in folder.iterdir() if path.is_file()]

@@ -105,7 +105,8 @@ def configs(tmp_path: Path, with_radio: bool) -> tuple[Path, Path]:
         "radio_offboard": f"{LINK[0]}:15571",
         "onboard_link": f"{LINK[0]}:15571",
     }
-    common = {"offboard_link": f"{LINK[1]}:15573", "motion_capture": f"{CAPTURE[1]}:15574", "key_file": str(key)}
+    common = {"offboard_link": f"{LINK[1]}:15573", "motion_capture": f"{CAPTURE[1]}:15574"}
+    common |= {"key_file": str(key), "capture_key_file": str(key)}
     impaired = config.radio.model_validate({"up": RADIO, "down": RADIO}) if with_radio else config.radio
     config = with_network(config, common | (radio if with_radio else direct)).model_copy(update={"radio": impaired})
     path, path_of_sim = tmp_path / "config.yaml", tmp_path / "sim.yaml"

@@ -9,8 +9,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from offboard.config import PoseRelayConfig
 from offboard.links.pose_relay import FROZEN_POSES, REASONS, PoseRelay
+from protocol.mavlink.frames import FrameWriter
+from protocol.mavlink.motion_capture import encode_odometry, odometry_covariances
+from protocol.mavlink.signing import SigningClock
 
 MS = 1_000_000
+S = 1_000_000_000
 HALF = math.sqrt(0.5)
 
 
@@ -116,9 +120,31 @@ def test_old_poses_are_dropped_and_a_restarted_capture_is_followed() -> None:
     assert relay_.receive(odometry(80_000), 1001 * MS) is None
     assert relay_.receive(odometry(100_000), 1002 * MS) is None
     assert relay_.rejected == {"old": 2}
+    texts(relay_)
     pose = relay_.receive(odometry(5_000), 2000 * MS)
     assert pose is not None
     assert pose.time_ns == 2000 * MS
+    assert texts(relay_) == ["motion capture: its clock stepped by -1.095 s; mapped again"]
+
+
+def test_a_recording_beside_the_living_capture_moves_no_clock() -> None:
+    relay_ = relay()
+    for k in range(1, 200):
+        assert relay_.receive(odometry(10_000 * k + 7_000_000, x=1e-3 * k), 10 * k * MS) is not None
+        assert relay_.receive(odometry(10_000 * k + 1_000_000, x=0.3), (10 * k + 1) * MS) is None
+        assert relay_.receive(odometry(10_000 * k + 90_000_000, x=0.3), (10 * k + 2) * MS) is None
+    assert relay_.clock_steps == 0
+    assert relay_.rejected == {"other_clock": 2 * 199}
+
+
+def test_a_clock_that_steps_far_in_flight_costs_a_third_of_a_second() -> None:
+    relay_ = relay()
+    used = [
+        relay_.receive(odometry(10_000 * k + (3_600_000_000 if k >= 50 else 0), x=1e-3 * k), 10 * k * MS) is not None
+        for k in range(1, 200)
+    ]
+    assert [k for k, one in enumerate(used, 1) if not one] == list(range(50, 79))
+    assert relay_.clock_steps == 1
 
 
 @pytest.mark.parametrize("ahead_ms", [60, 200, 499])
@@ -150,3 +176,43 @@ def test_a_stall_changes_no_time_of_a_pose(stall_ms: int) -> None:
         pose = relay_.receive(odometry(10_000 * k, x=1e-3 * k), (10 * k + 1 + late) * MS)
         assert pose is not None
         assert pose.time_ns == (10 * k + 1) * MS
+
+
+KEY = bytes(range(32))
+UTC_NS = 1_700_000_000 * S
+
+
+def pose_of(time_ns: int, north_m: float = 1.0):
+    pose = ((north_m, 2.0, -1.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    return encode_odometry(time_ns // 1000, *pose, odometry_covariances(1e-6, 1e-6, 1e-4))
+
+
+def signed(time_ns: int, key: bytes | None = KEY) -> bytes:
+    """A frame of another motion capture, signed at `time_ns` on its clock."""
+    return FrameWriter(1, 197, key, SigningClock(UTC_NS)).write(pose_of(time_ns), time_ns)
+
+
+def keyed_relay(utc_ns: int = UTC_NS) -> PoseRelay:
+    config = PoseRelayConfig(latency_s=0.0, position_limit_m=50.0)
+    return PoseRelay(config, KEY, SigningClock(utc_at_first_use_ns=utc_ns))
+
+
+def test_with_a_key_only_new_signed_poses_are_relayed() -> None:
+    capture = FrameWriter(1, 197, KEY, SigningClock(UTC_NS))
+    relay = keyed_relay()
+    sent = [capture.write(pose_of(10 * index * MS, 0.01 * index), 10 * index * MS) for index in range(1, 4)]
+    assert relay.receive(signed(1 * MS, key=None), 0) is None
+    assert relay.receive(signed(1 * MS, key=bytes(32)), 0) is None
+    assert relay.receive(sent[0], 11 * MS) is not None
+    assert relay.receive(sent[1], 21 * MS) is not None
+    assert relay.receive(sent[0], 22 * MS) is None
+    assert relay.rejected == {"unsigned": 1, "signature": 1, "signature_replayed": 1}
+    assert relay.take_events()[0][1] == "motion capture: the signature is missing, wrong or repeated, pose ignored"
+    assert relay.screen(sent[2]) == 331
+    assert [relay.screen(one) for one in (sent[1], signed(0, key=None), b"", sent[2][:-1] + b"?")] == [-1] * 4
+
+
+def test_a_recording_of_another_day_is_refused() -> None:
+    relay = keyed_relay(UTC_NS + 86_400 * S)
+    assert relay.receive(signed(1 * MS), 1 * MS) is None
+    assert relay.rejected == {"signature_too_old": 1}

@@ -13,13 +13,15 @@ from offboard.core import OffboardOutput
 from offboard.links import vehicle_service
 from offboard.links.vehicle_service import ESCAPES_MAX, VehicleService
 
+SCREENS = (lambda datagram: 0,) * 2
+
 
 @pytest.fixture
 def service(tmp_path: Path):
     network: Any = SimpleNamespace(
         offboard_link="127.0.0.1:0", radio_offboard="127.0.0.1:9", motion_capture="127.0.0.1:0"
     )
-    core: Any = SimpleNamespace(final_checkpoint=lambda: b"last")
+    core: Any = SimpleNamespace(final_checkpoint=lambda: b"last", screens=SCREENS)
     nothing: Any = SimpleNamespace()
     made = VehicleService(core, network, nothing, tmp_path, nothing, nothing)
     yield made
@@ -65,6 +67,7 @@ class Core:
 
     def __init__(self, name: str) -> None:
         self.name, self.outstanding = name, 0
+        self.screens = SCREENS
         self.trained: list[object] = []
         self.failed = 0
 
@@ -134,7 +137,9 @@ def test_failed_writes_are_reported_and_do_not_affect_training(tmp_path: Path) -
 
 def test_a_core_that_keeps_failing_is_given_up_with_a_message(tmp_path: Path) -> None:
     reports, broken = Reports(), Core("broken")
-    service = served(SimpleNamespace(final_checkpoint=broken.final_checkpoint), reports, tmp_path, None)
+    service = served(
+        SimpleNamespace(final_checkpoint=broken.final_checkpoint, screens=SCREENS), reports, tmp_path, None
+    )
     for _ in range(ESCAPES_MAX):
         assert not service.given_up
         service.step()

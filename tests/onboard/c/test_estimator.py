@@ -40,9 +40,13 @@ def outliers(t: float, position: Any, quaternion: Any) -> Any:
     return (position + np.array([2.0, 0.0, -1.0]) if wild else position), quaternion
 
 
-def wrong_attitude(t: float, position: Any, quaternion: Any) -> Any:
-    wrong = Rotation.from_euler("y", 1.2).as_quat()[[3, 0, 1, 2]]
-    return position, (wrong if 3.0 < t < 3.5 else quaternion)
+def turned(angle: float) -> Callable[[float, Any, Any], Any]:
+    wrong = Rotation.from_euler("y", angle).as_quat()[[3, 0, 1, 2]]
+    return lambda t, position, quaternion: (position, wrong if 3.0 < t < 3.5 else quaternion)
+
+
+def drifting(n: float, e: float, d: float) -> Callable[[float, Any, Any], Any]:
+    return lambda t, position, quaternion: (position + max(0.0, t - 3.5) * np.array([n, e, d]), quaternion)
 
 
 def gaps(t: float, imu: ImuReading) -> ImuReading | None:
@@ -99,7 +103,10 @@ FLIGHTS: dict[str, tuple[dict[str, Any], Callable[[], dict[str, Any]], str]] = {
     "without any aid": ({"pose_windows": NEVER, "flow_windows": NEVER}, dict, "pressure_used"),
     "moved frame": ({}, lambda: {"pose_fault": moved_frame}, "pose_jump"),
     "outliers": ({}, lambda: {"pose_fault": outliers}, "pose_refused"),
-    "wrong attitude": ({}, lambda: {"pose_fault": wrong_attitude}, "pose_attitude_refused"),
+    "wrong attitude": ({}, lambda: {"pose_fault": turned(0.4)}, "pose_attitude_refused"),
+    "impossible attitude": ({}, lambda: {"pose_fault": turned(1.2)}, "pose_implausible"),
+    "drifting poses": ({}, lambda: {"pose_fault": drifting(0.7, -0.7, 0.0)}, "pose_drift"),
+    "drifting height": ({}, lambda: {"pose_fault": drifting(0.0, 0.0, 0.8)}, "pose_drift"),
     "gap": ({}, lambda: {"imu_fault": gaps}, "imu_gap"),
     "out of order": ({}, lambda: {"imu_fault": out_of_order}, "imu_out_of_order"),
     "without pressure": ({"pose_windows": NEVER}, lambda: {"imu_fault": without_pressure}, "range_used"),
@@ -113,7 +120,14 @@ FLIGHTS: dict[str, tuple[dict[str, Any], Callable[[], dict[str, Any]], str]] = {
     "every sample": ({"config": EstimatorConfig(covariance_every=1, gyro_delay_s=0.0)}, dict, "pose_used"),
 }
 """Settings, faults, and what must have happened: else the flight would compare nothing of its fault."""
-WATCHED = ("moved frame", "wrong attitude", "two stuck axes", "stuck axis without poses", "wrong range")
+WATCHED = (
+    "moved frame",
+    "wrong attitude",
+    "drifting height",
+    "two stuck axes",
+    "stuck axis without poses",
+    "wrong range",
+)
 """The flights that the sanitizers watch."""
 
 

@@ -11,7 +11,7 @@ from tests.onboard.links.pymavlink_vehicle import KEY, OTHER_KEY, STEP_NS, Link,
 def signed_pair(**config):
     now_ns = 10**12
     vehicle = Vehicle(key=KEY)
-    vehicle.mav.signing.timestamp = now_ns // 10_000
+    vehicle.mav.signing.timestamp = now_ns // 10_000 + STEP_NS // 10_000  # signed after the link began
     return vehicle, Link(KEY, now_ns, SigningClock(), **config)
 
 

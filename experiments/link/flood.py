@@ -1,0 +1,170 @@
+"""Flies in real time while one port is flooded, port by port and rate by rate, and compares with a quiet flight."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+from rich.table import Table
+
+from configs.addresses import LINK_KEYS, Addresses
+from experiments.flights import realtime_flight
+from experiments.flights.logged_flight import read_trace
+from experiments.flights.metrics import flight_metrics
+from experiments.flights.scenario import FlightConfig
+from protocol.keys import write_key
+from runtime.errors import StartError
+
+PORTS: Final = {
+    "vehicle": ("onboard_vehicle", "vehicle"),
+    "offboard": ("onboard_link", "radio_onboard"),
+    "ground": ("", "ground"),
+    "motion capture": ("motion_capture", "motion_capture"),
+    "onboard": ("offboard_link", "radio_offboard"),
+}
+"""By the name of the port in the reports: the address that is flooded, and that of its peer, in `network`. Onboard's
+port towards the ground station is any free one; the motion capture's may be anybody's."""
+RATES_HZ: Final = (1_000, 10_000, 50_000)
+KEYS: Final = tuple(key.setting for key in LINK_KEYS.values())
+END_LIMIT_S: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flooded:
+    """One flight."""
+
+    port: str
+    """"" for the quiet flight."""
+    rate_hz: float
+    """Datagrams sent per second, as measured."""
+    survived: bool
+    rmse_m: float
+    missed_share: float
+    """Of onboard's ticks."""
+    tick_p99_us: float
+    dropped: dict[str, int]
+    """By the flooded process, by reason."""
+
+
+def keyed(config: FlightConfig, folder: Path) -> FlightConfig:
+    """The flight with a new key on every link, in files in `folder`."""
+    for name in KEYS:
+        write_key(folder / name)
+    files = {name: str(folder / name) for name in KEYS}
+    network = Addresses.model_validate(config.network.model_dump() | files)
+    return config.model_copy(update={"network": network})
+
+
+def measure(
+    config: FlightConfig, ports: Sequence[str], rates_hz: Sequence[int], show: Callable[[str], None]
+) -> list[Flooded]:
+    """A quiet flight, then one with each rate at each port. Raises StartError without root."""
+    with TemporaryDirectory(prefix="flood") as name:
+        folder = Path(name)
+        flight = keyed(config, folder)
+        flights = [fly(flight, folder / "quiet")]
+        for port in ports:
+            for rate_hz in rates_hz:
+                flights.append(fly(flight, folder / f"{port}_{rate_hz}", port, rate_hz))
+                show(_line(flights[-1]))
+    return flights
+
+
+def fly(config: FlightConfig, out: Path, port: str = "", rate_hz: int = 0) -> Flooded:
+    """One flight; the flood begins when the vehicle flies, and lasts to its end."""
+    out.mkdir()
+    path = out / "config.yaml"
+    path.write_text(config.to_yaml(), encoding="utf-8")
+    flooder = _Flooder(config, port, rate_hz)
+    try:
+        result = realtime_flight.run(config.network, path, config.duration_s, out, flooder.note)
+    finally:
+        sent_hz = flooder.end()
+    onboard, sim = result.onboard or {}, result.sim or {}
+    trace = read_trace(out)
+    survived = bool(sim.get("survived")) and trace is not None
+    error = flight_metrics(trace, config.onboard.guidance.trajectory).position_rmse_m if trace else float("nan")
+    summaries = (onboard, result.offboard or {})
+    dropped: dict[str, int] = next((one["dropped"][port] for one in summaries if port in one.get("dropped", {})), {})
+    share = onboard.get("missed", 0) / max(1, onboard.get("ticks", 1))
+    return Flooded(port, sent_hz, survived, error, share, onboard.get("tick_us", {}).get("p99", float("nan")), dropped)
+
+
+class _Flooder:
+    """Starts the sender when onboard reports that it flies."""
+
+    def __init__(self, config: FlightConfig, port: str, rate_hz: int) -> None:
+        self._config = config
+        self._port = port
+        self._rate_hz = rate_hz
+        self._process: subprocess.Popen[str] | None = None
+
+    def note(self, entry: dict[str, Any]) -> None:
+        """Receive a status line of a process."""
+        flies = entry.get("process") == "onboard" and entry.get("mode") == "FLYING"
+        if not flies or self._process is not None or not self._port:
+            return
+        target, peer = PORTS[self._port]
+        network = self._config.network
+        there: str = getattr(network, peer)
+        here: str = getattr(network, target) if target else port_towards(there)
+        words = ("-m", "experiments.link.flood_sender", here, there, str(self._rate_hz), str(self._config.duration_s))
+        self._process = subprocess.Popen((sys.executable, *words), stdout=subprocess.PIPE, text=True)
+
+    def end(self) -> float:
+        """The rate that was sent, Hz. Raises StartError if the sender failed."""
+        if self._process is None:
+            return 0.0
+        output, _ = self._process.communicate(timeout=self._config.duration_s + END_LIMIT_S)
+        if self._process.returncode:
+            raise StartError("the flood needs root: it writes the peer's address into the datagrams")
+        return int(output) / self._config.duration_s
+
+
+def port_towards(peer: str) -> str:
+    """The local address of the socket that is connected to `peer` on this machine. Raises StartError if none is."""
+    host, port = peer.split(":")
+    wanted = f"{int.from_bytes(bytes(map(int, host.split('.'))), 'little'):08X}:{int(port):04X}"
+    for line in Path("/proc/net/udp").read_text(encoding="ascii").splitlines()[1:]:
+        _, local, remote, *_ = line.split()
+        if remote == wanted:
+            address, number = local.split(":")
+            return f"{'.'.join(map(str, int(address, 16).to_bytes(4, 'little')))}:{int(number, 16)}"
+    raise StartError(f"no socket of this machine is connected to {peer}")
+
+
+def table(flights: Sequence[Flooded]) -> Table:
+    """The flights, one a row."""
+    shown = Table(title="flooded ports, real time", box=None, pad_edge=False, title_justify="left")
+    for name in (
+        "port",
+        "sent /s",
+        "vehicle",
+        "RMSE mm",
+        "ticks missed",
+        "tick p99 us",
+        "dropped by onboard or offboard",
+    ):
+        shown.add_column(name, justify="left" if name in ("port", "vehicle") else "right")
+    for one in flights:
+        shown.add_row(*_cells(one))
+    return shown
+
+
+def _cells(one: Flooded) -> tuple[str, ...]:
+    dropped = ", ".join(f"{count} {reason}" for reason, count in one.dropped.items() if count)
+    alive = "alive" if one.survived else "lost"
+    numbers = (f"{1e3 * one.rmse_m:.1f}", f"{one.missed_share:.2%}", f"{one.tick_p99_us:.0f}")
+    return (one.port or "none", f"{one.rate_hz:,.0f}", alive, *numbers, dropped or "-")
+
+
+def _line(one: Flooded) -> str:
+    return "  ".join(_cells(one))
+
+
+def as_json(flights: Sequence[Flooded]) -> list[dict[str, Any]]:
+    """The numbers."""
+    return [{name: getattr(one, name) for name in Flooded.__slots__} for one in flights]
