@@ -1,6 +1,6 @@
 """The two onboard cores by name: `onboard.core.OnboardCore` with numpy, `onboard.c.compiled_core.CompiledCore` in C.
 
-The process, a lockstep flight and a replay use either by the interface `AnyCore`.
+A lockstep flight and a replay use either by the interface `AnyCore`; the process uses numpy's.
 """
 
 from typing import Any, Final, Protocol

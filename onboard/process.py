@@ -21,7 +21,7 @@ from flight_log.schema import CLOCK_OFFSET, RecordType
 from flight_log.writer import FlightLogWriter
 from onboard.control.actuators import CATCH_UP_MAX
 from onboard.core import OnboardOutput
-from onboard.cores import AnyCore
+from onboard.core import OnboardCore
 from onboard.links.frame_stream import FrameStream
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
@@ -90,7 +90,7 @@ class OnboardProcess:
 
     def __init__(
         self,
-        core: AnyCore,
+        core: OnboardCore,
         realtime: RealtimeConfig,
         period_ns: int,
         sockets: Sockets,
