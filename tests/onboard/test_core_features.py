@@ -12,7 +12,7 @@ from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
 from protocol.transfer import split
-from tests.onboard.loop import Loop, Peer, in_flight
+from tests.onboard.loop import CLOCK_NS, Loop, Peer, in_flight
 
 
 def features(version=1, gain=1.0, last_layer=0.0):
@@ -138,11 +138,11 @@ def test_features_that_wait_are_void_when_the_peer_restarts():
 def test_a_version_is_swapped_in_the_tick_of_its_last_chunk():
     loop = Loop("dmrac", peer=Peer()).fly(1.0)
     chunks = split(encode_feature_set(features(), "float32"), 1, 300)
-    loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns) for chunk in chunks[:-1]]
+    loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS) for chunk in chunks[:-1]]
     loop.step()
     assert loop.core.summary()["features"]["version"] == 0
     assert isinstance(chunks[-1], FeatureChunk)
-    loop.extra = [loop.peer.endpoint.encode(chunks[-1], loop.now_ns)]
+    loop.extra = [loop.peer.endpoint.encode(chunks[-1], loop.now_ns + CLOCK_NS)]
     loop.step()
     assert loop.core.summary()["features"]["version"] == 1
 
