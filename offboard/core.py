@@ -48,6 +48,10 @@ class OffboardOutput:
     """Number and bytes of a version that was sent, to be written to its own file."""
 
 
+VERSIONS_ABOVE_MAX: Final = 16
+"""Versions above those that were sent which a status may name."""
+
+
 class OffboardCore:
     """Learns the features of one vehicle and relays its poses.
 
@@ -80,7 +84,7 @@ class OffboardCore:
         """Sort the datagrams of a flood without counting them: of the motion capture, and of onboard."""
         self._peer_session: int | None = None
         self._known_session: int | None = None
-        self._reported_version = 0
+        self._reported_version = self._version_base = 0
         self._reported_session: int | None = None
         self._poses: list[Pose] = []
         self._requests: list[tuple[int, int]] = []
@@ -130,16 +134,19 @@ class OffboardCore:
     def _knows_versions(self, status: Status, now_ns: int) -> bool:
         """Whether a status names only versions that can be; others must not be learnt, because numbers go on from them.
 
-        The first status of a session may name any, of a trainer that has ended; a later one only those that were sent.
+        The first status of a session may name any, of a trainer that has ended; a later one none that is far above what
+        was sent: only a little above is what somebody else with the key may have sent.
         """
         named = max(status.feature_version, status.transfer_version, status.refused_version)
-        if self._known_session == self._peer_session and named > self.learner.version:
+        if self._known_session == self._peer_session and named > self._version_base + VERSIONS_ABOVE_MAX:
             self.endpoint.statistics.rejected["version_not_sent"] += 1
             if self._reported_version != named:
                 self._reported_version = named
                 self._event(now_ns, f"onboard names version {named}, which was never sent: status refused")
             return False
-        self._known_session = self._peer_session
+        if self._known_session != self._peer_session:
+            self._known_session = self._peer_session
+            self._version_base = max(self.learner.version, named)
         return True
 
     def _start_with_fleet(self) -> None:
@@ -211,6 +218,7 @@ class OffboardCore:
             self._send_version(self.learner.issue(latest), now_ns)
 
     def _send_version(self, features: FeatureSet, now_ns: int) -> None:
+        self._version_base = max(self._version_base, features.version)
         try:
             self._versions.send(features, now_ns)
         except ValueError as error:
