@@ -20,8 +20,7 @@ from configs.realtime import RealtimeConfig
 from flight_log.schema import CLOCK_OFFSET, RecordType
 from flight_log.writer import FlightLogWriter
 from onboard.control.actuators import CATCH_UP_MAX
-from onboard.core import OnboardOutput
-from onboard.core import OnboardCore
+from onboard.core import OnboardCore, OnboardOutput
 from onboard.links.frame_stream import FrameStream
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK

@@ -256,6 +256,7 @@ class Estimator:
     def _bridge_gap(self, time_ns: int, gap_s: float) -> float:
         """Increase the uncertainty after missing IMU samples; returns the time step to integrate over."""
         self.counts["imu_gap"] += 1
+        self._poses.trust.blind = True
         seconds = min(gap_s, 5.0)
         self._filter.inflate(VELOCITY, 3.0 * seconds)
         self._filter.inflate(POSITION, 1.5 * seconds * seconds)

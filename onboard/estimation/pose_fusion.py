@@ -104,7 +104,7 @@ class PoseFusion:
     def check_drift(self, now_ns: int) -> None:
         """After a residual of flow or range: undo what drifting poses have done to the estimate."""
         config, f, trust = self._config, self._filter, self.trust
-        if not (self._had_pose and self._corrections.in_flight) or self._gyro.axes or trust.drifting:
+        if not (self._had_pose and self._corrections.in_flight) or self._gyro.axes or trust.drifting or trust.blind:
             trust.forget()
             return
         fresh = now_ns - self._state.last_pose_ns < int(config.aid_fresh_s * 1e9)
@@ -200,7 +200,7 @@ class PoseFusion:
     def _accept(self, now_ns: int) -> None:
         state = self._state
         self._had_pose = True
-        self.trust.drifting = False
+        self.trust.drifting = self.trust.blind = False
         state.last_pose_ns = state.last_velocity_aid_ns = state.last_height_ns = now_ns
 
     def _refuse(self, pose: Pose, capture_ns: int, now_ns: int) -> None:

@@ -42,6 +42,8 @@ class PoseTrust:
         self._range_m = self._pressure_m = self._slow_m = self._fast_m = 0.0
         self.drifting = False
         """The poses were found to drift, and none was used since then."""
+        self.blind = False
+        """Samples of the IMU were missing since the last pose that was used: no pose is implausible."""
 
     def implausible(self, innovation: Vector3, turn: Vector3, rate: Vector3, age_s: float, now_ns: int) -> bool:
         """Whether a pose is where the vehicle cannot be.
@@ -53,6 +55,8 @@ class PoseTrust:
         rate: rad/s, of the vehicle: an error of the capture time turns the attitude.
         age_s: since the last pose that was used.
         """
+        if self.blind:
+            return False
         config = self._config
         far_m = self._lost_m(age_s, now_ns) + (0.0 if self.drifting else config.pose_jump_m)
         turned = config.pose_turn_max_rad + TURN_RATE_RAD_S * age_s + config.pose_time_error_max_s * math.hypot(*rate)

@@ -134,6 +134,7 @@ static void calibrate(Estimator *self, const ImuReading *reading) {
 static real bridge_gap(Estimator *self, int64_t time_ns, real gap_s) {
     real seconds = real_min(gap_s, REAL(5.0));
     self->imu_gaps++;
+    self->poses.trust.blind = true;
     filter_inflate(&self->filter, VELOCITY, REAL(3.0) * seconds, 3);
     filter_inflate(&self->filter, POSITION, REAL(1.5) * seconds * seconds, 3);
     filter_inflate(&self->filter, ATTITUDE, REAL(0.5) * seconds, 3);

@@ -40,7 +40,8 @@ void pose_fusion_check_drift(PoseFusion *self, const PoseSurroundings *at, int64
     const real level[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     ErrorStateFilter *filter = at->filter;
     PoseTrust *trust = &self->trust;
-    if (!self->had_pose || !at->corrections->in_flight || stuck_gyro_any(at->gyro) || trust->drifting) {
+    if (!self->had_pose || !at->corrections->in_flight || stuck_gyro_any(at->gyro) || trust->drifting ||
+        trust->blind) {
         pose_trust_forget(trust);
         return;
     }
@@ -158,7 +159,7 @@ static bool fuse(PoseFusion *self, const PoseSurroundings *at, const Pose *pose,
 /* PoseFusion._accept */
 static void accept(PoseFusion *self, VehicleState *state, int64_t now_ns) {
     self->had_pose = true;
-    self->trust.drifting = false;
+    self->trust.drifting = self->trust.blind = false;
     state->last_pose_ns = state->last_velocity_aid_ns = state->last_height_ns = now_ns;
 }
 

@@ -36,7 +36,7 @@ bool pose_trust_implausible(const PoseTrust *self, const real innovation[3], con
     real far_m = lost_m(self, age_s, now_ns) + (self->drifting ? REAL(0.0) : config->pose_jump_m);
     real turned =
         config->pose_turn_max_rad + TURN_RATE_RAD_S * age_s + config->pose_time_error_max_s * vector_length(rate);
-    return vector_length(innovation) > far_m || vector_length(turn) > turned;
+    return !self->blind && (vector_length(innovation) > far_m || vector_length(turn) > turned);
 }
 
 /* PoseTrust.note_jump: what is more than the position may have lost moves it away from the flow */

@@ -24,6 +24,7 @@ typedef struct {
     real slow_m;
     real fast_m;
     bool drifting; /* the poses were found to drift, and none was used since then */
+    bool blind;    /* samples of the IMU were missing since the last pose that was used: no pose is implausible */
 } PoseTrust;
 
 void pose_trust_init(PoseTrust *self, const EstimatorConfig *config);

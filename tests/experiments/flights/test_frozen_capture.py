@@ -9,8 +9,8 @@ from onboard.flight.supervisor import FlightMode
 FROZEN = "vehicle.disturbances=[{kind: sensor_fault, sensor: motion_capture, fault: frozen, onset_s: 9.0}]"
 
 
-def flown() -> LockstepOutcome:
-    return fly_lockstep(resolve("figure8_calm", Choices("pid", 21, 14.0, (FROZEN,))))
+def flown(*assignments: str) -> LockstepOutcome:
+    return fly_lockstep(resolve("figure8_calm", Choices("pid", 21, 14.0, (FROZEN, *assignments))))
 
 
 def test_it_counts_as_silent_and_is_reported() -> None:
@@ -21,6 +21,11 @@ def test_it_counts_as_silent_and_is_reported() -> None:
     assert FlightMode.LANDED in outcome.trace.mode
 
 
-def test_without_the_check_for_repeated_poses_the_vehicle_crashes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_check_for_repeated_poses_onboard_refuses_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They contradict the flow (docs/safety.md). Without either check the vehicle crashes."""
     monkeypatch.setattr("offboard.links.pose_relay.FROZEN_POSES", 10**9)
-    assert flown().crash_reason
+    outcome = flown()
+    assert outcome.crash_reason == ""
+    assert outcome.onboard["estimator"]["pose_implausible"] > 0
+    believed = (f"onboard.estimator.{name}=1000" for name in ("pose_drift_m", "pose_jump_m", "pose_turn_max_rad"))
+    assert flown(*believed).crash_reason
