@@ -19,6 +19,7 @@ REJECTIONS: Final[tuple[str, ...]] = (
     "body",
     "value",
     "layout",
+    "before_start",
     "time_sync",
     "not_alive",
 )

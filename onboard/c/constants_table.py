@@ -61,7 +61,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.record.tick": ("POSITION_AT=TICK_POSITION_AT", "ATTITUDE_AT=TICK_ATTITUDE_AT"),
     "protocol.messages": (
         *("DATAGRAM_MAX_BYTES", "SAMPLES_PER_BATCH_MAX", "CHUNK_DATA_MAX_BYTES", "CHUNK_COUNT_MAX", "DIGEST_BYTES"),
-        *("LAYOUT_BYTES", "ABSOLUTE_VALUE_MAX", "COUNTER_MAX"),
+        *("LAYOUT_BYTES", "ABSOLUTE_VALUE_MAX", "COUNTER_MAX", "VERSION_MAX", "MODES", "APART_MAX_NS"),
     ),
     "protocol.authentication": ("MAC_BYTES", "KEY_MIN_BYTES", "KEY_MAX_BYTES"),
     "protocol.codec": ("PROTOCOL_VERSION", "_FIELDS_MAX"),
@@ -70,6 +70,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.clock_map": ("WINDOW_NS=CLOCK_WINDOW_NS", "BUCKET_NS=CLOCK_BUCKET_NS", "AHEAD_NS"),
     "protocol.endpoint": (
         *("DATAGRAM_MIN_BYTES", "BODY_MAX_BYTES", "CHALLENGE_PERIOD_NS", "RATE_MAX_HZ", "RATE_BURST"),
+        "AHEAD_MAX_NS=PEER_AHEAD_MAX_NS",
     ),
     "onboard.links.loss_rate": ("WINDOW_NS=LOSS_WINDOW_NS", "QUEUEING_NS", "SILENT_NS"),
     "onboard.links.offboard": ("CLOCK_RECORD_PERIOD_NS", "AGE_MAX_MS", "GOOD_ROUND_TRIP_NS", "ROUND_TRIP_TO_SIGMA"),

@@ -94,6 +94,9 @@
 #define LAYOUT_BYTES 8 /* protocol.messages */
 #define ABSOLUTE_VALUE_MAX REAL(1000000.0) /* protocol.messages */
 #define COUNTER_MAX INT64_C(9223372036854775807) /* protocol.messages */
+#define VERSION_MAX 1000000 /* protocol.messages */
+#define MODES 11 /* protocol.messages */
+#define APART_MAX_NS INT64_C(600000000000) /* protocol.messages */
 #define MAC_BYTES 16 /* protocol.authentication */
 #define KEY_MIN_BYTES 16 /* protocol.authentication */
 #define KEY_MAX_BYTES 64 /* protocol.authentication */
@@ -115,6 +118,7 @@
 #define CHALLENGE_PERIOD_NS 500000000 /* protocol.endpoint */
 #define RATE_MAX_HZ 2000 /* protocol.endpoint */
 #define RATE_BURST 256 /* protocol.endpoint */
+#define PEER_AHEAD_MAX_NS INT64_C(86400000000000) /* protocol.endpoint */
 #define LOSS_WINDOW_NS 1000000000 /* onboard.links.loss_rate */
 #define QUEUEING_NS 50000000 /* onboard.links.loss_rate */
 #define SILENT_NS INT64_C(5000000000) /* onboard.links.loss_rate */
@@ -131,7 +135,7 @@
 #define BINS_MAX 2000 /* LapConfig.bins */
 #define SIGNAL_NAMES "position_n", "position_e", "position_d", "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "yaw", "rate_p", "rate_q", "rate_r", "body_velocity_x", "body_velocity_y", "body_velocity_z", "motor_thrust_1", "motor_thrust_2", "motor_thrust_3", "motor_thrust_4", "battery_voltage", "vibration" /* protocol.signals */
 #define REFUSAL_COUNT 17
-#define REJECTION_COUNT 16
+#define REJECTION_COUNT 17
 #define SIGNAL_COUNT 21
 
 typedef enum {
@@ -169,8 +173,9 @@ typedef enum {
     REJECTED_BODY = 11,
     REJECTED_VALUE = 12,
     REJECTED_LAYOUT = 13,
-    REJECTED_TIME_SYNC = 14,
-    REJECTED_NOT_ALIVE = 15
+    REJECTED_BEFORE_START = 14,
+    REJECTED_TIME_SYNC = 15,
+    REJECTED_NOT_ALIVE = 16
 } Rejection;
 
 typedef enum {

@@ -106,7 +106,7 @@ static Rejection decode_chunk(const uint8_t *body, size_t size, FeatureChunk *ou
         return REJECTED_BODY;
     }
     int64_t version = fields[0].number, index = fields[1].number, count = fields[2].number;
-    if (version < 1 || version > UINT32_MAX || count < 1 || count > CHUNK_COUNT_MAX || index < 0 || index >= count ||
+    if (version < 1 || version > VERSION_MAX || count < 1 || count > CHUNK_COUNT_MAX || index < 0 || index >= count ||
         fields[3].size != DIGEST_BYTES || fields[4].size < 1) {
         return REJECTED_VALUE;
     }

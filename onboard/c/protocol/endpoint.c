@@ -46,9 +46,22 @@ bool endpoint_layout_differs(const Endpoint *self) {
     return self->has_peer_layout && expects_layout(self) && !has_our_layout(self);
 }
 
+/* Endpoint._note_time */
+static void note_time(Endpoint *self, int64_t now_ns) {
+    if (!self->has_latest) {
+        self->has_began = true;
+        self->began_ns = now_ns;
+    } else if (now_ns < self->latest_ns) {
+        self->has_began = false;
+    }
+    self->has_latest = true;
+    self->latest_ns = now_ns;
+}
+
 /* --- sending --- */
 
-static MsgpackWriter body_of(Datagram *out) {
+static MsgpackWriter body_of(Endpoint *self, int64_t now_ns, Datagram *out) {
+    note_time(self, now_ns);
     return (MsgpackWriter){out->bytes + HEADER_BYTES, BODY_MAX_BYTES, 0, false};
 }
 
@@ -71,17 +84,17 @@ static bool seal(Endpoint *self, MessageType type, const MsgpackWriter *body, in
 }
 
 bool endpoint_encode_sample_batch(Endpoint *self, const SampleBatch *message, int64_t now_ns, Datagram *out) {
-    MsgpackWriter body = body_of(out);
+    MsgpackWriter body = body_of(self, now_ns, out);
     return encode_sample_batch(message, &body) && seal(self, MESSAGE_SAMPLE_BATCH, &body, now_ns, out);
 }
 
 bool endpoint_encode_status(Endpoint *self, const Status *message, int64_t now_ns, Datagram *out) {
-    MsgpackWriter body = body_of(out);
+    MsgpackWriter body = body_of(self, now_ns, out);
     return encode_status(message, &body) && seal(self, MESSAGE_STATUS, &body, now_ns, out);
 }
 
 bool endpoint_encode_request(Endpoint *self, int64_t origin_ns, int64_t now_ns, Datagram *out) {
-    MsgpackWriter body = body_of(out);
+    MsgpackWriter body = body_of(self, now_ns, out);
     TimeSyncRequest message = {origin_ns, {0}};
     memcpy(message.layout, self->layout, LAYOUT_BYTES);
     if (!encode_time_sync_request(&message, &body)) {
@@ -93,7 +106,7 @@ bool endpoint_encode_request(Endpoint *self, int64_t origin_ns, int64_t now_ns, 
 
 bool endpoint_encode_reply(Endpoint *self, int64_t origin_ns, int64_t receive_ns, int64_t transmit_ns, int64_t now_ns,
                            Datagram *out) {
-    MsgpackWriter body = body_of(out);
+    MsgpackWriter body = body_of(self, now_ns, out);
     TimeSyncReply message = {origin_ns, receive_ns, transmit_ns, {0}};
     memcpy(message.layout, self->layout, LAYOUT_BYTES);
     return encode_time_sync_reply(&message, &body) && seal(self, MESSAGE_TIME_SYNC_REPLY, &body, now_ns, out);
@@ -162,12 +175,29 @@ static Rejection accept_session(Endpoint *self, const Header *header, const uint
     return REJECTED_NONE;
 }
 
-/* Endpoint._count. A sender time beyond 63 bits counts as the largest one within. */
+/* Endpoint._require_time */
+static bool fits_time(const Endpoint *self, uint64_t sent_ns, int64_t now_ns) {
+    if (sent_ns > (uint64_t)COUNTER_MAX) {
+        return false;
+    }
+    return !self->has_fastest || whole_difference((int64_t)sent_ns, now_ns) <=
+                                     whole_difference(PEER_AHEAD_MAX_NS, self->fastest_ns);
+}
+
+/* Endpoint._is_of_before */
+static bool is_of_before(const Endpoint *self, int64_t sent_ns) {
+    const ClockExchange *best = &self->clock.best;
+    if (!clock_estimate_is_known(&self->clock) || !self->has_began) {
+        return false;
+    }
+    return whole_sum(whole_difference(sent_ns, best->offset_ns), best->round_trip_ns / 2) < self->began_ns;
+}
+
+/* Endpoint._count */
 static void count(Endpoint *self, const Header *header, size_t size, int64_t now_ns) {
     self->statistics.reordered += replay_window_accept(&self->peer.window, header->sequence);
     self->statistics.lost = peer_sessions_lost(&self->peer);
-    int64_t sent_ns = header->sent_ns <= INT64_MAX ? (int64_t)header->sent_ns : INT64_MAX;
-    int64_t apart_ns = whole_difference(now_ns, sent_ns);
+    int64_t apart_ns = whole_difference(now_ns, (int64_t)header->sent_ns);
     self->fastest_ns = self->has_fastest ? whole_min(self->fastest_ns, apart_ns) : apart_ns;
     self->has_fastest = true;
     int64_t delay_ns = clock_estimate_is_known(&self->clock)
@@ -190,12 +220,20 @@ static bool spend_allowance(Endpoint *self, int64_t now_ns) {
 }
 
 /* The end of Endpoint._decode: what a message means to the endpoint itself */
-static Rejection use(Endpoint *self, const Message *message, int64_t now_ns) {
+static Rejection use(Endpoint *self, const Message *message, int64_t sent_ns, int64_t now_ns) {
     const TimeSyncReply *reply = &message->reply;
     bool request = message->type == MESSAGE_TIME_SYNC_REQUEST;
+    if (message->type == MESSAGE_POSE) {
+        int64_t apart_ns = whole_difference(sent_ns, message->pose.time_ns);
+        if (apart_ns > APART_MAX_NS || apart_ns < -APART_MAX_NS) {
+            return REJECTED_VALUE;
+        }
+    }
     if (request || message->type == MESSAGE_TIME_SYNC_REPLY) {
         self->has_peer_layout = true;
         memcpy(self->peer_layout, request ? message->request.layout : reply->layout, LAYOUT_BYTES);
+    } else if (is_of_before(self, sent_ns)) {
+        return REJECTED_BEFORE_START;
     } else if (message->type == MESSAGE_FEATURE_CHUNK && expects_layout(self) && !has_our_layout(self)) {
         return REJECTED_LAYOUT;
     }
@@ -219,16 +257,20 @@ static Rejection decode(Endpoint *self, const uint8_t *datagram, size_t size, in
     if (rejection != REJECTED_NONE) {
         return rejection;
     }
+    if (!fits_time(self, header.sent_ns, now_ns)) {
+        return REJECTED_VALUE;
+    }
     count(self, &header, size, now_ns);
     if (!spend_allowance(self, now_ns)) {
         return REJECTED_RATE;
     }
     rejection = decode_body(header.type, body, body_size, out);
-    return rejection != REJECTED_NONE ? rejection : use(self, out, now_ns);
+    return rejection != REJECTED_NONE ? rejection : use(self, out, (int64_t)header.sent_ns, now_ns);
 }
 
 /* Endpoint.decode */
 bool endpoint_decode(Endpoint *self, const uint8_t *datagram, size_t size, int64_t now_ns, Message *out) {
+    note_time(self, now_ns);
     Rejection rejection = decode(self, datagram, size, now_ns, out);
     if (rejection == REJECTED_DUPLICATE) {
         self->statistics.duplicate++;

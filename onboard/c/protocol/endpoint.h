@@ -24,6 +24,10 @@ typedef struct {
     uint64_t sequence;
     PeerSessions peer;
     ClockEstimate clock;
+    bool has_began;
+    int64_t began_ns; /* when this side began; not known any more after its own clock went back */
+    bool has_latest;
+    int64_t latest_ns;
     bool has_fastest;
     int64_t fastest_ns; /* least difference of arrival and sender time in this session of the peer */
     int64_t allowance_ns;

@@ -4,8 +4,8 @@
 
 #define PERIOD_MAX_NS 1000000000
 
-static bool is_u32(int64_t number) {
-    return 0 <= number && number <= UINT32_MAX;
+static bool is_version(int64_t number) {
+    return 0 <= number && number <= VERSION_MAX;
 }
 
 /* _require_array: this form refuses NaN */
@@ -22,15 +22,16 @@ static bool are_numbers(const float *values, int32_t count) {
 bool sample_batch_is_valid(const SampleBatch *self) {
     int32_t n = self->count;
     return 1 <= n && n <= SAMPLES_PER_BATCH_MAX && self->first_index >= 0 && self->time_ns >= 0 &&
-           is_u32(self->feature_version) && 0 < self->period_ns && self->period_ns <= PERIOD_MAX_NS &&
+           is_version(self->feature_version) && 0 < self->period_ns && self->period_ns <= PERIOD_MAX_NS &&
            are_numbers(self->signals, n * SIGNAL_COUNT) && are_numbers(self->delivered, n * CHANNEL_VALUES) &&
            are_numbers(self->adaptive, n * CHANNEL_VALUES);
 }
 
 /* Status.__post_init__ */
 bool status_is_valid(const Status *self) {
-    bool numbers = is_u32(self->mode) && is_u32(self->feature_version) && is_u32(self->transfer_version) &&
-                   is_u32(self->refused_version) && 0 <= self->refusal && self->refusal < REFUSAL_COUNT;
+    bool numbers = 0 <= self->mode && self->mode < MODES && is_version(self->feature_version) &&
+                   is_version(self->transfer_version) && is_version(self->refused_version) && 0 <= self->refusal &&
+                   self->refusal < REFUSAL_COUNT;
     bool counters = self->ticks >= 0 && self->missed_ticks >= 0 && self->received >= 0 && self->lost >= 0 &&
                     self->rejected >= 0;
     return numbers && counters && 0 <= self->received_chunks_size && self->received_chunks_size <= BITMAP_BYTES &&

@@ -15,7 +15,7 @@ from onboard.flight.modes import FlightMode
 from onboard.links.offboard import DatedPose, OffboardLink, PeerRestarted
 from protocol.codec import HEADER
 from protocol.conventions import NEVER_NS
-from protocol.messages import FeatureChunk, SampleBatch
+from protocol.messages import VERSION_MAX, FeatureChunk, SampleBatch
 from protocol.statistics import REJECTIONS
 from tests.onboard.c import wire
 from tests.onboard.c.parity import octets, octets_of, view
@@ -233,9 +233,9 @@ class Both:
         due = self.ours.core.offboard_link_status_due(self.ours.c, now_ns)
         assert due == self.theirs.status_due(now_ns)
         reception = ReceptionStatus(
-            *(int(number) for number in rng.integers(0, 2**32, 2)),
+            *(int(number) for number in rng.integers(0, VERSION_MAX, 2)),
             rng.bytes(int(rng.integers(0, 9))),
-            *(int(rng.integers(0, 2**32)), int(rng.integers(0, 17))),
+            *(int(rng.integers(0, VERSION_MAX)), int(rng.integers(0, 17))),
         )
         last_pose_ns = NEVER_NS if rng.random() < 0.3 else now_ns - int(rng.integers(-(10**9), 10**12))
         ticks = int(rng.integers(0, 2**40)), int(rng.integers(0, 300))

@@ -68,7 +68,7 @@ def test_what_onboard_sends(core: Core, message: Message) -> None:
         assert encoded(core, type(message), wire.to_c(core, message), room) is None
 
 
-EXTREME = (-(2**63), -2, -1, 0, 1, 16, 17, 10**9, 10**9 + 1, 2**32 - 1, 2**32, 2**63 - 1)
+EXTREME = (-(2**63), -2, -1, 0, 1, 10, 11, 16, 17, 10**6, 10**6 + 1, 10**9, 10**9 + 1, 2**32 - 1, 2**32, 2**63 - 1)
 
 
 @pytest.mark.parametrize("kind", [SampleBatch, Status, TimeSyncReply, TimeSyncRequest])

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from protocol.codec import encode_body
 from protocol.messages import (
     CHUNK_DATA_MAX_BYTES,
+    MODES,
     REFUSALS,
+    VERSION_MAX,
     FeatureChunk,
     Message,
     Pose,
@@ -35,7 +37,7 @@ REASON = {name: index for index, name in enumerate(REJECTIONS)}
 
 edges = st.sampled_from([2**power + step for power in range(1, 63) for step in (-1, 0)])
 counters = st.integers(0, 2**63 - 1) | st.integers(0, 300) | edges
-u32 = st.integers(0, 2**32 - 1) | st.integers(0, 300)
+versions = st.integers(0, VERSION_MAX) | st.integers(0, 300)
 layouts = st.binary(min_size=8, max_size=8)
 floats = st.floats(-1e6, 1e6, width=32)
 
@@ -57,7 +59,7 @@ def _pose(time_ns: int, position: np.ndarray[Any, Any], turn: np.ndarray[Any, An
 
 def _batch(n: int) -> st.SearchStrategy[SampleBatch]:
     shapes = (arrays(n, SIGNAL_COUNT), arrays(n, 2, 3), arrays(n, 2, 3))
-    return st.builds(SampleBatch, counters, counters, st.integers(1, 10**9), u32, *shapes)
+    return st.builds(SampleBatch, counters, counters, st.integers(1, 10**9), versions, *shapes)
 
 
 def _data(size: int) -> bytes:
@@ -67,7 +69,16 @@ def _data(size: int) -> bytes:
 batches = st.integers(1, 8).flatmap(_batch)
 statuses = st.builds(
     Status,
-    *(u32, u32, u32, st.binary(max_size=8), u32, st.integers(0, len(REFUSALS) - 1), counters, counters),
+    *(
+        st.integers(0, MODES - 1),
+        versions,
+        versions,
+        st.binary(max_size=8),
+        versions,
+        st.integers(0, len(REFUSALS) - 1),
+        counters,
+        counters,
+    ),
     *(st.integers(-1, 2**32 - 1), counters, counters, counters),
 )
 requests = st.builds(TimeSyncRequest, counters, layouts)
@@ -79,7 +90,7 @@ data_sizes = st.integers(1, CHUNK_DATA_MAX_BYTES) | st.sampled_from([1, 255, 256
 chunks = st.integers(1, 64).flatmap(
     lambda count: st.builds(
         FeatureChunk,
-        *(st.integers(1, 2**32 - 1), st.integers(0, count - 1), st.just(count)),
+        *(st.integers(1, VERSION_MAX), st.integers(0, count - 1), st.just(count)),
         *(st.binary(min_size=16, max_size=16), data_sizes.map(_data)),
     )
 )
