@@ -88,19 +88,19 @@ class ActuatorModel:
         """The command, in shares, that brings the motors to `wanted` [N] with motor_response_s, within their limits.
 
         The motors obey T_dot = (command - T) / lag; the command makes that (wanted - T) / response. What it is beyond
-        `wanted` is the lead. A motor at its limit has none left, so all leads shrink by the same factor: a torque near
-        full thrust then comes later, but it is the torque that is wanted and takes no thrust with it. If each motor's
-        command were limited alone, those that slow down would outrun those that cannot speed up.
+        `wanted` is the lead. Near full thrust there is little room upwards: what the leads upwards lack there, those
+        downwards do without, by the same share. Otherwise the motors that slow down would outrun those that cannot
+        speed up, and every torque would cost thrust.
         """
         most = self._scale * self._config.motor_thrust_max_n
-        least, share, leads = self._min_share * most, 1.0, []
-        for now, want in zip(self.delivered.thrusts_n.tolist(), wanted, strict=True):
-            gap = want - now
-            lead = (self._lead_up if gap > 0.0 else self._lead_down) * gap
-            room = most - want if lead > 0.0 else want - least
-            if lead != 0.0 and abs(lead) > room:
-                share = min(share, max(room, 0.0) / abs(lead))
-            leads.append(lead)
-        each_motor = zip(wanted, leads, strict=True)
-        a, b, c, d = (min(max((want + share * lead) / most, self._min_share), 1.0) for want, lead in each_motor)
+        each_motor = list(zip(self.delivered.thrusts_n.tolist(), wanted, strict=True))
+        leads = [(self._lead_up if want > now else self._lead_down) * (want - now) for now, want in each_motor]
+        upwards = possible = 0.0
+        for want, lead in zip(wanted, leads, strict=True):
+            if lead > 0.0:
+                upwards += lead
+                possible += min(lead, max(most - want, 0.0))
+        share = possible / upwards if upwards > 0.0 else 1.0
+        commands = (want + (lead if lead > 0.0 else share * lead) for want, lead in zip(wanted, leads, strict=True))
+        a, b, c, d = (min(max(command / most, self._min_share), 1.0) for command in commands)
         return a, b, c, d

@@ -69,19 +69,19 @@ void actuators_ahead(const ActuatorModel *self, const real commanded[4], Deliver
 
 /* ActuatorModel.overdriven */
 void actuators_overdriven(const ActuatorModel *self, const real wanted[4], real command[4]) {
-    real most = self->scale * self->config.motor_thrust_max_n, least = self->config.motor_thrust_min_share * most;
-    real share = REAL(1.0), leads[4];
+    real most = self->scale * self->config.motor_thrust_max_n;
+    real leads[4], upwards = REAL(0.0), possible = REAL(0.0);
     for (int i = 0; i < 4; i++) {
         real gap = wanted[i] - self->delivered.thrusts_n[i];
-        real lead = (gap > REAL(0.0) ? self->lead_up : self->lead_down) * gap;
-        real room = lead > REAL(0.0) ? most - wanted[i] : wanted[i] - least;
-        if (lead != REAL(0.0) && real_abs(lead) > room) {
-            share = real_min(share, real_max(room, REAL(0.0)) / real_abs(lead));
+        leads[i] = (gap > REAL(0.0) ? self->lead_up : self->lead_down) * gap;
+        if (leads[i] > REAL(0.0)) {
+            upwards += leads[i];
+            possible += real_min(leads[i], real_max(most - wanted[i], REAL(0.0)));
         }
-        leads[i] = lead;
     }
+    real share = upwards > REAL(0.0) ? possible / upwards : REAL(1.0);
     for (int i = 0; i < 4; i++) {
-        real asked = (wanted[i] + share * leads[i]) / most;
+        real asked = (wanted[i] + (leads[i] > REAL(0.0) ? leads[i] : share * leads[i])) / most;
         command[i] = real_min(real_max(asked, self->config.motor_thrust_min_share), REAL(1.0));
     }
 }

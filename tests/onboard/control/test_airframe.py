@@ -147,20 +147,23 @@ def test_driven_motors_keep_their_limits_and_stand_where_they_are_wanted():
     assert model.overdriven((HIGH, LOW, HIGH, LOW)) == pytest.approx((1.0, least, 1.0, least))
 
 
-def test_near_full_thrust_the_lead_keeps_the_direction_of_the_torque_and_takes_no_thrust():
-    """One pair is to rise to its limit, the other to fall as much: what arrives in a tick is a part of that torque."""
+def test_near_full_thrust_a_torque_takes_no_thrust():
+    """One pair is to rise to its limit, the other to fall as much: the leads of both shrink alike."""
     model, hover = ActuatorModel(DRIVEN, 0.005), 0.9 * HIGH
     model.delivered.thrusts_n[:] = hover
     wanted = (0.98 * HIGH, 0.82 * HIGH, 0.98 * HIGH, 0.82 * HIGH)
     command = model.overdriven(wanted)
-    assert max(command) == pytest.approx(1.0)
-    leads = np.array(command) - np.array(wanted) / HIGH
     lags = np.array([DRIVEN.motor_lag_up_s, DRIVEN.motor_lag_down_s] * 2) / DRIVEN.motor_response_s - 1.0
     full = lags * np.array([0.08, -0.08] * 2)
-    np.testing.assert_allclose(leads, leads[0] / full[0] * full, atol=1e-12)
-    assert 0.0 < leads[0] < full[0]
+    assert command[0] == pytest.approx(1.0)
+    assert command[1] == pytest.approx(0.82 + full[1] * 0.02 / full[0])
     one_by_one = np.minimum(np.array(wanted) / HIGH + full, 1.0)
     assert model.ahead(command).thrust_n > model.ahead(tuple(one_by_one.tolist())).thrust_n + 1e-3
+    model.delivered.thrusts_n[:] = 0.5 * HIGH  # with room, each motor has all of its lead
+    middle = np.array([0.55, 0.45] * 2)
+    np.testing.assert_allclose(
+        model.overdriven(tuple((HIGH * middle).tolist())), middle + lags * np.array([0.05, -0.05] * 2)
+    )
 
 
 def test_motors_that_give_less_keep_their_shares_and_their_limits_fall():
