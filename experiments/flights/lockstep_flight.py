@@ -126,20 +126,16 @@ def fly_lockstep(
     events: list[tuple[int, str, str]] = []
     records: list[tuple[RecordType, int, Array]] = []
     crash, flown = "", 0
-    for index in range(ticks_max):
+    while flown < ticks_max and not crash:
         result = lockstep.step()
-        ticks[index], truths[index] = result.onboard.tick, result.truth
-        flown = index + 1
-        events += [(when, "onboard", text) for when, text in result.onboard.events]
-        if result.offboard is not None:
-            events += [(when, "offboard", text) for when, text in result.offboard.events]
-            records += result.offboard.records
+        ticks[flown], truths[flown] = result.onboard.tick, result.truth
+        _note(result, events, records)
         for observe in observers:
             observe(result)
-        crash = lockstep.crash_reason or _too_far(ticks[index], truths[index])
+        crash = lockstep.crash_reason or _too_far(ticks[flown], truths[flown])
+        flown += 1
         if crash:
             events.append((result.now_ns, "sim_vehicle", f"vehicle lost: {crash}"))
-            break
     time_s: Array = np.arange(flown, dtype=np.float64) * period_s
     trace = FlightTrace(time_s, Columns(TICK, ticks[:flown]), Columns(TRUTH, truths[:flown]))
     return LockstepOutcome(
@@ -155,6 +151,14 @@ def fly_lockstep(
         {direction: radio.recording(direction) for direction in DIRECTIONS},
         dump_learnt(onboard, offboard),
     )
+
+
+def _note(result: TickResult, events: list[tuple[int, str, str]], records: list[tuple[RecordType, int, Array]]) -> None:
+    """Add the events and offboard's records of a tick."""
+    events += [(when, "onboard", text) for when, text in result.onboard.events]
+    if result.offboard is not None:
+        events += [(when, "offboard", text) for when, text in result.offboard.events]
+        records += result.offboard.records
 
 
 def _too_far(tick: Array, truth: Array) -> str:

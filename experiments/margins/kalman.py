@@ -40,9 +40,14 @@ def fastest_loop(law: KalmanConfig, error_weight: tuple[float, float], gains: Ch
 
     That is the law after its start and after a swap. As S falls, the gain does: margins here are margins there.
     """
-    of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
-    share = of_W / (of_W + of_b)
+    share = _share_of_W(law)
     return _loop(law, error_weight, gains, axis, s, law.composite_gain * share, law.composite_gain * (1.0 - share))
+
+
+def _share_of_W(law: KalmanConfig) -> float:
+    """k_w / (k_w + k_b) where S = S0."""
+    of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
+    return of_W / (of_W + of_b)
 
 
 def settled_filter(
@@ -57,8 +62,7 @@ def settled_filter(
 def slope_fed_back(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
     """G - H at the largest gain of the law: the share of the map's slope that is feedback of the loop."""
     k = law.composite_gain
-    of_W, of_b = law.prior**2 * ACTIVE_FEATURES, law.fast_bias**2
-    gap = k / (s + k + law.fast_bias_rate * of_b / (of_W + of_b))
+    gap = k / (s + k + law.fast_bias_rate * (1.0 - _share_of_W(law)))
     return gap - fastest_filter(law, error_weight, gains, axis, s)
 
 

@@ -121,5 +121,5 @@ bool augmentation_reads_path(const Augmentation *self) {
 
 /* AdaptiveAugmentation.learns */
 bool augmentation_learns(const Augmentation *self) {
-    return augmentation_has_features(self) && self->adaptive.config.features == ADAPTIVE_FEATURES_NETWORK;
+    return augmentation_has_features(self) && adaptive_learns(&self->adaptive);
 }
