@@ -1,13 +1,15 @@
 """Flies one bad learner in lockstep."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from configs.loader import CONFIG_DIRECTORY, load
-from experiments.attacks.bad_learner import BadLearner
+from experiments.attacks.bad_learner import BadLearner, Case
 from experiments.attacks.cases import ATTACK_S, CASES
+from experiments.attacks.conditions import AS_CONFIGURED, condition_assignments
 from experiments.flights.lockstep_flight import OFFBOARD_SESSION, build
 from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
 from experiments.flights.scenario import Choices, resolve
@@ -21,6 +23,31 @@ BRISK: Final = tuple(f"onboard.guidance.trajectory.{name}" for name in ("takeoff
 """At full speed on the path soon."""
 _TARGET: Final = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 _MODE: Final = OFFSET["mode"]
+
+
+@dataclass(frozen=True)
+class AttackFlight:
+    """One flight of a bad learner."""
+
+    case: str
+    """Of experiments.attacks.cases."""
+    seed: int
+    condition: str = AS_CONFIGURED
+    """Of experiments.attacks.conditions."""
+    scenario: str = "figure8_wind"
+    controller: str = "dmrac"
+    assignments: tuple[str, ...] = ()
+    """After those of the condition."""
+    duration_s: float = DURATION_S
+    core: str = "numpy"
+    """One of onboard.cores.CORES."""
+
+    def fly(self) -> "AttackOutcome":
+        """Fly it, over a link that loses nothing. Raises ConfigError."""
+        assignments = (*condition_assignments(self.condition, self.scenario), *self.assignments)
+        return fly_attack(
+            *(self.case, self.seed, self.scenario, self.duration_s, assignments, self.controller, self.core)
+        )
 
 
 @dataclass(frozen=True)
@@ -49,13 +76,18 @@ def fly_attack(
     duration_s: float = DURATION_S,
     assignments: tuple[str, ...] = (),
     controller: str = "dmrac",
+    core: str = "numpy",
+    case_of: Callable[[], Case] | None = None,
 ) -> AttackOutcome:
-    """Fly a case of experiments.attacks.cases, over a link that loses nothing."""
+    """Fly a case of experiments.attacks.cases, or what `case_of` makes, over a link that loses nothing.
+
+    core: one of onboard.cores.CORES.
+    """
     config = resolve(scenario, Choices(controller, seed, duration_s, (*BRISK, *assignments)))
     perfect = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "perfect.yaml")
-    lockstep, onboard, offboard, _ = build(config.model_copy(update={"radio": perfect}))
+    lockstep, onboard, offboard, _ = build(config.model_copy(update={"radio": perfect}), core=core)
     assert offboard is not None
-    learner = BadLearner(config, OFFBOARD_SESSION, CASES[case]())
+    learner = BadLearner(config, OFFBOARD_SESSION, CASES[case]() if case_of is None else case_of())
     lockstep.attach_offboard(learner)
     period_s = config.onboard.period_ns * 1e-9
     errors: list[float] = []

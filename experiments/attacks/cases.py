@@ -4,14 +4,17 @@ Every version is well formed and within the limits of the reception: finite, a t
 Lipschitz constant that is accepted. An attack begins ATTACK_S after the first sample, on the path.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import count
 from typing import Final
 
 import numpy as np
 
 from experiments.attacks.bad_learner import Case, Channels, View
-from onboard.control.features import random_channel
+from experiments.attacks.maps import RECENT, SHARE, STEEPNESS, accepted, cliff, learnt, of_norm, phi, untrained
+from experiments.attacks.strategies import read_finds, strategy_case
 from protocol.conventions import Array
 from protocol.feature_config import ChannelName
 from protocol.feature_set import ChannelFeatures
@@ -19,53 +22,10 @@ from protocol.signals import input_indices
 
 ATTACK_S: Final = 4.5
 """s after the first sample, on the path at full speed (experiments.attacks.attack_flight)."""
-SHARE: Final = 0.99
-"""Of W_max: the largest last layer that is surely accepted."""
-STEEPNESS: Final = 190.0
-"""Lipschitz constant of a cliff, in scaled inputs; onboard accepts 200."""
-RIDGE: Final = 1.0
-RECENT: Final = 55
-"""Samples of about the last second."""
 LEAST_STIFFNESS: Final = 25.0
 """K_1 of the position channel's slowest axis, 1/s^2, shipped gains."""
-SEARCHED: Final = 12
+SAMPLED: Final = 12
 CHANNEL_NAMES: Final[tuple[ChannelName, ChannelName]] = ("position", "attitude")
-
-
-def _scaled(view: View, channel: ChannelFeatures) -> Array:
-    """[n, m], the scaled inputs of all samples."""
-    z: Array = (view.signals[:, list(input_indices(channel.inputs))] - channel.offset) / channel.scale
-    return z
-
-
-def _untrained(view: View, channel: ChannelName) -> ChannelFeatures:
-    """Random inner layers in the trained networks' inputs and widths; theta = 0."""
-    networks = view.networks
-    names = networks.inputs(channel)
-    offset, scale = networks.offset_and_scale(names)
-    return random_channel(names, offset, scale, (*networks.hidden, networks.count - 1), view.rng)
-
-
-def _phi(view: View, channel: ChannelFeatures) -> Array:
-    """[n, k], features of all samples."""
-    level = np.clip(_scaled(view, channel), -3.0, 3.0)
-    for W, b in zip(channel.weights, channel.biases, strict=True):
-        level = np.tanh(level @ W.T + b)
-    return np.hstack([level, np.ones((len(level), 1))])
-
-
-def _learnt(view: View, channel: ChannelName) -> ChannelFeatures:
-    """Random inner layers with the last layer of least squares on nu_ad as it flew: an honest version."""
-    features = _untrained(view, channel)
-    Phi, target = _phi(view, features), view.adaptive[:, 0 if channel == "position" else 1]
-    gram = Phi.T @ Phi + RIDGE * np.eye(Phi.shape[1])
-    theta: Array = np.linalg.solve(gram, Phi.T @ target).astype(np.float64)
-    return replace(features, last_layer=theta)
-
-
-def _of_norm(theta: Array, norm: float) -> Array:
-    size = float(np.linalg.norm(theta))
-    return theta * (norm / size) if size > 0.0 else theta
 
 
 def _once(make: Callable[[View], Channels]) -> Case:
@@ -82,26 +42,6 @@ def _at_rate(make: Callable[[View], Channels], hz: float) -> Case:
         return make(view)
 
     return case
-
-
-def cliff(
-    view: View, channel: ChannelName, signal: str, at: float, side: float, height: float, axis: int, sharp: float
-) -> ChannelFeatures:
-    """theta'Phi = 0 on one side of a place, and `height` on the other.
-
-    Parameters
-    ----------
-    signal, at: the input, and its value at the cliff, in its own unit.
-    side: 1 if the high side is that of larger values, else -1.
-    """
-    features = _untrained(view, channel)
-    column = features.inputs.index(signal)
-    W = np.zeros((1, len(features.inputs)))
-    W[0, column] = side * sharp
-    z = (at - features.offset[column]) / features.scale[column]
-    theta = np.zeros((2, 3))
-    theta[:, axis] = height / 2.0
-    return replace(features, weights=(W,), biases=(np.array([-side * sharp * z]),), last_layer=theta)
 
 
 def _beside(view: View, sharp: float, share: float) -> Channels:
@@ -132,34 +72,34 @@ def _steep_attitude(view: View) -> Channels:
 
 def _flipped(view: View) -> Channels:
     """The last layer that an honest trainer would send, with the opposite sign, scaled to W_max."""
-    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    position, attitude = learnt(view, "position"), learnt(view, "attitude")
     return (
-        replace(position, last_layer=_of_norm(-position.last_layer, SHARE * view.limits[0])),
-        replace(attitude, last_layer=_of_norm(-attitude.last_layer, SHARE * view.limits[1])),
+        replace(position, last_layer=of_norm(-position.last_layer, SHARE * view.limits[0])),
+        replace(attitude, last_layer=of_norm(-attitude.last_layer, SHARE * view.limits[1])),
     )
 
 
 def _scaled_up(view: View) -> Channels:
     """The right sign, scaled to W_max."""
-    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    position, attitude = learnt(view, "position"), learnt(view, "attitude")
     return (
-        replace(position, last_layer=_of_norm(position.last_layer, SHARE * view.limits[0])),
-        replace(attitude, last_layer=_of_norm(attitude.last_layer, SHARE * view.limits[1])),
+        replace(position, last_layer=of_norm(position.last_layer, SHARE * view.limits[0])),
+        replace(attitude, last_layer=of_norm(attitude.last_layer, SHARE * view.limits[1])),
     )
 
 
 def _random(view: View) -> Channels:
     """Random features with a random last layer of norm W_max."""
-    position, attitude = _untrained(view, "position"), _untrained(view, "attitude")
+    position, attitude = untrained(view, "position"), untrained(view, "attitude")
     return (
-        replace(position, last_layer=_of_norm(view.rng.normal(size=position.last_layer.shape), SHARE * view.limits[0])),
-        replace(attitude, last_layer=_of_norm(view.rng.normal(size=attitude.last_layer.shape), SHARE * view.limits[1])),
+        replace(position, last_layer=of_norm(view.rng.normal(size=position.last_layer.shape), SHARE * view.limits[0])),
+        replace(attitude, last_layer=of_norm(view.rng.normal(size=attitude.last_layer.shape), SHARE * view.limits[1])),
     )
 
 
 def _wrong_theta(view: View) -> Channels:
     """Correct features with the last layer of another axis, three times as large."""
-    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    position, attitude = learnt(view, "position"), learnt(view, "attitude")
     return (
         replace(position, last_layer=3.0 * np.roll(position.last_layer, 1, axis=1)),
         replace(attitude, last_layer=3.0 * np.roll(attitude.last_layer, 1, axis=1)),
@@ -191,7 +131,7 @@ def _sign_switch(view: View) -> Channels:
 
 def _drift(view: View) -> Channels:
     """A theta that grows a little from version to version, each in the direction of the one before."""
-    position, attitude = _learnt(view, "position"), _learnt(view, "attitude")
+    position, attitude = learnt(view, "position"), learnt(view, "attitude")
     factor = -0.3 * (view.sent + 1)
     return (
         replace(position, last_layer=_capped(factor * position.last_layer, SHARE * view.limits[0])),
@@ -223,39 +163,27 @@ def _unstable(view: View) -> Channels:
     return replace(position, last_layer=theta), None
 
 
-def _accepted(view: View, name: ChannelName, features: ChannelFeatures, theta: Array) -> ChannelFeatures:
-    """The largest multiple of a last layer that the test of onboard accepts now, by bisection."""
-    least, most = 0.0, 1.0
-    for _ in range(10):
-        share = 0.5 * (least + most)
-        if view.is_accepted(name, replace(features, last_layer=share * theta)):
-            least = share
-        else:
-            most = share
-    return replace(features, last_layer=0.98 * least * theta)
-
-
 def _limit_flipped(view: View) -> Channels:
     """The flipped last layer, as large as is accepted."""
     position, attitude = _flipped(view)
     assert position is not None
     assert attitude is not None
     return (
-        _accepted(view, "position", position, position.last_layer),
-        _accepted(view, "attitude", attitude, attitude.last_layer),
+        accepted(view, "position", position, position.last_layer),
+        accepted(view, "attitude", attitude, attitude.last_layer),
     )
 
 
-def _search(view: View) -> Channels:
+def _sampled(view: View) -> Channels:
     """Of many random maps, each as large as is accepted, the one that is most wrong over the last second."""
     worst: list[ChannelFeatures] = []
     for index, name in enumerate(CHANNEL_NAMES):
-        target, found, most = view.adaptive[-RECENT:, index], _untrained(view, name), -1.0
-        for _ in range(SEARCHED):
-            features = _untrained(view, name)
-            theta = _of_norm(view.rng.normal(size=features.last_layer.shape), SHARE * view.limits[index])
-            one = _accepted(view, name, features, theta)
-            wrong = float(np.linalg.norm(_phi(view, one)[-RECENT:] @ one.last_layer - target, axis=1).mean())
+        target, found, most = view.adaptive[-RECENT:, index], untrained(view, name), -1.0
+        for _ in range(SAMPLED):
+            features = untrained(view, name)
+            theta = of_norm(view.rng.normal(size=features.last_layer.shape), SHARE * view.limits[index])
+            one = accepted(view, name, features, theta)
+            wrong = float(np.linalg.norm(phi(view, one)[-RECENT:] @ one.last_layer - target, axis=1).mean())
             if wrong > most:
                 found, most = one, wrong
         worst.append(found)
@@ -263,11 +191,16 @@ def _search(view: View) -> Channels:
 
 
 def _capped(theta: Array, norm: float) -> Array:
-    return _of_norm(theta, norm) if float(np.linalg.norm(theta)) > norm else theta
+    return of_norm(theta, norm) if float(np.linalg.norm(theta)) > norm else theta
 
 
 def _honest(view: View) -> Channels:
-    return _learnt(view, "position"), _learnt(view, "attitude")
+    return learnt(view, "position"), learnt(view, "attitude")
+
+
+def _search_names() -> Iterator[str]:
+    yield "search"
+    yield from (f"search_{number}" for number in count(2))
 
 
 SILENT: Final = "silent"
@@ -289,7 +222,8 @@ CASES: Final[dict[str, Callable[[], Case]]] = {
     "far_cliff": lambda: _at_rate(_far_cliff, 0.5),
     "unstable": lambda: _at_rate(_unstable, 1.0),
     "limit_flipped": lambda: _at_rate(_limit_flipped, 1.0),
-    "search": lambda: _at_rate(_search, 1.0),
+    "sampled": lambda: _at_rate(_sampled, 1.0),
     "drift": lambda: _at_rate(_drift, 2.0),
+    **{name: partial(strategy_case, find, ATTACK_S) for name, find in zip(_search_names(), read_finds(), strict=False)},
 }
-"""A new case for each flight: a case may keep what it has sent."""
+"""A new case for each flight: a case may keep what it has sent. search, search_2, ...: what an optimiser found."""

@@ -1,18 +1,22 @@
 """Flies the corpus of bad learners, and the law without learnt features beside it for comparison."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from experiments.attacks.attack_flight import AttackOutcome, fly_attack
+from experiments.attacks.attack_flight import AttackFlight, AttackOutcome
 from experiments.attacks.cases import SILENT
+from experiments.attacks.conditions import condition_assignments
+from experiments.attacks.journal import Journal
 from experiments.campaigns.worker_pools import LocalPool
 
 COMPARED: Final = "bias"
 """The controller without learnt features, which no version reaches."""
+OF_THE_CONTROLLER: Final = "onboard.controller"
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,8 @@ class CorpusRow:
     flights: int
     lost: int
     error_ratio_to_bias: float
-    """Median over the flights of the RMS error from the attack on, over that of `bias` with the same seed."""
+    """Median over the flights of the RMS error from the attack on, over that of `bias` in the same air and seed."""
+    largest_ratio: float
     worst_m: float
     accepted: int
     refused: Counter[str]
@@ -36,48 +41,64 @@ class CorpusRow:
     def cells(self) -> tuple[str, ...]:
         """The row of the table."""
         refused = ", ".join(f"{reason} {count}" for reason, count in self.refused.most_common())
-        numbers = (str(self.flights), str(self.lost), f"{self.error_ratio_to_bias:.2f}", f"{self.worst_m:.3f}")
-        return self.case, *numbers, str(self.accepted), refused
+        ratios = f"{self.error_ratio_to_bias:.2f}", f"{self.largest_ratio:.2f}"
+        return self.case, str(self.flights), str(self.lost), *ratios, f"{self.worst_m:.3f}", str(self.accepted), refused
+
+
+def plain_flight(flight: AttackFlight) -> AttackFlight:
+    """The flight of `bias` that one of a bad learner is compared with: the same air, seed and vehicle."""
+    own = tuple(one for one in flight.assignments if not one.startswith(OF_THE_CONTROLLER))
+    return replace(flight, case=SILENT, controller=COMPARED, assignments=own)
 
 
 def fly_corpus(
-    cases: Sequence[str],
-    seeds: Iterable[int],
-    scenario: str,
-    controller: str,
-    assignments: tuple[str, ...],
+    flights: Iterable[AttackFlight],
+    journal: Journal,
     workers: int,
+    report: Callable[[AttackFlight, AttackOutcome], None] = lambda _flight, _outcome: None,
 ) -> list[CorpusRow]:
-    """Fly every case with every seed. Raises ConfigError."""
-    numbers = list(seeds)
-    own = tuple(one for one in assignments if not one.startswith("onboard.controller"))
+    """Fly what the journal lacks, store it there, and return one row for each case.
+
+    report: called with each flight that was flown now, those of `bias` included. Raises ConfigError.
+    """
+    wanted = list(dict.fromkeys(flights))
+    for scenario, condition in {(one.scenario, one.condition) for one in wanted}:
+        condition_assignments(condition, scenario)  # before any flight
+    both = list(dict.fromkeys([*map(plain_flight, wanted), *wanted]))
     pool = LocalPool(workers)
     try:
         executor = pool.open()
-        plain = {
-            seed: executor.submit(fly_attack, SILENT, seed, scenario, assignments=own, controller=COMPARED)
-            for seed in numbers
-        }
-        flights = {
-            case: [
-                executor.submit(fly_attack, case, seed, scenario, assignments=assignments, controller=controller)
-                for seed in numbers
-            ]
-            for case in cases
-        }
-        errors = [plain[seed].result().error_m for seed in numbers]
-        return [_row(case, [flight.result() for flight in flights[case]], errors) for case in cases]
+        futures = {executor.submit(one.fly): one for one in both if journal.find(one) is None}
+        for future in as_completed(futures):
+            journal.add(futures[future], future.result())
+            report(futures[future], future.result())
     finally:
         pool.close()
+    return [_row(case, [one for one in wanted if one.case == case], journal) for case in _cases(wanted)]
 
 
-def _row(case: str, outcomes: list[AttackOutcome], errors: list[float]) -> CorpusRow:
-    ratios = [one.error_m / error for one, error in zip(outcomes, errors, strict=True)]
+def _cases(flights: Sequence[AttackFlight]) -> list[str]:
+    return list(dict.fromkeys(one.case for one in flights))
+
+
+def error_ratio(flight: AttackFlight, journal: Journal) -> float:
+    """RMS error of a flight from the attack on, over that of `bias`. Both must have been flown."""
+    attacked, plain = journal.find(flight), journal.find(plain_flight(flight))
+    assert attacked is not None
+    assert plain is not None
+    return attacked.error_m / plain.error_m
+
+
+def _row(case: str, flights: Sequence[AttackFlight], journal: Journal) -> CorpusRow:
+    found = [journal.find(flight) for flight in flights]
+    outcomes = [one for one in found if one is not None]
+    ratios = [error_ratio(flight, journal) for flight in flights]
     return CorpusRow(
         case,
         len(outcomes),
         sum(bool(one.lost) for one in outcomes),
         float(np.median(ratios)),
+        max(ratios),
         max(one.worst_m for one in outcomes),
         sum(one.swaps for one in outcomes),
         Counter(reason for one in outcomes for reason in one.refused.values()),
