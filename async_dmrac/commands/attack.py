@@ -5,7 +5,7 @@ import json
 
 from rich.table import Table
 
-from async_dmrac.commands.shared import add_jobs_option, cores, plain_console, positive
+from async_dmrac.commands.shared import add_core_option, add_jobs_option, cores, plain_console, positive
 from configs.loader import ConfigError
 
 EXAMPLES = """examples:
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--json", action="store_true", help="print a list of {case, flights, lost, error_ratio_to_bias}"
     )
     add_jobs_option(parser)
+    add_core_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,7 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--case: {unknown[0]!r} unknown; allowed are {', '.join(CASES)}")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     rows = fly_corpus(
-        *(cases, seeds, arguments.scenario, arguments.controller, tuple(arguments.set)), arguments.jobs or cores()
+        *(cases, seeds, arguments.scenario, arguments.controller, tuple(arguments.set)),
+        arguments.jobs or cores(),
+        arguments.core,
     )
     if arguments.json:
         print(json.dumps([row.summary() for row in rows], indent=1))

@@ -11,6 +11,7 @@ from experiments.attacks.cases import ATTACK_S, CASES
 from experiments.flights.lockstep_flight import OFFBOARD_SESSION, build
 from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
 from experiments.flights.scenario import Choices, resolve
+from onboard.cores import NUMPY
 from onboard.flight.modes import FlightMode
 from onboard.record.tick import OFFSET
 from sim_vehicle.link.radio import RadioConfig
@@ -49,11 +50,15 @@ def fly_attack(
     duration_s: float = DURATION_S,
     assignments: tuple[str, ...] = (),
     controller: str = "dmrac",
+    core: str = NUMPY,
 ) -> AttackOutcome:
-    """Fly a case of experiments.attacks.cases, over a link that loses nothing."""
+    """Fly a case of experiments.attacks.cases, over a link that loses nothing.
+
+    core: the onboard core, one of onboard.cores.CORES.
+    """
     config = resolve(scenario, Choices(controller, seed, duration_s, (*BRISK, *assignments)))
     perfect = load(RadioConfig, CONFIG_DIRECTORY / "radio" / "perfect.yaml")
-    lockstep, onboard, offboard, _ = build(config.model_copy(update={"radio": perfect}))
+    lockstep, onboard, offboard, _ = build(config.model_copy(update={"radio": perfect}), core=core)
     assert offboard is not None
     learner = BadLearner(config, OFFBOARD_SESSION, CASES[case]())
     lockstep.attach_offboard(learner)

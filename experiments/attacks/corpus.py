@@ -10,6 +10,8 @@ import numpy as np
 from experiments.attacks.attack_flight import AttackOutcome, fly_attack
 from experiments.attacks.cases import SILENT
 from experiments.campaigns.worker_pools import LocalPool
+from experiments.flights.scenario import Choices, resolve
+from onboard.cores import NUMPY, check_core
 
 COMPARED: Final = "bias"
 """The controller without learnt features, which no version reaches."""
@@ -47,20 +49,25 @@ def fly_corpus(
     controller: str,
     assignments: tuple[str, ...],
     workers: int,
+    core: str = NUMPY,
 ) -> list[CorpusRow]:
-    """Fly every case with every seed. Raises ConfigError."""
+    """Fly every case with every seed, with one of onboard.cores.CORES. Raises ConfigError."""
+    for flown in dict.fromkeys((controller, COMPARED)):
+        check_core(core, resolve(scenario, Choices(flown)).onboard)
     numbers = list(seeds)
     own = tuple(one for one in assignments if not one.startswith("onboard.controller"))
     pool = LocalPool(workers)
     try:
         executor = pool.open()
         plain = {
-            seed: executor.submit(fly_attack, SILENT, seed, scenario, assignments=own, controller=COMPARED)
+            seed: executor.submit(fly_attack, SILENT, seed, scenario, assignments=own, controller=COMPARED, core=core)
             for seed in numbers
         }
         flights = {
             case: [
-                executor.submit(fly_attack, case, seed, scenario, assignments=assignments, controller=controller)
+                executor.submit(
+                    fly_attack, case, seed, scenario, assignments=assignments, controller=controller, core=core
+                )
                 for seed in numbers
             ]
             for case in cases
