@@ -218,24 +218,21 @@ class FrameWriter:
         Raises struct.error if a field does not fit its type (an error of the caller).
         """
         kind, fields = message
-        message_id: int = kind.id
-        layout = layout_of(message_id)
-        missing = layout.field_count - len(fields)
+        message_id, layout, seed, count = layout_of(kind.id)
+        missing = count - len(fields)
         if missing > 0:
             fields += (0,) * missing
-        packed = layout.payload.pack(*fields)
+        packed = layout.pack(*fields)
         payload = packed.rstrip(b"\0") or b"\0"
-        sequence = self._sequence
+        sequence, system, component = self._sequence, self._system, self._component
         self._sequence = (sequence + 1) & 0xFF
-        head = _HEADER.pack(
-            len(payload), self._flags, 0, sequence, self._system, self._component, message_id & 0xFFFF, message_id >> 16
-        )
-        body = head + payload
-        checksum: int = _checksum(body + layout.seed)
+        kind_low, kind_high = message_id & 0xFFFF, message_id >> 16
+        body = _HEADER.pack(len(payload), self._flags, 0, sequence, system, component, kind_low, kind_high) + payload
+        checksum: int = _checksum(body + seed)
         frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             written = FrameBytes(frame)
-            written.frame = Frame(message_id, self._system, self._component, sequence, layout.payload.unpack(packed))
+            written.frame = Frame(message_id, system, component, sequence, layout.unpack(packed))
             return written
         frame += _LINK_ID + self._clock.next(now_ns).to_bytes(6, "little")
         return frame + signature(self._key, frame)
