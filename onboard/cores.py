@@ -11,7 +11,8 @@ from onboard.preflight.certificate import CLEAR, Clearance
 from protocol.arrival import Datagrams
 from protocol.keys import LinkKeys
 
-CORES: Final = ("numpy", "c")
+NUMPY: Final = "numpy"
+CORES: Final = (NUMPY, "c")
 
 
 class AnyCore(Protocol):
@@ -59,3 +60,13 @@ def build_core(name: str, config: OnboardConfig, session: int, keys: LinkKeys, c
 
         return CompiledCore(*given)
     return OnboardCore(*given)
+
+
+def check_core(name: str, config: OnboardConfig) -> None:
+    """Build a core once and drop it, before many flights use it. Raises ConfigError as `build_core` does."""
+    build_core(name, config, session=1, keys=LinkKeys(None, None, None))
+
+
+def core_option(name: str) -> list[str]:
+    """The words that choose this core on the command line; none for the default."""
+    return [] if name == NUMPY else ["--core", name]

@@ -44,8 +44,15 @@ class ClockMap:
         bucket = arrival_ns // BUCKET_NS
         if bucket > self._bucket:
             self._turn(bucket)
-        self._current = _two_least(*self._current, delay_ns)
-        least, second = _two_least(*self._window, *self._current)
+        least, second = self._current
+        if delay_ns < second:
+            least, second = (delay_ns, least) if delay_ns < least else (least, delay_ns)
+            self._current = least, second
+        before, second_before = self._window
+        if before < least:
+            least, second = before, min(second_before, least)
+        else:
+            second = min(before, second)
         self.offset_ns = int(least if second == math.inf else second)
         self.known = True
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
-from async_dmrac.commands.shared import add_jobs_option, cores, plain_console, positive
+from async_dmrac.commands.shared import add_core_option, add_jobs_option, cores, plain_console, positive
 from configs.loader import ConfigError
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="scenario (default: as it is), calm, jet_4, jet_8, or chip (jet_8, and a rotor loses 25 %%); repeatable",
     )
-    parser.add_argument("--core", default="numpy", help="onboard core: numpy or c (default: numpy)")
     parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="change one value")
     parser.add_argument(
         "--json", action="store_true", help="print a list of {case, flights, lost, error_ratio_to_bias}"
@@ -49,14 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--keep", action="store_true", help="write the search's best finds into the corpus")
     add_jobs_option(parser)
+    add_core_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly and print; return 0 (no vehicle lost), 1, or 130 (interrupted). Raises ConfigError."""
-    from onboard.cores import CORES
-
-    if arguments.core not in CORES:
-        raise ConfigError(f"--core: {arguments.core!r} unknown; allowed are {', '.join(CORES)}")
     try:
         return _search(arguments) if arguments.search else _fly(arguments)
     except KeyboardInterrupt:

@@ -18,7 +18,7 @@ from experiments.flights.realtime_flight import FlightStartError, require_free_p
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.memory.learning import remember
 from offboard.memory.folder import memory_file
-from onboard.cores import CORES
+from onboard.cores import CORES, NUMPY, core_option
 from protocol.keys import load_key
 
 EXAMPLES = """examples:
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="of the whole flight, s (default: the scenario's)")
     parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
     parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
-    parser.add_argument("--core", choices=CORES, default="numpy", help="lockstep: the onboard core (default: numpy)")
+    parser.add_argument("--core", choices=CORES, default=NUMPY, help=f"lockstep: the onboard core (default: {NUMPY})")
     parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
     parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
-    if arguments.core != "numpy" and not arguments.lockstep:
+    if arguments.core != NUMPY and not arguments.lockstep:
         raise ConfigError(f"--core {arguments.core}: only with --lockstep")
     if arguments.view and arguments.lockstep:
         raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
@@ -106,7 +106,7 @@ def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
     words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]
-    words += ["--core", arguments.core] if arguments.core != "numpy" else []
+    words += core_option(arguments.core)
     for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]
     return shlex.join(words)

@@ -10,6 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from experiments.campaigns.runner import Progress as CampaignProgress
 from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers
+from onboard.cores import CORES, NUMPY
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
@@ -21,6 +22,11 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `open_workers` reads."""
     add_jobs_option(parser)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
+
+
+def add_core_option(parser: argparse.ArgumentParser) -> None:
+    """Add the name of the onboard core that flies."""
+    parser.add_argument("--core", choices=CORES, default=NUMPY, help=f"the onboard core (default: {NUMPY})")
 
 
 def positive(text: str) -> int:

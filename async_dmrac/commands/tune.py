@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from async_dmrac.commands.shared import add_jobs_option, cores, plain_console, positive
+from async_dmrac.commands.shared import add_core_option, add_jobs_option, cores, plain_console, positive
 from configs.parts import named_file
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--trials", type=positive, required=True, metavar="N", help="flown trials; those of earlier runs count"
     )
     add_jobs_option(parser)
+    add_core_option(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of the sampler (default 0)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: campaigns/NAME)")
     parser.add_argument("--dry-run", action="store_true", help="do not write the controller file")
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     config, path = load_tuning(arguments.campaign)
-    search = Search(config, path.stem, arguments.controller, arguments.trials, arguments.seed)
+    search = Search(config, path.stem, arguments.controller, arguments.trials, arguments.seed, arguments.core)
     target = named_file("controllers", arguments.controller)
     study = open_study(search, arguments.out or Path("campaigns") / path.stem)
     console, pool = plain_console(), LocalPool(arguments.jobs or cores(), recycle=False)

@@ -13,6 +13,7 @@ from experiments.attacks.conditions import AS_CONFIGURED, condition_assignments
 from experiments.flights.lockstep_flight import OFFBOARD_SESSION, build
 from experiments.flights.metrics import TARGET_DISTANCE_MAX_M
 from experiments.flights.scenario import Choices, resolve
+from onboard.cores import NUMPY
 from onboard.flight.modes import FlightMode
 from onboard.record.tick import OFFSET
 from sim_vehicle.link.radio import RadioConfig
@@ -39,7 +40,7 @@ class AttackFlight:
     assignments: tuple[str, ...] = ()
     """After those of the condition."""
     duration_s: float = DURATION_S
-    core: str = "numpy"
+    core: str = NUMPY
     """One of onboard.cores.CORES."""
 
     def fly(self) -> "AttackOutcome":
@@ -76,7 +77,7 @@ def fly_attack(
     duration_s: float = DURATION_S,
     assignments: tuple[str, ...] = (),
     controller: str = "dmrac",
-    core: str = "numpy",
+    core: str = NUMPY,
     case_of: Callable[[], Case] | None = None,
 ) -> AttackOutcome:
     """Fly a case of experiments.attacks.cases, or what `case_of` makes, over a link that loses nothing.

@@ -13,6 +13,8 @@ from experiments.attacks.cases import SILENT
 from experiments.attacks.conditions import condition_assignments
 from experiments.attacks.journal import Journal
 from experiments.campaigns.worker_pools import LocalPool
+from experiments.flights.scenario import Choices, resolve
+from onboard.cores import check_core
 
 COMPARED: Final = "bias"
 """The controller without learnt features, which no version reaches."""
@@ -51,6 +53,13 @@ def plain_flight(flight: AttackFlight) -> AttackFlight:
     return replace(flight, case=SILENT, controller=COMPARED, assignments=own)
 
 
+def check(flights: Iterable[AttackFlight]) -> None:
+    """Raise ConfigError for a condition that the scenario cannot have, or a core that cannot fly the controller."""
+    for scenario, condition, controller, core in {(f.scenario, f.condition, f.controller, f.core) for f in flights}:
+        condition_assignments(condition, scenario)
+        check_core(core, resolve(scenario, Choices(controller)).onboard)
+
+
 def fly_corpus(
     flights: Iterable[AttackFlight],
     journal: Journal,
@@ -62,9 +71,8 @@ def fly_corpus(
     report: called with each flight that was flown now, those of `bias` included. Raises ConfigError.
     """
     wanted = list(dict.fromkeys(flights))
-    for scenario, condition in {(one.scenario, one.condition) for one in wanted}:
-        condition_assignments(condition, scenario)  # before any flight
     both = list(dict.fromkeys([*map(plain_flight, wanted), *wanted]))
+    check(both)
     pool = LocalPool(workers)
     try:
         executor = pool.open()

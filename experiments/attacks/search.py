@@ -20,7 +20,7 @@ from configs.loader import ConfigError
 from experiments.attacks.attack_flight import AttackFlight, AttackOutcome, fly_attack
 from experiments.attacks.cases import ATTACK_S
 from experiments.attacks.conditions import condition_assignments
-from experiments.attacks.corpus import plain_flight
+from experiments.attacks.corpus import check, plain_flight
 from experiments.attacks.strategies import RANGES, Strategy, strategy_case
 from experiments.campaigns.tuning import TRAINING_SEEDS
 from experiments.campaigns.worker_pools import LocalPool
@@ -123,6 +123,7 @@ def open_study(search: Search) -> optuna.Study:
 
 def run_search(search: Search, workers: int, report: Callable[[str], None]) -> optuna.Study:
     """Fly the trials that are left. report: called with a line for each one."""
+    check(search.flights)
     study, pool = open_study(search), LocalPool(workers, recycle=False)
     complete = (optuna.trial.TrialState.COMPLETE,)
     flown = len(study.get_trials(deepcopy=False, states=complete))

@@ -7,6 +7,7 @@ from typing import Final
 from configs.loader import ConfigError
 from experiments.campaigns.campaign import CampaignConfig, Seeds
 from experiments.campaigns.flight_jobs import FlightJob, unfold
+from onboard.cores import NUMPY, core_option
 
 SEED: Final = 1000
 """The flights of this seed stand for those of all seeds."""
@@ -14,13 +15,18 @@ CHANGES_NO_FLIGHT: Final = ("scenario", "description", "network")
 """Sections of a resolved flight that change nothing in lockstep."""
 
 
-def fingerprint(campaign: CampaignConfig) -> str:
+def fingerprint(campaign: CampaignConfig, core: str = NUMPY) -> str:
     """Half a SHA-256 of the resolved settings of a campaign's flights, those of one seed.
 
-    A flight that cannot be resolved counts by its assignments.
+    A flight that cannot be resolved counts by its assignments. The core counts where it is not numpy's, so that rows
+    of before there were two keep their fingerprint.
+
+    Parameters
+    ----------
+    core: the onboard core of the flights, one of onboard.cores.CORES.
     """
     one_seed = campaign.model_copy(update={"seeds": Seeds(first=SEED, count=1)})
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(" ".join(core_option(core)).encode())
     for job in unfold(one_seed, ""):
         digest.update(json.dumps([job.key, "".join(job.sources), _settings(job)], sort_keys=True).encode())
     return digest.hexdigest()[:32]

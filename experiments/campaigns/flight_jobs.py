@@ -15,6 +15,7 @@ from experiments.campaigns.campaign import CampaignConfig, Case
 from experiments.campaigns.draws import draw_all
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.flights.scenario import Choices, FlightConfig, resolve
+from onboard.cores import NUMPY, core_option
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class FlightJob:
     experience: bytes | None = None
     lessons: tuple[bytes, ...] = ()
     """What was kept of the sources of the memory."""
+    core: str = NUMPY
+    """The onboard core, one of onboard.cores.CORES."""
 
     @property
     def key(self) -> str:
@@ -56,6 +59,7 @@ class FlightJob:
     def command(self, out: Path | None = None) -> str:
         """Return the command that repeats this flight."""
         words = ["dmrac", "fly", self.scenario, "--lockstep", "--controller", self.controller, "--seed", str(self.seed)]
+        words += core_option(self.core)
         if self.duration_s is not None:
             words += ["--duration", f"{self.duration_s:g}"]
         for assignment in self.assignments:
@@ -83,12 +87,13 @@ def memory_path(folder: Path, name: str) -> Path:
     return folder / "memories" / f"{name}.npz"
 
 
-def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None) -> Iterator[FlightJob]:
+def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None, core: str = NUMPY) -> Iterator[FlightJob]:
     """Yield every flight: first those whose experience others need; seed by seed, so that any part is balanced.
 
     Parameters
     ----------
     seeds: number of seeds; None: the campaign's.
+    core: the onboard core of all flights, one of onboard.cores.CORES.
     """
     needed = {other for case in campaign.cases for other in (case.experience, *case.memory) if other is not None}
     for source in (True, False):
@@ -96,7 +101,8 @@ def unfold(campaign: CampaignConfig, name: str, seeds: int | None = None) -> Ite
         for number in range(campaign.seeds.count if seeds is None else seeds):
             for case in cases:
                 keep = source or case.keep_experience
-                yield from flights_of_seed(campaign, name, case, campaign.seeds.first + number, number, keep)
+                for job in flights_of_seed(campaign, name, case, campaign.seeds.first + number, number, keep):
+                    yield replace(job, core=core)
 
 
 def flights_of_seed(

@@ -13,6 +13,7 @@ from experiments.campaigns.campaign import CampaignConfig
 from experiments.campaigns.fingerprint import fingerprint
 from experiments.campaigns.flight_row import SCHEMA
 from experiments.campaigns.store import PARQUET, read_table, write_table
+from onboard.cores import NUMPY
 from runtime.files import write_atomically
 
 CAMPAIGN_FILE: Final = "campaign.yaml"
@@ -28,6 +29,8 @@ class About(ConfigRecord):
     """Of the settings they were flown with."""
     seeds: int
     """Number of seeds per point in the latest call."""
+    core: str = NUMPY
+    """The onboard core of all flights, one of onboard.cores.CORES."""
     flown_on: tuple[str, ...] = ()
     """One line for each machine, set of versions and commit."""
     campaign: dict[str, Any]
@@ -40,7 +43,7 @@ class About(ConfigRecord):
 
     def check_settings(self, campaign: CampaignConfig, where: str, advice: str) -> None:
         """Raises ConfigError, with the advice, if `campaign` has other settings today than those of the flights."""
-        if self.fingerprint != fingerprint(campaign):
+        if self.fingerprint != fingerprint(campaign, self.core):
             raise ConfigError(
                 f"{where}: its flights were made with other settings: campaign or configs have changed since; {advice}"
             )

@@ -80,7 +80,7 @@ def refly(
     seeds = [row["seed"] for row in recorded.values()]
     first = min(seeds)
     config = flown.config.model_copy(update={"traces": 0, "seeds": Seeds(first=first, count=1 + max(seeds) - first)})
-    run = CampaignRun(config, flown.about.name, folder, only=frozenset(keys))
+    run = CampaignRun(config, flown.about.name, folder, only=frozenset(keys), core=flown.about.core)
     with open_store(folder) as store:
         run_campaign(run, store, workers, report)
     again = {row["key"]: row for row in read_table(folder).to_pylist()}

@@ -21,6 +21,7 @@ from experiments.campaigns.provenance import here
 from experiments.campaigns.store import CampaignStore
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.campaigns.worker_pools import TRIES, Workers
+from onboard.cores import NUMPY, check_core
 from runtime.files import write_atomically
 
 QUEUED_PER_WORKER: Final = 2
@@ -55,10 +56,12 @@ class CampaignRun:
     """Number of seeds; None: the campaign's."""
     only: frozenset[str] | None = None
     """Keys of the flights to fly, in addition to those they start from; None: all."""
+    core: str = NUMPY
+    """The onboard core of all flights, one of onboard.cores.CORES."""
 
     def jobs(self) -> Iterator[FlightJob]:
         """Yield every flight to fly."""
-        every = unfold(self.campaign, self.name, self.seeds)
+        every = unfold(self.campaign, self.name, self.seeds, self.core)
         if self.only is None:
             return every
         jobs = list(every)
@@ -72,24 +75,51 @@ def prepare_folder(run: CampaignRun, resume: bool) -> None:
     Raises
     ------
     ConfigError
-        If the folder holds a campaign and `resume` is not set, or if its settings differ.
+        If the folder holds a campaign and `resume` is not set, or if its settings or core differ, or if the core cannot
+        fly one of the controllers.
     """
+    check_controllers(run)
     tree = run.campaign.model_dump(mode="json")
     flown_on: tuple[str, ...] = ()
     if is_campaign(run.folder):
         if not resume:
             raise ConfigError(f"--out {run.folder}: holds a campaign already; add --resume, or choose another folder")
         before = read_about(run.folder)
+        if before.core != run.core:
+            raise ConfigError(
+                f"--core {run.core}: the flights in {run.folder} were flown with --core {before.core}; "
+                "choose another folder"
+            )
         before.check_settings(run.campaign, f"--resume {run.folder}", "choose another folder")
         flown_on = before.flown_on
     about = About(
         name=run.name,
-        fingerprint=fingerprint(run.campaign),
+        fingerprint=fingerprint(run.campaign, run.core),
         seeds=run.seeds or run.campaign.seeds.count,
+        core=run.core,
         flown_on=flown_on,
         campaign=tree,
     )
     _write(run.folder / CAMPAIGN_FILE, about.file_content())
+
+
+def check_controllers(run: CampaignRun) -> None:
+    """Raises ConfigError if the core of the flights is not numpy's and cannot be built with one of the controllers.
+
+    A flight whose settings are wrong is left to its row.
+    """
+    if run.core == NUMPY:
+        return
+    checked: set[str] = set()
+    for job in unfold(run.campaign, run.name, seeds=1):
+        if job.controller in checked:
+            continue
+        try:
+            config = job.configuration()
+        except ConfigError:
+            continue
+        check_core(run.core, config.onboard)
+        checked.add(job.controller)
 
 
 def note_place(folder: Path) -> None:

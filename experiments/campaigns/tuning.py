@@ -23,7 +23,7 @@ A search is stored in a journal file and can be continued: trial n uses a genera
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -41,6 +41,7 @@ from experiments.campaigns.search_space import Parameter, assignments, present_v
 from experiments.campaigns.worker import FlightResult, fly_job
 from experiments.flights.scenario import Choices, resolve
 from experiments.margins.requirement import Corner, MarginRequirement
+from onboard.cores import NUMPY, check_core, core_option
 
 TRAINING_SEEDS: Final = range(1000)
 """Seeds of tuning; the others are for evaluation."""
@@ -124,6 +125,14 @@ class Search:
     trials: int
     """Flown trials, before the search may end."""
     seed: int = 0
+    core: str = NUMPY
+    """The onboard core of all flights, one of onboard.cores.CORES."""
+
+    @property
+    def label(self) -> str:
+        """Name of its study and journal: searches with two cores are never mixed."""
+        name = Path(self.controller).stem
+        return name if self.core == NUMPY else f"{name}_core_{self.core}"
 
 
 def load_tuning(name: str) -> tuple[TuneConfig, Path]:
@@ -156,7 +165,10 @@ def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tu
     jobs = []
     for tuned in search.config.cases:
         case = tuned.case.model_copy(update={"set": gains | tuned.case.set})
-        jobs += [(tuned, job) for job in flights_of_seed(campaign, search.name, case, seed, number, False)]
+        jobs += [
+            (tuned, replace(job, core=search.core))
+            for job in flights_of_seed(campaign, search.name, case, seed, number, False)
+        ]
     return jobs
 
 
@@ -199,11 +211,18 @@ def fly_trial(
 
 
 def open_study(search: Search, folder: Path) -> optuna.Study:
-    """Open the study of a search, new or from its file; trials that were interrupted are repeated."""
+    """Open the study of a search, new or from its file; trials that were interrupted are repeated.
+
+    Raises
+    ------
+    ConfigError
+        If the controller has no search space, or the core cannot fly it.
+    """
+    check_core(search.core, resolve(choices=Choices(search.controller)).onboard)
     folder.mkdir(parents=True, exist_ok=True)
-    backend = optuna.storages.journal.JournalFileBackend(str(folder / f"{Path(search.controller).stem}.journal"))
+    backend = optuna.storages.journal.JournalFileBackend(str(folder / f"{search.label}.journal"))
     study = optuna.create_study(
-        study_name=f"{search.name}/{Path(search.controller).stem}",
+        study_name=f"{search.name}/{search.label}",
         storage=optuna.storages.JournalStorage(backend),
         direction="minimize",
         load_if_exists=True,
@@ -329,8 +348,9 @@ def search_record(search: Search, study: optuna.Study) -> list[str]:
     flown = len(flown_values(study))
     cases = ", ".join(one.case.name for one in config.cases)
     count = len(config.space(search.controller))
+    core = "".join(f" {word}" for word in core_option(search.core))
     return [
-        f"dmrac tune {search.name} --controller {Path(search.controller).stem} --trials {search.trials}",
+        f"dmrac tune {search.name} --controller {Path(search.controller).stem} --trials {search.trials}{core}",
         f"cases {cases}; seeds {config.seeds.first} to {last}; {count} parameters; sampler seed {search.seed}",
         f"best mean cost {study.best_value:.4f} of {flown} flown trials (cost: experiments/campaigns/tuning.py)",
     ]

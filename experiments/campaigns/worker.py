@@ -71,7 +71,7 @@ def fly_job(job: FlightJob) -> FlightResult:
         link = LinkBytes()
         spreads = law_spreads(config.onboard.controller.settings)
         memory = learnt_from_lessons(job.lessons, spreads) if job.memory else None
-        outcome = fly_lockstep(config, (link,), experience=memory or job.experience)
+        outcome = fly_lockstep(config, (link,), experience=memory or job.experience, core=job.core)
         row |= flight_row(config, outcome, link)
         trace = pack_trace(config, outcome) if job.keep_trace else None
         config_text = config.to_yaml() if job.keep_trace else ""

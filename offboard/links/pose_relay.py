@@ -110,8 +110,7 @@ class PoseRelay:
         self._refuse_frozen(captured)
         w, x, y, z = captured.quaternion
         unit = (w / norm, x / norm, y / norm, z / norm)
-        position = np.array(captured.position_ned_m, dtype=np.float32)
-        return Pose(time_ns, position, np.array(unit, dtype=np.float32))
+        return Pose(time_ns, np.array(captured.position_ned_m, np.float32), np.array(unit, np.float32))
 
     def _decode(self, datagram: bytes, now_ns: int) -> CapturedPose:
         """The one pose of a datagram."""

@@ -4,6 +4,8 @@ What speaks MAVLink, the links to vehicle and ground station and the arming chec
 blocks are one call of C (core.h).
 """
 
+import struct
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -40,7 +42,10 @@ from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, Ra
 from protocol.session import session_start_ns
 from protocol.statistics import REJECTIONS
 
-EMPTY: Final = np.zeros(0, dtype=np.uint8)
+MODES: Final = tuple(FlightMode)
+"""By their numbers."""
+IMU, FLOW, RANGE, BATTERY = "@q3{0}3{0}?{0}", "@q5{0}i", "@q{0}", "@q{0}{0}"
+"""Layout of the readings in C (estimation/readings.h), for struct; {0}: d or f."""
 COMMANDS: Final = {command: number for number, command in enumerate(Command)}
 """Number of each command in C."""
 
@@ -81,10 +86,15 @@ class CompiledCore:
         self.controller = CompiledController(core, self._core.controller)
         self._notice = clearance.notice
         self._inputs, self._result = core.CoreInputs(), core.CoreOutput()
-        self._imu, self._received, self._refusal = core.ImuReading(), core.Received(), core.ArmingRefusal()
+        self._received, self._refusal = core.Received(), core.ArmingRefusal()
         self._datagrams = [view(one.bytes) for one in self._result.to_offboard]
+        self._motors, self._features = view(self._result.motors), self._result.features
+        self._pose = view(self._received.pose.pose.position), view(self._received.pose.pose.quaternion)
+        self._imu, self._flow = _Packed(core, core.ImuReading, IMU), _Packed(core, core.FlowReading, FLOW)
+        self._range = _Packed(core, core.RangeReading, RANGE)
+        self._battery_packed = _Packed(core, core.BatteryReading, BATTERY)
         self._output = OnboardOutput(tick=view(self._result.tick))
-        state = self._core.estimator.state
+        self._estimated = state = self._core.estimator.state
         names = ("position", "velocity", "quaternion", "euler", "rates")
         self._state = VehicleState(**{name: view(getattr(state, name)) for name in names})
         """What the ground link shows; the arrays are those of the C core."""
@@ -109,16 +119,17 @@ class CompiledCore:
             for reading in self._vehicle_link.receive(datagram, arrival_ns):
                 self._receive(reading)
         self._receive_offboard(from_offboard, now_ns)
-        posed = core.posed or core.estimator.state.last_pose_ns != NEVER_NS
         inputs.now_ns, inputs.missed_ticks = now_ns, missed_ticks
-        inputs.preflight = self._reasons.number(self._arming.refusal(now_ns, posed, self._vehicle_link))
+        if MODES[core.mode] not in AIRBORNE:  # in flight C does not read it
+            posed = core.posed or self._estimated.last_pose_ns != NEVER_NS
+            inputs.preflight = self._reasons.number(self._arming.refusal(now_ns, posed, self._vehicle_link))
         inputs.ground_ns = self._ground_link.last_received_ns
         self._library.core_tick(core, inputs, result)
         self._collect_events(output, now_ns)
-        output.to_vehicle.append(self._vehicle_link.encode_motors(result.motors, result.spinning, now_ns))
+        output.to_vehicle.append(self._vehicle_link.encode_motors(self._motors.tolist(), result.spinning, now_ns))
         for index in range(result.to_offboard_count):
             output.to_offboard.append(self._datagrams[index][: result.to_offboard[index].size].tobytes())
-        self._report(output, FlightMode(result.mode), now_ns)
+        self._report(output, now_ns)
         self._tracking_error_m = core.tracking_error_m
         return output
 
@@ -130,31 +141,28 @@ class CompiledCore:
 
     def _receive(self, reading: Reading) -> None:
         """One reading of the vehicle's sensors, or its battery."""
-        library, core = self._library, self._core
-        match reading:
-            case ImuReading():
-                imu = self._imu
-                imu.time_ns, imu.has_pressure = reading.time_ns, reading.pressure_pa is not None
-                imu.accelerometer[:], imu.gyroscope[:] = reading.accelerometer, reading.gyroscope
-                imu.pressure_pa = reading.pressure_pa or 0.0
-                library.core_receive_imu(core, imu)
-            case FlowReading():
-                library.core_receive_flow(core, library.FlowReading(*reading))
-            case RangeReading():
-                library.core_receive_range(core, library.RangeReading(reading.time_ns, reading.distance_m))
-            case BatteryReading():
-                self._battery = reading
-                library.core_receive_battery(core, library.BatteryReading(*reading))
+        library, core, kind = self._library, self._core, type(reading)
+        if kind is ImuReading:
+            time_ns, accelerometer, gyroscope, pressure_pa = reading
+            has_pressure = pressure_pa is not None
+            imu = self._imu(time_ns, *accelerometer, *gyroscope, has_pressure, pressure_pa if has_pressure else 0.0)
+            library.core_receive_imu(core, imu)
+        elif kind is FlowReading:
+            library.core_receive_flow(core, self._flow(*reading))
+        elif kind is RangeReading:
+            library.core_receive_range(core, self._range(reading.time_ns, reading.distance_m))
+        else:
+            self._battery = reading
+            library.core_receive_battery(core, self._battery_packed(*reading))
 
     def _receive_offboard(self, datagrams: Datagrams, now_ns: int) -> None:
         """Poses and chunks of feature versions; the arming checks compare a pose with the IMU."""
         received, force = self._received, self._vehicle_link.health.force
         for datagram, arrival_ns in at_times(datagrams, now_ns):
-            octets = np.frombuffer(datagram, dtype=np.uint8) if datagram else EMPTY
-            self._library.core_receive_offboard(self._core, octets, octets.size, arrival_ns, received)
+            self._library.core_receive_offboard(self._core, bytes(datagram), len(datagram), arrival_ns, received)
             if received.has_pose:
-                pose = received.pose.pose
-                self._arming.receive_pose(pose.position, pose.quaternion, force, now_ns)
+                position, quaternion = self._pose
+                self._arming.receive_pose(position.tolist(), quaternion.tolist(), force, now_ns)
 
     def _receive_ground(self, datagrams: Datagrams, land: bool, now_ns: int) -> None:
         """Commands of the pilot, and the process's own wish to land."""
@@ -179,10 +187,11 @@ class CompiledCore:
 
     def _collect_events(self, output: OnboardOutput, now_ns: int) -> None:
         """Events in the order of OnboardCore; those of vehicle link, estimator and modes go to the pilot's screen."""
-        result = self._result
-        output.events += [(one.time_ns, link_text(one)) for one in result.link_events[: result.link_event_count]]
-        shown = self._vehicle_link.take_events()
-        shown += [(one.time_ns, estimator_text(one)) for one in result.estimator_events[: result.estimator_event_count]]
+        result, shown = self._result, self._vehicle_link.take_events()
+        if count := result.link_event_count:
+            output.events += [(one.time_ns, link_text(one)) for one in result.link_events[:count]]
+        if count := result.estimator_event_count:
+            shown += [(one.time_ns, estimator_text(one)) for one in result.estimator_events[:count]]
         if self._notice:
             shown.append((now_ns, self._notice))
             self._notice = ""
@@ -192,21 +201,26 @@ class CompiledCore:
         output.events += shown
         for _, text in shown:
             self._ground_link.send_text(text)
-        if result.features.offered:
-            output.events.append((now_ns, version_text(result.features)))
-        for fall in result.features.falls[: result.features.fall_count]:
+        features = self._features
+        if features.offered:
+            output.events.append((now_ns, version_text(features)))
+        for fall in features.falls[:count] if (count := features.fall_count) else ():
             text = fall_text(fall)
             output.events.append((now_ns, text))
             self._ground_link.send_text(text)
 
-    def _report(self, output: OnboardOutput, mode: FlightMode, now_ns: int) -> None:
+    def _report(self, output: OnboardOutput, now_ns: int) -> None:
         """The clock of offboard, and telemetry for the pilot."""
-        core, result, state = self._core, self._result, self._core.estimator.state
-        clock = result.clock
-        output.clock_offset = np.array([clock.offset_ns, clock.round_trip_ns], np.float64) if result.has_clock else None
-        self._state.last_imu_ns, self._state.last_pose_ns = state.last_imu_ns, state.last_pose_ns
-        self._state.height_valid = state.height_valid
-        output.to_ground += self._ground_link.poll(now_ns, mode, self._state, self._battery)
+        core, result = self._core, self._result
+        output.clock_offset = None
+        if result.has_clock:
+            clock = result.clock
+            output.clock_offset = np.array([clock.offset_ns, clock.round_trip_ns], np.float64)
+        if self._ground_link.is_due(now_ns):
+            state = self._estimated
+            self._state.last_imu_ns, self._state.last_pose_ns = state.last_imu_ns, state.last_pose_ns
+            self._state.height_valid = state.height_valid
+            output.to_ground += self._ground_link.poll(now_ns, MODES[result.mode], self._state, self._battery)
         if result.status_sent:
             self._ground_link.values.update(
                 feat_ver=float(core.reception.version),
@@ -275,10 +289,22 @@ def _built(config: OnboardConfig, variant: Variant, session: int, key: bytes) ->
     if not library.config_decode(packed, packed.size, decoded):
         raise ConfigError("--core c: the packed configuration is not of the core's layout: build it again")
     put_start_features(start, config)
-    octets = np.frombuffer(key, dtype=np.uint8) if key else EMPTY
-    if not library.core_init(core, decoded, start, session, octets, octets.size):
+    if not library.core_init(core, decoded, start, session, key, len(key)):
         raise ValueError(f"key of {len(key)} bytes, allowed {KEY_MIN_BYTES} to {KEY_MAX_BYTES}")
     return library, core
+
+
+class _Packed:
+    """A structure of numbers in C that is filled in one step; calling it with its members gives the structure."""
+
+    def __init__(self, core: Any, structure: Any, layout: str) -> None:
+        packing = struct.Struct(layout.format("d" if core.real == "double" else "f"))
+        self._filled = structure()
+        self._fill = partial(packing.pack_into, self._filled, 0)
+
+    def __call__(self, *members: Any) -> Any:
+        self._fill(*members)
+        return self._filled
 
 
 class _Reasons:
@@ -286,11 +312,15 @@ class _Reasons:
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = {"": 0}
-        self.texts: dict[int, str] = {}
+        self.texts: dict[int, str] = {0: ""}
         """The newest text of each number."""
+        self._last = ("", 0)
 
     def number(self, text: str) -> int:
+        if text == self._last[0]:
+            return self._last[1]
         kind = "".join(letter for letter in text if not letter.isdigit())
         number = self._numbers.setdefault(kind, len(self._numbers))
         self.texts[number] = text
+        self._last = text, number
         return number

@@ -42,14 +42,17 @@ class DeclarationError(Exception):
 
 
 class _ArrayArgument:
-    """A pointer to numbers: takes a contiguous numpy array of the right type, or a ctypes array."""
+    """A pointer to numbers: takes a contiguous numpy array of the right type, a ctypes array, or bytes."""
 
     dtype: np.dtype[Any]
     plain: Any
+    constant: bool
 
     @classmethod
     def from_param(cls, value: Any) -> Any:
         """What ctypes passes to the function. Raises TypeError for another type of number, which C would misread."""
+        if type(value) is bytes and cls.constant and cls.plain is ctypes.c_uint8:
+            return value
         if isinstance(value, np.ndarray):
             if value.dtype != cls.dtype or not value.flags.c_contiguous:
                 raise TypeError(f"array of {value.dtype}, expected contiguous {cls.dtype}")
@@ -69,7 +72,7 @@ class Declarations:
         self.constants: dict[str, int] = {}
         self.functions: dict[str, tuple[Any, list[Any]]] = {}
         """Result and arguments of each function, as ctypes has them."""
-        self._arrays: dict[str, Any] = {}
+        self._arrays: dict[tuple[str, bool], Any] = {}
         at = 0
         while text[at:].strip():
             statement = _STATEMENT.match(text, at)
@@ -129,12 +132,13 @@ class Declarations:
             return kind
         if parameter["type"] in self.structures:
             return ctypes.POINTER(kind)
-        return self._array_argument(parameter["type"], kind)
+        return self._array_argument(parameter["type"], kind, constant=parameter["const"] is not None)
 
-    def _array_argument(self, name: str, kind: Any) -> Any:
-        if name not in self._arrays:
-            self._arrays[name] = type(f"{name}_array", (_ArrayArgument,), {"dtype": np.dtype(kind), "plain": kind})
-        return self._arrays[name]
+    def _array_argument(self, name: str, kind: Any, constant: bool) -> Any:
+        if (name, constant) not in self._arrays:
+            members = {"dtype": np.dtype(kind), "plain": kind, "constant": constant}
+            self._arrays[name, constant] = type(f"{name}_array", (_ArrayArgument,), members)
+        return self._arrays[name, constant]
 
     def _type(self, name: str) -> Any:
         if name not in self.types:

@@ -167,6 +167,10 @@ class GroundLink:
 
     # -- to the ground station ----------------------------------------------------------------------------------------
 
+    def is_due(self, now_ns: int) -> bool:
+        """Whether `poll` has something to send, or to plan."""
+        return bool(self._waiting) or self._due_ns is None or now_ns >= min(self._due_ns)
+
     def poll(self, now_ns: int, mode: FlightMode, state: VehicleState, battery: BatteryReading) -> list[bytes]:
         """At most one message, the most urgent that is due."""
         if self._waiting:

@@ -91,6 +91,7 @@ class VehicleLink:
         Raises ValueError if the key is not 32 bytes long.
         """
         self._config = config
+        self._acceleration_max_m_s2, self._rate_max_rad_s = config.acceleration_max_m_s2, config.rate_max_rad_s
         clock = signing_clock or SigningClock()
         self._decoders = {
             wire.IMU: self._imu,
@@ -171,12 +172,14 @@ class VehicleLink:
         """
         controls = wire.OFF
         if armed:
-            f1, f2, f3, f4 = map(float, fractions)
-            if math.isfinite(f1 + f2 + f3 + f4):
+            controls = f1, f2, f3, f4 = tuple(map(float, fractions))
+            if 0.0 <= f1 <= 1.0 and 0.0 <= f2 <= 1.0 and 0.0 <= f3 <= 1.0 and 0.0 <= f4 <= 1.0:
+                pass
+            elif math.isfinite(f1 + f2 + f3 + f4):
                 controls = (wire.clip(f1), wire.clip(f2), wire.clip(f3), wire.clip(f4))
             else:
                 self.rejected["motor_command"] += 1
-                armed = False
+                controls, armed = wire.OFF, False
         return self._writer.write(wire.encode_motors(now_ns // 1000, controls, armed), now_ns)
 
     def _is_ours(self, frame: Frame, now_ns: int) -> bool:
@@ -197,14 +200,13 @@ class VehicleLink:
         if reading is None:
             return self._refuse("imu_fields")
         stamp_ns, accelerometer, gyroscope, pressure_pa = reading
-        limit = self._config.acceleration_max_m_s2
-        for value in accelerometer:
-            if not -limit <= value <= limit:  # also catches NaN
-                return self._refuse_sensor("accelerometer", value, now_ns)
-        limit = self._config.rate_max_rad_s
-        for value in gyroscope:
-            if not -limit <= value <= limit:
-                return self._refuse_sensor("gyroscope", value, now_ns)
+        for sensor, limit, (x, y, z) in (
+            ("accelerometer", self._acceleration_max_m_s2, accelerometer),
+            ("gyroscope", self._rate_max_rad_s, gyroscope),
+        ):
+            if not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):  # also catches NaN
+                wrong = next(value for value in (x, y, z) if not -limit <= value <= limit)
+                return self._refuse_sensor(sensor, wrong, now_ns)
         fault = self._clock.accept(stamp_ns, now_ns)
         if fault and not self._handle_clock(fault, now_ns):
             return None

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink.frames import FrameReader, FrameWriter, Message, checked_fields, layout_of
+from protocol.mavlink.frames import FrameBytes, FrameReader, FrameWriter, Message, checked_fields, layout_of
 from protocol.mavlink.signing import SigningClock
 
 KEY = bytes(range(32))
@@ -47,8 +47,24 @@ def test_frames_equal_those_of_pymavlink_bit_for_bit(kind, data):
     read = mavlink.MAVLink(None).decode(bytearray(ours))
     assert ours == bytes(read.pack(mavlink.MAVLink(None, 7, 9)))
     assert checked_fields(ours, layout_of(kind.id)) == fields
-    (frame,) = FrameReader([kind.id]).read(ours, 0)
+    (frame,) = FrameReader([kind.id]).read(bytes(bytearray(ours)), 0)
     assert (frame.fields, frame.system, frame.component, frame.sequence) == (fields, 7, 9, 0)
+    assert isinstance(ours, FrameBytes)
+    assert ours.frame == frame, "what the frame carries is what its bytes hold"
+    assert FrameReader([kind.id]).read(ours, 0) == [frame]
+
+
+def test_what_a_frame_carries_passes_no_check_that_its_bytes_fail() -> None:
+    heartbeat = Message(mavlink.MAVLink_heartbeat_message, (0, 2, 8, 0, 3, 3))
+    frame = FrameWriter(7, 9).write(heartbeat, 0)
+    other = FrameReader([mavlink.MAVLINK_MSG_ID_HIL_SENSOR])
+    assert other.read(frame, 0) == []
+    assert other.rejected == {"message_not_allowed": 1}
+    signed = FrameReader([heartbeat.kind.id], KEY)
+    assert signed.read(frame, 0) == []
+    assert signed.rejected.total() == 1
+    assert type(FrameWriter(7, 9, KEY).write(heartbeat, 0)) is bytes
+    assert type(frame + b"") is type(frame[:]) is bytes, "a part or a copy of the bytes carries nothing"
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.msgname)
