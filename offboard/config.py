@@ -99,6 +99,16 @@ class GateConfig(ConfigRecord):
     margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which a channel's loss may rise")
     minimum_validation: int = Field(default=20, ge=2, description="least held-out labels of each channel")
     interval_s: float = Field(default=1.0, ge=0.0, description="s, least time between two versions")
+    first_ratio: float = Field(
+        default=0.75,
+        gt=0.0,
+        description="before the first version flies: error of the maps so far on samples that came after them, over"
+        " that without a map",
+    )
+    first_evidence_s: float = Field(default=1.8, gt=0.0, le=60.0, description="s of such samples")
+    first_samples: int = Field(
+        default=500, ge=0, description="labelled samples after which the first version may fly without it; 0: at once"
+    )
 
 
 class ExperienceConfig(ConfigRecord):
