@@ -87,12 +87,21 @@ class TrainedFeatures(FeatureInputs):
         return SIGNAL_NAMES
 
 
+class UntrainedFeatures(FeatureInputs):
+    """What a flight starts with, until the first version comes."""
+
+    start: Literal["constant", "random"] = Field(
+        default="constant",
+        description="network features before the first version: the constant 1 alone (the others are 0), or random layers",
+    )
+
+
 class FeaturesConfig(ConfigRecord):
     """The whole section. Both sides hold their own copy."""
 
     trained: TrainedFeatures
-    untrained: FeatureInputs = Field(
-        description="onboard's random start features and radial basis functions; of the latter, inputs and scales only"
+    untrained: UntrainedFeatures = Field(
+        description="onboard's start features and radial basis functions; of the latter, inputs and scales only"
     )
 
 

@@ -5,6 +5,7 @@ of scaled inputs to columns of features. The last feature is always the constant
 state are evaluated together, as two columns, which costs little more than one.
 """
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -226,3 +227,14 @@ def random_channel(
         biases.append(rng.uniform(-0.5, 0.5, width))
         fan_in = width
     return ChannelFeatures(inputs, offset, scale, tuple(weights), tuple(biases), np.zeros((fan_in + 1, 3)))
+
+
+def silenced(channel: ChannelFeatures) -> ChannelFeatures:
+    """The same widths, with a last inner layer of zeros: of all features only the constant 1 is left.
+
+    A law that shares its gain between untrained features and the constant learns along random functions of the state. It
+    follows the uncertainty no better, and their slope feeds back (docs/theory_covariance.md).
+    """
+    *weights, W = channel.weights
+    *biases, b = channel.biases
+    return replace(channel, weights=(*weights, np.zeros_like(W)), biases=(*biases, np.zeros_like(b)))

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.feature_swap import RecentStates, SwapConfig, SwapPlan, plan_swap
-from onboard.control.features import BiasFeatures, Features, NetworkFeatures, RadialFeatures, random_channel
+from onboard.control.features import BiasFeatures, Features, NetworkFeatures, RadialFeatures, random_channel, silenced
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
@@ -23,7 +23,7 @@ from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from onboard.control.slope import SlopeLimits, SlopeShares
 from protocol.conventions import Array
-from protocol.feature_config import ChannelName, FeatureInputs
+from protocol.feature_config import ChannelName, UntrainedFeatures
 from protocol.feature_set import ChannelFeatures
 from protocol.geometry import Vector3, vector
 from protocol.signals import SIGNAL_COUNT
@@ -50,7 +50,7 @@ class AdaptiveConfig(ConfigRecord):
 
 
 def _start_features(
-    config: AdaptiveConfig, inputs: FeatureInputs, channel: ChannelName, rng: np.random.Generator
+    config: AdaptiveConfig, inputs: UntrainedFeatures, channel: ChannelName, rng: np.random.Generator
 ) -> Features:
     """The features of a channel at the start of a flight."""
     if config.features == "bias":
@@ -59,7 +59,8 @@ def _start_features(
     offset, scale = inputs.offset_and_scale(names)
     if config.features == "rbf":
         return RadialFeatures(names, offset, scale, config.rbf_width)
-    return NetworkFeatures(random_channel(names, offset, scale, (*inputs.hidden, inputs.count - 1), rng))
+    start = random_channel(names, offset, scale, (*inputs.hidden, inputs.count - 1), rng)
+    return NetworkFeatures(start if inputs.start == "random" else silenced(start))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +83,7 @@ class AdaptiveAugmentation:
         self,
         config: AdaptiveConfig,
         gains: ChannelGains,
-        inputs: FeatureInputs,
+        inputs: UntrainedFeatures,
         channel: ChannelName,
         rng: np.random.Generator,
         slope_limits: SlopeLimits,

@@ -6,7 +6,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.control.features import INPUT_LIMIT, BiasFeatures, NetworkFeatures, RadialFeatures, halton, random_channel
+from onboard.control.features import (
+    INPUT_LIMIT,
+    BiasFeatures,
+    NetworkFeatures,
+    RadialFeatures,
+    halton,
+    random_channel,
+    silenced,
+)
 from protocol.feature_codec import decode_feature_set, encode_feature_set
 from protocol.feature_set import ChannelFeatures, FeatureSet
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
@@ -45,6 +53,14 @@ def test_numpy_features_equal_torchs(dtype, tolerance, widths):
         theirs = torch_network(source, dtype)(torch.tensor(z.T, dtype=dtype)).numpy().T
     np.testing.assert_allclose(ours[:-1], theirs, atol=tolerance)
     np.testing.assert_array_equal(ours[-1], 1.0)
+
+
+def test_of_silenced_features_only_the_constant_is_left():
+    source = channel(1)
+    Phi = NetworkFeatures(silenced(source)).evaluate(np.random.default_rng(2).uniform(-3, 3, (5, 20)))
+    assert Phi.shape == (20, 20)
+    assert not Phi[:-1].any()
+    np.testing.assert_array_equal(Phi[-1], 1.0)
 
 
 def test_features_survive_the_wire():
