@@ -92,7 +92,7 @@ class UntrainedFeatures(FeatureInputs):
 
     start: Literal["constant", "random"] = Field(
         default="constant",
-        description="network features before the first version: the constant 1 alone (the others are 0), or random layers",
+        description="network features before the first version: the constant 1 alone, or random layers",
     )
 
 

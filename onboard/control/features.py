@@ -232,8 +232,8 @@ def random_channel(
 def silenced(channel: ChannelFeatures) -> ChannelFeatures:
     """The same widths, with a last inner layer of zeros: of all features only the constant 1 is left.
 
-    A law that shares its gain between untrained features and the constant learns along random functions of the state. It
-    follows the uncertainty no better, and their slope feeds back (docs/theory_covariance.md).
+    A law that shares its gain between untrained features and the constant learns along random functions of the state.
+    It follows the uncertainty no better, and their slope feeds back (docs/theory_covariance.md).
     """
     *weights, W = channel.weights
     *biases, b = channel.biases

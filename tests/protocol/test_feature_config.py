@@ -26,7 +26,10 @@ def test_a_controllers_file_may_overrule_the_section() -> None:
     paper, ours = (resolve("hover", Choices(controller)).features for controller in ("paper_mrac", "mrac"))
     assert ours == FEATURES
     assert paper.untrained.attitude_inputs[:2] == ("roll", "pitch")
-    assert paper.untrained.model_copy(update={"attitude_inputs": ours.untrained.attitude_inputs, "start": "constant"}) == ours.untrained
+    assert (
+        paper.untrained.model_copy(update={"attitude_inputs": ours.untrained.attitude_inputs, "start": "constant"})
+        == ours.untrained
+    )
 
 
 @pytest.mark.parametrize(
