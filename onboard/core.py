@@ -356,6 +356,7 @@ class OnboardCore:
             )
             counts = (self._ticks, self._missed_ticks)
             small.append(link.status(now_ns, mode, counts, state.last_pose_ns, self._reception.status))
+            self._reception.note_status()
         for datagram in small:
             self._samples.charge(len(datagram), now_ns)
         output.to_offboard += small

@@ -96,7 +96,7 @@ class Status:
     received_chunks: bytes
     """Bitmap of the received chunks of `transfer_version`: chunk i is bit i % 8 of byte i // 8; at most 8 bytes."""
     refused_version: int
-    """Newest version that was refused; 0 for none."""
+    """A version that was refused; 0 for none. Some statuses name each, the oldest first; the newest one stays."""
     refusal: int
     """The reason, as an index into REFUSALS."""
     ticks: int

@@ -53,6 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly and print; return 0 (no vehicle lost), 1, or 130 (interrupted). Raises ConfigError."""
+    if arguments.keep and not arguments.search:
+        raise ConfigError("--keep: writes what a search has found; expected --search N as well")
+    if arguments.search and arguments.case:
+        raise ConfigError("--case: a search makes its own; expected --search N without it")
     try:
         return _search(arguments) if arguments.search else _fly(arguments)
     except KeyboardInterrupt:
@@ -70,7 +74,7 @@ def _flight(arguments: argparse.Namespace, case: str, seed: int, condition: str)
 
 def _fly(arguments: argparse.Namespace) -> int:
     from experiments.attacks.cases import CASES
-    from experiments.attacks.corpus import fly_corpus
+    from experiments.attacks.corpus import check, fly_corpus
     from experiments.attacks.journal import Journal
     from experiments.campaigns.provenance import commit
 
@@ -85,6 +89,7 @@ def _fly(arguments: argparse.Namespace) -> int:
         for condition in arguments.condition or ["scenario"]
         for case in cases
     ]
+    check(flights)
     rows = fly_corpus(flights, Journal(arguments.out, commit()), arguments.jobs or cores(), _report)
     if arguments.json:
         print(json.dumps([row.summary() for row in rows], indent=1))

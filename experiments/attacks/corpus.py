@@ -54,8 +54,10 @@ def plain_flight(flight: AttackFlight) -> AttackFlight:
 
 
 def check(flights: Iterable[AttackFlight]) -> None:
-    """Raise ConfigError for a condition that the scenario cannot have, or a core that cannot fly the controller."""
-    for scenario, condition, controller, core in {(f.scenario, f.condition, f.controller, f.core) for f in flights}:
+    """Raise ConfigError for a condition that the scenario cannot have, or a core that cannot fly the controllers."""
+    wanted = list(flights)
+    both = [*map(plain_flight, wanted), *wanted]
+    for scenario, condition, controller, core in {(f.scenario, f.condition, f.controller, f.core) for f in both}:
         condition_assignments(condition, scenario)
         check_core(core, resolve(scenario, Choices(controller)).onboard)
 
@@ -68,11 +70,10 @@ def fly_corpus(
 ) -> list[CorpusRow]:
     """Fly what the journal lacks, store it there, and return one row for each case.
 
-    report: called with each flight that was flown now, those of `bias` included. Raises ConfigError.
+    report: called with each flight that was flown now, those of `bias` included.
     """
     wanted = list(dict.fromkeys(flights))
     both = list(dict.fromkeys([*map(plain_flight, wanted), *wanted]))
-    check(both)
     pool = LocalPool(workers)
     try:
         executor = pool.open()

@@ -230,6 +230,7 @@ static bool say_status(Core *self, int64_t now_ns, Datagram *out) {
         .missed_ticks = self->missed_ticks,
     };
     memcpy(status.received_chunks, reception.received_chunks, sizeof reception.received_chunks);
+    reception_note_status(&self->reception);
     return offboard_link_status(&self->offboard, &status, self->estimator.state.last_pose_ns, now_ns, out);
 }
 

@@ -3,7 +3,8 @@
 The core decodes a version and swaps it in the same tick, the one in which its last chunk arrives.
 """
 
-from typing import NamedTuple
+from collections import deque
+from typing import Final, NamedTuple
 
 from onboard.control.guard import Fall
 from onboard.control.interface import Controller, GuardedController, LearningController
@@ -13,6 +14,10 @@ from protocol.transfer import FeatureReceiver
 
 Event = tuple[int, str]
 """Time, ns, and text."""
+REFUSALS_KEPT: Final = 8
+"""Refusals that wait to be reported; of more the oldest are dropped."""
+REPORTS: Final = 3
+"""Statuses that name a refusal before they name the next one: a status may be lost."""
 
 
 class ReceptionStatus(NamedTuple):
@@ -31,7 +36,10 @@ class FeatureReception:
     def __init__(self) -> None:
         self._receiver = FeatureReceiver()
         self._complete: FeatureSet | None = None
-        self._refused: tuple[int, int] = (0, 0)
+        self._refused: deque[tuple[int, int]] = deque(maxlen=REFUSALS_KEPT)
+        """Versions refused and the reasons, indices into REFUSALS. The first is being reported; the last one stays."""
+        self._reports = 0
+        """Statuses that have named the first one."""
         self.version = 0
         """In use; 0 for the start features."""
         self.swapped_ns: int | None = None
@@ -42,15 +50,19 @@ class FeatureReception:
 
     def receive(self, chunk: FeatureChunk) -> None:
         """Add one chunk. A version that is complete and valid waits for `take_complete`."""
+        refused_before = self._receiver.refused
         complete = self._receiver.receive(chunk)
         if complete is not None:
             self._complete = complete
+        if self._receiver.refused != refused_before:
+            self._refuse(*self._receiver.refused)
 
     def restart(self) -> None:
         """Start over for a new session of the peer: its versions may count from 1 again."""
         self._receiver.reset()
         self._complete = None
-        self._refused = (0, 0)
+        self._refused.clear()
+        self._reports = 0
 
     def swap(self, controller: Controller, now_ns: int) -> tuple[list[Event], list[Event]]:
         """Offer the complete version that waits, if any, and take note of what the guard did.
@@ -70,7 +82,7 @@ class FeatureReception:
         """The guard has taken a version back, or lets one fly again."""
         if fall.refused:
             self.taken_back += 1
-            self._refused = (fall.refused, REFUSALS.index("probation"))
+            self._refuse(fall.refused, REFUSALS.index("probation"))
         if fall.flying != self.version:
             self.version, self.swapped_ns = fall.flying, now_ns if fall.flying else None
         return fall.text
@@ -82,7 +94,7 @@ class FeatureReception:
         """
         if refusal:
             self.refusals += 1
-            self._refused = (features.version, REFUSALS.index(refusal))
+            self._refuse(features.version, REFUSALS.index(refusal))
             return f"features {features.version} refused: {refusal}"
         self.version, self.swapped_ns = features.version, now_ns
         self.swaps += 1
@@ -92,8 +104,23 @@ class FeatureReception:
         """Time since the features in use were swapped in; -1 for the start features."""
         return -1.0 if self.swapped_ns is None else (now_ns - self.swapped_ns) * 1e-9
 
+    def _refuse(self, version: int, reason: int) -> None:
+        """Note a refusal for the status; it is named after those that wait."""
+        self._refused.append((version, reason))
+        self._name_next()
+
+    def _name_next(self) -> None:
+        if self._reports >= REPORTS and len(self._refused) > 1:
+            self._refused.popleft()
+            self._reports = 0
+
     @property
     def status(self) -> ReceptionStatus:
-        """What the status message says. The newest refusal counts: of the content on arrival, or by the controller."""
-        refused = max(self._refused, self._receiver.refused)
+        """What the status message says."""
+        refused = self._refused[0] if self._refused else (0, 0)
         return ReceptionStatus(self.version, self._receiver.transfer_version, self._receiver.received_chunks, *refused)
+
+    def note_status(self) -> None:
+        """A status was sent: after REPORTS of them the next refusal is named, so that the trainer learns of each."""
+        self._reports += bool(self._refused)
+        self._name_next()

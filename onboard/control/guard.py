@@ -292,13 +292,15 @@ class Guard:
             return "not_trusted"
         plans, refusal = self._plans(features)
         refusal = refusal or self._too_often(plans)
-        if refusal or not plans:
-            return refusal
-        if self.level is Level.MAP and not self._proven and self._loses():
+        watched = self._config.watch.enabled and self.level is Level.MAP and not self._proven
+        if plans and not refusal and watched and self._loses():
             self._take_back("misfit of the version before")
             plans, refusal = self._plans(features)
-            if refusal or not plans:
-                return refusal
+        if refusal:
+            return refusal
+        if not plans:
+            self._renumber(features.version)
+            return ""
         if self._proven and self.level is Level.MAP:
             self._good = Kept(self.version, self._content, self._learnt())
         for channel, new, plan in plans:
@@ -307,6 +309,12 @@ class Guard:
         audition = self._config.watch.enabled and not (self._adapting and self.level is Level.MAP)
         self._enter(Level.BIAS if audition else Level.MAP)
         return ""
+
+    def _renumber(self, version: int) -> None:
+        """What flies has come again under another number: a later refusal names the one that the trainer knows."""
+        if self._good.version == self.version:
+            self._good = self._good._replace(version=version)
+        self.version = version
 
     def _plans(self, features: FeatureSet) -> tuple[list[Plan], str]:
         plans: list[Plan] = []

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from onboard.control.feature_reception import FeatureReception
+from onboard.control.feature_reception import REFUSALS_KEPT, REPORTS, FeatureReception
 from onboard.control.feature_swap import SwapConfig
 from onboard.control.features import random_channel
+from onboard.control.guard import Fall
 from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
@@ -133,6 +134,34 @@ def test_features_that_wait_are_void_when_the_peer_restarts():
     reception.restart()
     assert reception.swap(Plain(), 0) == ([], [])
     assert reception.status[-2:] == (0, 0)
+
+
+def test_every_refusal_is_named_by_some_statuses_and_the_last_one_stays():
+    """Also those that come between two statuses, and an older version than the last one refused."""
+
+    class Plain:
+        pass
+
+    reception = FeatureReception()
+    for number in (1, 2, 3):
+        for chunk in split(encode_feature_set(features(number), "float32"), number, 1000):
+            reception.receive(chunk)
+        reception.swap(Plain(), 0)
+    reception._fall_back(Fall(2, 0, "guard: a fall"), 0)
+    named = []
+    for _ in range(20):
+        named.append(reception.status[-2:])
+        reception.note_status()
+    reasons = [(version, REFUSALS[reason]) for version, reason in dict.fromkeys(named)]
+    assert reasons == [(1, "not_accepting"), (2, "not_accepting"), (3, "not_accepting"), (2, "probation")]
+    assert [named.count(one) for one in dict.fromkeys(named)] == [REPORTS, REPORTS, REPORTS, 20 - 3 * REPORTS]
+
+
+def test_of_too_many_refusals_the_oldest_are_dropped():
+    reception = FeatureReception()
+    for number in range(1, 2 * REFUSALS_KEPT):
+        reception._fall_back(Fall(number, 0, "guard: a fall"), 0)
+    assert reception.status[-2:] == (REFUSALS_KEPT, REFUSALS.index("probation"))
 
 
 def test_a_version_is_swapped_in_the_tick_of_its_last_chunk():

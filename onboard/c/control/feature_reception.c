@@ -11,25 +11,55 @@ void reception_init(FeatureReception *self) {
     self->swapped_ns = NEVER_NS;
 }
 
+static void drop_first_refusal(FeatureReception *self) {
+    self->refused_count--;
+    memmove(self->refused_versions, self->refused_versions + 1,
+            (size_t)self->refused_count * sizeof self->refused_versions[0]);
+    memmove(self->reasons, self->reasons + 1, (size_t)self->refused_count * sizeof self->reasons[0]);
+}
+
+/* FeatureReception._name_next */
+static void name_next(FeatureReception *self) {
+    if (self->reports >= REPORTS && self->refused_count > 1) {
+        drop_first_refusal(self);
+        self->reports = 0;
+    }
+}
+
+/* FeatureReception._refuse: note a refusal for the status */
+static void refuse(FeatureReception *self, int64_t version, Refusal reason) {
+    if (self->refused_count == REFUSALS_KEPT) {
+        drop_first_refusal(self);
+    }
+    self->refused_versions[self->refused_count] = version;
+    self->reasons[self->refused_count++] = reason;
+    name_next(self);
+}
+
 /* FeatureReception.receive */
 void reception_receive(FeatureReception *self, const FeatureChunk *chunk) {
-    self->waits = receiver_receive(&self->receiver, chunk, &self->complete) || self->waits;
+    FeatureReceiver *receiver = &self->receiver;
+    int64_t version = receiver->refused_version;
+    Refusal reason = receiver->refusal;
+    self->waits = receiver_receive(receiver, chunk, &self->complete) || self->waits;
+    if (receiver->refused_version != version || receiver->refusal != reason) {
+        refuse(self, receiver->refused_version, receiver->refusal);
+    }
 }
 
 /* FeatureReception.restart */
 void reception_restart(FeatureReception *self) {
     receiver_reset(&self->receiver);
     self->waits = false;
-    self->refused_version = 0;
-    self->refusal = REFUSAL_NONE;
+    self->refused_count = 0;
+    self->reports = 0;
 }
 
 /* FeatureReception.conclude */
 static void conclude(FeatureReception *self, const VersionOutcome *outcome, int64_t now_ns) {
     if (outcome->refusal != REFUSAL_NONE) {
         self->refusals++;
-        self->refused_version = outcome->version;
-        self->refusal = outcome->refusal;
+        refuse(self, outcome->version, outcome->refusal);
         return;
     }
     self->version = outcome->version;
@@ -41,8 +71,7 @@ static void conclude(FeatureReception *self, const VersionOutcome *outcome, int6
 static void follow(FeatureReception *self, const Fall *fall, int64_t now_ns) {
     if (fall->refused != 0) {
         self->taken_back++;
-        self->refused_version = fall->refused;
-        self->refusal = REFUSAL_PROBATION;
+        refuse(self, fall->refused, REFUSAL_PROBATION);
     }
     if (fall->flying != self->version) {
         self->version = fall->flying;
@@ -77,12 +106,16 @@ double reception_age_s(const FeatureReception *self, int64_t now_ns) {
 /* FeatureReception.status */
 void reception_status(const FeatureReception *self, ReceptionStatus *status) {
     const FeatureReceiver *receiver = &self->receiver;
-    bool later = receiver->refused_version > self->refused_version ||
-                 (receiver->refused_version == self->refused_version && receiver->refusal > self->refusal);
     memset(status, 0, sizeof *status);
     status->version = self->version;
     status->transfer_version = receiver->transfer_version;
     status->received_chunks_size = receiver_received_chunks(receiver, status->received_chunks);
-    status->refused_version = later ? receiver->refused_version : self->refused_version;
-    status->refusal = later ? receiver->refusal : self->refusal;
+    status->refused_version = self->refused_count > 0 ? self->refused_versions[0] : 0;
+    status->refusal = self->refused_count > 0 ? self->reasons[0] : REFUSAL_NONE;
+}
+
+/* FeatureReception.note_status */
+void reception_note_status(FeatureReception *self) {
+    self->reports += self->refused_count > 0;
+    name_next(self);
 }

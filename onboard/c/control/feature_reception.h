@@ -6,6 +6,9 @@
 #include "control/cascade.h"
 #include "protocol/transfer.h"
 
+#define REFUSALS_KEPT 8 /* that wait to be reported; of more the oldest are dropped */
+#define REPORTS 3       /* statuses that name a refusal before they name the next one: a status may be lost */
+
 /* What a tick did with a version that waited, and what the guard did. onboard/c/event_text.py makes numpy's texts of it. */
 typedef struct {
     bool offered; /* whether a version waited */
@@ -24,8 +27,10 @@ typedef struct {
     bool waits;
     int64_t version;         /* in use; 0 for the start features */
     int64_t swapped_ns;      /* NEVER_NS for the start features */
-    int64_t refused_version; /* by the controller, the newest; 0 for none */
-    Refusal refusal;
+    int64_t refused_versions[REFUSALS_KEPT]; /* the first is being reported; the last one stays */
+    Refusal reasons[REFUSALS_KEPT];
+    int32_t refused_count;
+    int32_t reports; /* statuses that have named the first one */
     int32_t swaps;
     int32_t refusals;
     int32_t taken_back; /* versions that flew and were taken back */
@@ -55,7 +60,10 @@ void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns,
 /* Time since the features in use were swapped in, s; -1 for the start features. */
 double reception_age_s(const FeatureReception *self, int64_t now_ns);
 
-/* What the status message says. The newest refusal counts: of the content on arrival, or by the controller. */
+/* What the status message says. */
 void reception_status(const FeatureReception *self, ReceptionStatus *status);
+
+/* A status was sent: after REPORTS of them the next refusal is named, so that the trainer learns of each. */
+void reception_note_status(FeatureReception *self);
 
 #endif

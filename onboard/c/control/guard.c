@@ -354,6 +354,16 @@ static void commit_all(Guard *self, Augmentation *augmentations) {
     }
 }
 
+static bool plans_any(const Guard *self) { return self->work.planned[0] || self->work.planned[1]; }
+
+/* Guard._renumber: what flies has come again under another number */
+static void renumber(Guard *self, int64_t version) {
+    if (self->good.version == self->version) {
+        self->good.version = version;
+    }
+    self->version = version;
+}
+
 /* Guard.offer */
 Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *features) {
     uint8_t content[CONTENT_BYTES];
@@ -369,15 +379,17 @@ Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *
     }
     Refusal refusal = plan_all(self, augmentations, features);
     refusal = refusal == REFUSAL_NONE ? too_often(self, augmentations) : refusal;
-    if (refusal != REFUSAL_NONE || !(self->work.planned[0] || self->work.planned[1])) {
-        return refusal;
-    }
-    if (self->level == LEVEL_MAP && !self->proven && loses(self)) {
+    if (refusal == REFUSAL_NONE && plans_any(self) && self->level == LEVEL_MAP && !self->proven &&
+        self->config.watch.enabled && loses(self)) {
         take_back(self, augmentations, (Fall){.reason = FALL_BEFORE});
         refusal = plan_all(self, augmentations, features);
-        if (refusal != REFUSAL_NONE || !(self->work.planned[0] || self->work.planned[1])) {
-            return refusal;
-        }
+    }
+    if (refusal != REFUSAL_NONE) {
+        return refusal;
+    }
+    if (!plans_any(self)) {
+        renumber(self, features->version);
+        return REFUSAL_NONE;
     }
     if (self->proven && self->level == LEVEL_MAP) {
         keep_as_good(self, augmentations);

@@ -31,7 +31,11 @@ from tests.onboard.test_missed_ticks import StallingCore
 
 CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac", "paper_dmrac", "dmrac")
 BRIEF = ("pid", "dmrac")
-LEARNING = ("offboard.trainer.minimum_samples=100", "onboard.guidance.trajectory.settle_s=0.0")
+LEARNING = (
+    "offboard.trainer.minimum_samples=100",
+    "offboard.gate.first_samples=0",
+    "onboard.guidance.trajectory.settle_s=0.0",
+)
 """So that a short flight gets trained features."""
 TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
 MOTORS_MAX = 1e-9

@@ -82,6 +82,16 @@ class Both:
         assert ours.waits == (theirs._complete is not None)
         assert self.core.reception_age_s(ours, self.now_ns) == pytest.approx(theirs.age_s(self.now_ns), abs=1e-12)
 
+    def report(self, statuses: int) -> list[int]:
+        """The versions that so many statuses name as refused."""
+        named = []
+        for _ in range(statuses):
+            named.append(self.theirs.status.refused_version)
+            self.theirs.note_status()
+            self.core.reception_note_status(self.ours)
+            self.compare()
+        return named
+
 
 def version(number: int, seed: int, size: float = 0.05) -> FeatureSet:
     """A small version for both channels; the content depends on the seed."""
@@ -98,8 +108,10 @@ STEPS = st.lists(
 
 
 @SETTINGS
-@given(steps=STEPS, name=st.sampled_from(["dmrac", "dmrac", "indi"]), strikes=st.integers(1, 3))
-def test_any_reception(core: Core, steps: Any, name: str, strikes: int) -> None:
+@given(
+    steps=STEPS, name=st.sampled_from(["dmrac", "dmrac", "indi"]), strikes=st.integers(1, 3), statuses=st.integers(0, 4)
+)
+def test_any_reception(core: Core, steps: Any, name: str, strikes: int, statuses: int) -> None:
     """Versions whole and broken, halves, new sessions, falls, and two versions in one tick."""
     both = Both(core, name, strikes_max=strikes)
     for number, seed, how, then in steps:
@@ -117,7 +129,9 @@ def test_any_reception(core: Core, steps: Any, name: str, strikes: int) -> None:
         if then == "fail":
             both.fail()
             both.swap()
+        both.report(statuses)
     both.swap()
+    both.report(30)
 
 
 def test_a_version_is_used_taken_back_and_refused(core: Core) -> None:

@@ -322,6 +322,56 @@ def test_a_version_that_loses_when_the_next_one_comes_is_taken_back_first():
     assert guard.version == 0
 
 
+def test_without_the_watch_no_version_is_taken_back_by_its_trial():
+    """An ablation is off in every part."""
+    one = flown(rig(watch={"enabled": False}))
+    guard = one.controller.guard
+    assert guard.offer(version(1, 0.3)) == ""
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._trial = 0.5, (2.0, 1.0)
+    guard._time_s += 1.1
+    assert guard.offer(version(2, 0.3)) == ""
+    assert guard.take_falls() == []
+
+
+@pytest.mark.parametrize("proven", [False, True])
+def test_what_flies_gets_the_number_under_which_it_comes_again(proven):
+    """So that a refusal names the number that the trainer knows; W and the evidence stay."""
+    one = flown(rig())
+    guard = one.controller.guard
+    assert guard.offer(version(1, 0.3)) == ""
+    if proven:
+        for watch in guard._watches.values():
+            watch.evidence_s, watch._gain = 2.0, 1.0
+        guard.judge(DT, True)
+    W, evidence_s = guard._learners[0].last_layer.W, guard._watches[0].evidence_s
+    assert guard.offer(dataclasses.replace(version(1, 0.3), version=6)) == ""
+    assert guard.version == 6
+    np.testing.assert_array_equal(guard._learners[0].last_layer.W, W)
+    assert guard._watches[0].evidence_s == evidence_s
+    fail(guard)
+    assert [fall.refused for fall in guard.take_falls()] == [6]
+
+
+def test_the_good_version_gets_its_new_number_too():
+    one = flown(rig())
+    guard = one.controller.guard
+    good = version(1, 0.3)
+    assert guard.offer(good) == ""
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._gain = 2.0, 1.0
+    guard.judge(DT, True)
+    assert guard.offer(version(2, 0.3)) == ""
+    fail(guard)
+    assert guard.version == 1
+    assert guard.offer(dataclasses.replace(good, version=5)) == ""
+    fail(guard)
+    assert [fall.refused for fall in guard.take_falls()] == [2, 5]
+    assert guard.level is Level.BIAS, (
+        "the good one has failed under its new number: there is nothing else to go back to"
+    )
+
+
 def test_swaps_a_second_are_limited():
     one = flown(rig(swaps_per_s_max=2))
     guard = one.controller.guard
