@@ -14,14 +14,14 @@ from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from offboard.training.fleet import Fleet
 from offboard.training.job import TrainingResult
-from onboard.cores import AnyCore, build_core
+from onboard.cores import NUMPY, AnyCore, build_core
 from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
 from protocol.conventions import Array
 from protocol.keys import load_key, load_keys
 from protocol.session import session_start_ns
 from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Delivery, Direction, Radio, RecordedDeliveries
-from sim_vehicle.lockstep import Lockstep, TickResult
+from sim_vehicle.lockstep import Lockstep, TickResult, Training, train_at_once
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
@@ -64,7 +64,8 @@ def build(
     with_offboard: bool = True,
     recorded: Deliveries | None = None,
     fleet: Fleet | None = None,
-    core: str = "numpy",
+    core: str = NUMPY,
+    train: Training[TrainingResult] = train_at_once,
 ) -> tuple[Lockstep[TrainingResult], AnyCore, OffboardCore | None, Radio]:
     """Return the connected cores of a flight: lockstep, onboard, offboard (None if absent) and radio.
 
@@ -72,6 +73,7 @@ def build(
     recorded: deliveries that replace those of the configured radio.
     fleet: other vehicles of the same trainer.
     core: the onboard core, one of onboard.cores.CORES.
+    train: how rounds of training are run (experiments.flights.training_worker).
     """
     config = config if with_offboard else with_pose_wait(config)
     network = config.network
@@ -82,7 +84,8 @@ def build(
     onboard = build_core(core, config.onboard, ONBOARD_SESSION, keys)
     offboard = build_offboard(config, OFFBOARD_SESSION, fleet) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
-    return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
+    cores = vehicle, radio, onboard, offboard
+    return Lockstep(*cores, config.onboard.period_ns, training_ns, train), onboard, offboard, radio
 
 
 def build_offboard(config: FlightConfig, session: int, fleet: Fleet | None = None) -> OffboardCore:
@@ -98,7 +101,8 @@ def fly_lockstep(
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
     fleet: Fleet | None = None,
-    core: str = "numpy",
+    core: str = NUMPY,
+    train: Training[TrainingResult] = train_at_once,
 ) -> LockstepOutcome:
     """Fly a scenario in virtual time, until its duration is over or the vehicle crashes.
 
@@ -109,13 +113,14 @@ def fly_lockstep(
         (sim_vehicle.link.radio.RecordedDeliveries).
     fleet: the vehicles of the same trainer, which have flown before; this one joins them.
     core: the onboard core, one of onboard.cores.CORES.
+    train: how rounds of training are run (experiments.flights.training_worker); the flight is the same.
 
     Raises
     ------
     ConfigError
         If the experience cannot be read, or does not fit this flight, or the core cannot fly it.
     """
-    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet, core)
+    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet, core, train)
     experience = read_experience(config) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")
