@@ -27,7 +27,8 @@ from sim_vehicle.vehicle import SimVehicle
 
 ONBOARD_SESSION = 1
 OFFBOARD_SESSION = 2
-_TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
+_TARGET = OFFSET["target_n"]
+"""The first of its three axes."""
 _MODE = OFFSET["mode"]
 _FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)
 
@@ -133,11 +134,11 @@ def fly_lockstep(
     crash, flown = "", 0
     while flown < ticks_max and not crash:
         result = lockstep.step()
-        ticks[flown], truths[flown] = result.onboard.tick, result.truth
+        ticks[flown], truths[flown] = tick, truth = result.onboard.tick, result.truth
         _note(result, events, records)
         for observe in observers:
             observe(result)
-        crash = lockstep.crash_reason or _too_far(ticks[flown], truths[flown])
+        crash = lockstep.crash_reason or _too_far(tick, truth)
         flown += 1
         if crash:
             events.append((result.now_ns, "sim_vehicle", f"vehicle lost: {crash}"))
@@ -160,16 +161,20 @@ def fly_lockstep(
 
 def _note(result: TickResult, events: list[tuple[int, str, str]], records: list[tuple[RecordType, int, Array]]) -> None:
     """Add the events and offboard's records of a tick."""
-    events += [(when, "onboard", text) for when, text in result.onboard.events]
-    if result.offboard is not None:
-        events += [(when, "offboard", text) for when, text in result.offboard.events]
-        records += result.offboard.records
+    onboard, offboard = result.onboard, result.offboard
+    if onboard.events:
+        events += [(when, "onboard", text) for when, text in onboard.events]
+    if offboard is not None:
+        if offboard.events:
+            events += [(when, "offboard", text) for when, text in offboard.events]
+        records += offboard.records
 
 
 def _too_far(tick: Array, truth: Array) -> str:
-    if int(tick[_MODE]) not in _FOLLOWING:
+    if tick.item(_MODE) not in _FOLLOWING:
         return ""
-    (north, east, down), (target_n, target_e, target_d) = truth[:3].tolist(), tick[_TARGET].tolist()
+    north, east, down = truth.item(0), truth.item(1), truth.item(2)
+    target_n, target_e, target_d = tick.item(_TARGET), tick.item(_TARGET + 1), tick.item(_TARGET + 2)
     squared = (north - target_n) ** 2 + (east - target_e) ** 2 + (down - target_d) ** 2
     far = squared > TARGET_DISTANCE_MAX_M**2
     return f"more than {TARGET_DISTANCE_MAX_M} m from the target" if far else ""
