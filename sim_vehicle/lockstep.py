@@ -12,7 +12,7 @@ same.
 
 import hashlib
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from flight_log.schema import RecordType
@@ -48,6 +48,16 @@ class TrainingJob(Protocol[ResultT_co]):
 
     def run(self) -> ResultT_co:
         """Train."""
+
+
+Training = Callable[[TrainingJob[ResultT]], Callable[[], ResultT]]
+"""Starts a round of training; what it returns gives the result, and waits for it if need be."""
+
+
+def train_at_once(job: TrainingJob[ResultT]) -> Callable[[], ResultT]:
+    """Train in this process, before the flight goes on."""
+    result = job.run()
+    return lambda: result
 
 
 class OffboardOutput(Protocol[ResultT_co]):
@@ -106,6 +116,7 @@ class Lockstep(Generic[ResultT]):
     vehicle, radio, onboard, offboard: built cores; offboard may be None.
     period_ns: one tick.
     training_time_ns: virtual time from the start of a training round to its result.
+    train: how rounds of training are run. The result is the same, and known at the same virtual time.
     """
 
     def __init__(
@@ -116,6 +127,7 @@ class Lockstep(Generic[ResultT]):
         offboard: Offboard[ResultT] | None,
         period_ns: int,
         training_time_ns: int,
+        train: Training[ResultT] = train_at_once,
     ) -> None:
         self._vehicle = vehicle
         self._radio = radio
@@ -124,7 +136,8 @@ class Lockstep(Generic[ResultT]):
         self._period_ns = period_ns
         self._training_time_ns = training_time_ns
         self._commands: deque[list[bytes]] = deque([[]])
-        self._training: deque[tuple[int, ResultT]] = deque()
+        self._train = train
+        self._training: deque[tuple[int, Callable[[], ResultT]]] = deque()
         self._hash = hashlib.sha256()
         self.now_ns = 0
         """Time of the next tick."""
@@ -184,11 +197,11 @@ class Lockstep(Generic[ResultT]):
         for datagram in arrived:
             offboard.receive_onboard(datagram, now)
         while self._training and self._training[0][0] <= now:
-            results.append(self._training.popleft()[1])
+            results.append(self._training.popleft()[1]())
             offboard.receive_training(results[-1], now)
         output = offboard.step(now)
         if output.job is not None:
-            self._training.append((now + self._training_time_ns, output.job.run()))
+            self._training.append((now + self._training_time_ns, self._train(output.job)))
         for datagram in output.to_onboard:
             self._hash.update(datagram)
             self._radio.send("down", datagram, now)

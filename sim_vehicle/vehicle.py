@@ -77,6 +77,8 @@ class SimVehicle:
         self._commanded_ns = 0
         self._time_ns = 0
         self._sample_ns = PERIOD_NS
+        self._slow_due_ns = 0
+        """When the next of the other sensors is due; the IMU always is."""
         self.crash_reason = ""
         """Empty until the vehicle crashes. The motors are off from then on."""
 
@@ -181,6 +183,8 @@ class SimVehicle:
         imu = sent("imu", self._imu.sample(state, sums, condition.shaking))
         if imu is not None:
             to_onboard.append(codec.imu(imu, time_us))
+        if now_ns < self._slow_due_ns:
+            return
         if self._flow.schedule.is_due(now_ns):
             flow = sent("flow", self._flow.sample(state, sums))
             if flow is not None:
@@ -199,6 +203,8 @@ class SimVehicle:
             if pose is not None:
                 due_ns = now_ns + round(self._capture.config.latency_s * 1e9)
                 self._poses.append((due_ns, codec.pose(pose, capture_us)))
+        slow = self._flow, self._ultrasonic, self._battery, self._capture
+        self._slow_due_ns = min([sensor.schedule.due_ns for sensor in slow])
 
     def _sent(self, sensor: str, sample: SampleT | None) -> SampleT | None:
         """What the sensor sends: `sample` unless it has a fault. None: nothing."""

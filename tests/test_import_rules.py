@@ -38,7 +38,7 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "flights": (),
     "replays": ("flights",),
     "memory": ("flights", "replays"),
-    "timing": ("flights",),
+    "timing": ("flights", "campaigns"),
     "margins": ("flights",),
     "campaigns": ("flights", "margins", "memory"),
     "results": ("campaigns",),

@@ -1,7 +1,7 @@
 """`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
 
 `dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
-flies while ports are flooded.
+flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's.
 """
 
 import argparse
@@ -9,16 +9,20 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from async_dmrac.commands.shared import plain_console
+from async_dmrac.commands.shared import plain_console, positive
 from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
 SENSORS: Final = "sensors"
 FLOOD: Final = "flood"
+CORE: Final = "core"
+VEHICLES_MAX: Final = 64
+"""Of --vehicles, unless given."""
 EXAMPLES: Final = """examples:
   dmrac bench
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench flood --controller mrac --seconds 12
+  dmrac bench core --seconds 20 --vehicles 64
   dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
 """
 
@@ -30,7 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
-        "flood: fly with flooded ports (needs root)",
+        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's",
+    )
+    parser.add_argument(
+        "--vehicles",
+        type=positive,
+        metavar="N",
+        help=f"core: most vehicles in one process (default: {VEHICLES_MAX})",
     )
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
@@ -42,7 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0. Raises ConfigError for bad options."""
     if not 2.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
-    report: Any = {SENSORS: _sensors, FLOOD: _flood}.get(arguments.scenario, _times)(arguments)
+    if arguments.vehicles is not None and arguments.scenario != CORE:
+        raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {CORE}")
+    report: Any = {SENSORS: _sensors, FLOOD: _flood, CORE: _core}.get(arguments.scenario, _times)(arguments)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return 0
@@ -53,6 +65,20 @@ def _times(arguments: argparse.Namespace) -> dict[str, Any]:
 
     choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
     return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console().print)
+
+
+def _core(arguments: argparse.Namespace) -> dict[str, Any]:
+    from experiments.campaigns.provenance import here
+    from experiments.timing.core_speed import measure
+
+    if arguments.controller is not None or arguments.set:
+        raise ConfigError(
+            f"dmrac bench {CORE}: --controller and --set are not allowed: its flights are always the same"
+        )
+    show, place = plain_console().print, here()
+    show(place)
+    figures = measure(max(arguments.seconds, 5.0), arguments.vehicles or VEHICLES_MAX, show)
+    return {"machine": place, "figures": [one.as_json() for one in figures]}
 
 
 def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:

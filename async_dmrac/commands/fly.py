@@ -44,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
     parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
     parser.add_argument("--core", choices=CORES, default=NUMPY, help=f"lockstep: the onboard core (default: {NUMPY})")
+    parser.add_argument(
+        "--no-log", action="store_true", help="lockstep: write config.yaml and summary.json only, no logs or figures"
+    )
     parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
     parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
@@ -63,6 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
     if arguments.core != NUMPY and not arguments.lockstep:
         raise ConfigError(f"--core {arguments.core}: only with --lockstep")
+    if arguments.no_log and not arguments.lockstep:
+        raise ConfigError("--no-log: only with --lockstep")
+    if arguments.no_log and arguments.remember:
+        raise ConfigError("--no-log: not with --remember, which learns from the log")
     if arguments.view and arguments.lockstep:
         raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
     if arguments.web and not arguments.view:
@@ -80,8 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with live_view(folder, arguments.web) if arguments.view else nullcontext() as wait_for_viewer:
             command = repeat_command(arguments, config)
-            with_offboard, core = not arguments.no_offboard, arguments.core
-            summary = fly_logged(config, folder, arguments.lockstep, with_offboard, command, console, core)
+            with_offboard, core, log = not arguments.no_offboard, arguments.core, not arguments.no_log
+            summary = fly_logged(config, folder, arguments.lockstep, with_offboard, command, console, core, log)
             print_summary(summary, folder, console)
             if arguments.remember:
                 console.print(f"memory          {remember(arguments.memory, folder)}", soft_wrap=True, highlight=False)
@@ -101,11 +108,20 @@ def _memory_assignments(arguments: argparse.Namespace) -> list[str]:
     return [f"offboard.experience.memory={json.dumps(str(arguments.memory))}"]
 
 
+def _flags(arguments: argparse.Namespace) -> tuple[tuple[str, bool], ...]:
+    """The options without a value, and whether they are given."""
+    return (
+        ("--lockstep", arguments.lockstep),
+        ("--no-offboard", arguments.no_offboard),
+        ("--no-log", arguments.no_log),
+    )
+
+
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     """Return the command that repeats this flight."""
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
-    words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]
+    words += [flag for flag, on in _flags(arguments) if on]
     words += core_option(arguments.core)
     for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]

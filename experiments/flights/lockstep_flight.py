@@ -14,20 +14,21 @@ from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from offboard.training.fleet import Fleet
 from offboard.training.job import TrainingResult
-from onboard.cores import AnyCore, build_core
+from onboard.cores import NUMPY, AnyCore, build_core
 from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
 from protocol.conventions import Array
 from protocol.keys import load_key, load_keys
 from protocol.session import session_start_ns
 from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Delivery, Direction, Radio, RecordedDeliveries
-from sim_vehicle.lockstep import Lockstep, TickResult
+from sim_vehicle.lockstep import Lockstep, TickResult, Training, train_at_once
 from sim_vehicle.records import TRUTH
 from sim_vehicle.vehicle import SimVehicle
 
 ONBOARD_SESSION = 1
 OFFBOARD_SESSION = 2
-_TARGET = slice(OFFSET["target_n"], OFFSET["target_n"] + 3)
+_TARGET = OFFSET["target_n"]
+"""The first of its three axes."""
 _MODE = OFFSET["mode"]
 _FOLLOWING = (FlightMode.FLYING.value, FlightMode.HOLD.value)
 
@@ -64,7 +65,8 @@ def build(
     with_offboard: bool = True,
     recorded: Deliveries | None = None,
     fleet: Fleet | None = None,
-    core: str = "numpy",
+    core: str = NUMPY,
+    train: Training[TrainingResult] = train_at_once,
 ) -> tuple[Lockstep[TrainingResult], AnyCore, OffboardCore | None, Radio]:
     """Return the connected cores of a flight: lockstep, onboard, offboard (None if absent) and radio.
 
@@ -72,6 +74,7 @@ def build(
     recorded: deliveries that replace those of the configured radio.
     fleet: other vehicles of the same trainer.
     core: the onboard core, one of onboard.cores.CORES.
+    train: how rounds of training are run (experiments.flights.training_worker).
     """
     config = config if with_offboard else with_pose_wait(config)
     network = config.network
@@ -82,7 +85,8 @@ def build(
     onboard = build_core(core, config.onboard, ONBOARD_SESSION, keys)
     offboard = build_offboard(config, OFFBOARD_SESSION, fleet) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
-    return Lockstep(vehicle, radio, onboard, offboard, config.onboard.period_ns, training_ns), onboard, offboard, radio
+    cores = vehicle, radio, onboard, offboard
+    return Lockstep(*cores, config.onboard.period_ns, training_ns, train), onboard, offboard, radio
 
 
 def build_offboard(config: FlightConfig, session: int, fleet: Fleet | None = None) -> OffboardCore:
@@ -98,7 +102,8 @@ def fly_lockstep(
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
     fleet: Fleet | None = None,
-    core: str = "numpy",
+    core: str = NUMPY,
+    train: Training[TrainingResult] = train_at_once,
 ) -> LockstepOutcome:
     """Fly a scenario in virtual time, until its duration is over or the vehicle crashes.
 
@@ -109,13 +114,14 @@ def fly_lockstep(
         (sim_vehicle.link.radio.RecordedDeliveries).
     fleet: the vehicles of the same trainer, which have flown before; this one joins them.
     core: the onboard core, one of onboard.cores.CORES.
+    train: how rounds of training are run (experiments.flights.training_worker); the flight is the same.
 
     Raises
     ------
     ConfigError
         If the experience cannot be read, or does not fit this flight, or the core cannot fly it.
     """
-    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet, core)
+    lockstep, onboard, offboard, radio = build(config, with_offboard, recorded, fleet, core, train)
     experience = read_experience(config) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")
@@ -128,11 +134,11 @@ def fly_lockstep(
     crash, flown = "", 0
     while flown < ticks_max and not crash:
         result = lockstep.step()
-        ticks[flown], truths[flown] = result.onboard.tick, result.truth
+        ticks[flown], truths[flown] = tick, truth = result.onboard.tick, result.truth
         _note(result, events, records)
         for observe in observers:
             observe(result)
-        crash = lockstep.crash_reason or _too_far(ticks[flown], truths[flown])
+        crash = lockstep.crash_reason or _too_far(tick, truth)
         flown += 1
         if crash:
             events.append((result.now_ns, "sim_vehicle", f"vehicle lost: {crash}"))
@@ -155,16 +161,20 @@ def fly_lockstep(
 
 def _note(result: TickResult, events: list[tuple[int, str, str]], records: list[tuple[RecordType, int, Array]]) -> None:
     """Add the events and offboard's records of a tick."""
-    events += [(when, "onboard", text) for when, text in result.onboard.events]
-    if result.offboard is not None:
-        events += [(when, "offboard", text) for when, text in result.offboard.events]
-        records += result.offboard.records
+    onboard, offboard = result.onboard, result.offboard
+    if onboard.events:
+        events += [(when, "onboard", text) for when, text in onboard.events]
+    if offboard is not None:
+        if offboard.events:
+            events += [(when, "offboard", text) for when, text in offboard.events]
+        records += offboard.records
 
 
 def _too_far(tick: Array, truth: Array) -> str:
-    if int(tick[_MODE]) not in _FOLLOWING:
+    if tick.item(_MODE) not in _FOLLOWING:
         return ""
-    (north, east, down), (target_n, target_e, target_d) = truth[:3].tolist(), tick[_TARGET].tolist()
+    north, east, down = truth.item(0), truth.item(1), truth.item(2)
+    target_n, target_e, target_d = tick.item(_TARGET), tick.item(_TARGET + 1), tick.item(_TARGET + 2)
     squared = (north - target_n) ** 2 + (east - target_e) ** 2 + (down - target_d) ** 2
     far = squared > TARGET_DISTANCE_MAX_M**2
     return f"more than {TARGET_DISTANCE_MAX_M} m from the target" if far else ""

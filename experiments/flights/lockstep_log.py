@@ -9,10 +9,12 @@ from experiments.flights.lockstep_flight import ONBOARD_SESSION, Deliveries, Loc
 from experiments.flights.scenario import FlightConfig
 from flight_log.schema import CLOCK_OFFSET
 from flight_log.writer import FlightLogWriter
+from offboard.training.job import TrainingResult
+from onboard.cores import NUMPY
 from onboard.record.datagram_log import TOPIC, DatagramLogWriter, Entry
 from onboard.record.tick import TICK
 from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, delivery_vector
-from sim_vehicle.lockstep import OnboardOutput, TickResult
+from sim_vehicle.lockstep import OnboardOutput, TickResult, Training, train_at_once
 from sim_vehicle.records import TRUTH
 
 PROCESSES = ("sim_vehicle", "onboard", "offboard")
@@ -36,7 +38,7 @@ class LockstepLog:
         config: FlightConfig,
         with_offboard: bool = True,
         experience: bytes | None = None,
-        core: str = "numpy",
+        core: str = NUMPY,
     ) -> None:
         given = {name for name, value in config.network if value is not None}
         metadata = {"seed": str(config.seed), "scenario": config.scenario, "clock": "lockstep"}
@@ -105,11 +107,12 @@ def fly_and_log(
     with_offboard: bool,
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
-    core: str = "numpy",
+    core: str = NUMPY,
+    train: Training[TrainingResult] = train_at_once,
 ) -> LockstepOutcome:
     """Fly in lockstep and write the logs into `folder`. Parameters and errors as of `fly_lockstep`."""
     with LockstepLog(folder, config, with_offboard, experience, core) as log:
-        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded, core=core)
+        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded, core=core, train=train)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
     return outcome

@@ -6,9 +6,10 @@ from typing import Any
 from rich.console import Console
 
 from experiments.flights.flight_summary import build_summary, write_summary
-from experiments.flights.lockstep_flight import LockstepOutcome
+from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import FlightConfig, with_pose_wait
 from experiments.flights.trace import FlightTrace
+from onboard.cores import NUMPY
 from protocol.conventions import Array
 
 
@@ -19,7 +20,8 @@ def fly_logged(
     with_offboard: bool = True,
     command: str = "",
     console: Console | None = None,
-    core: str = "numpy",
+    core: str = NUMPY,
+    log: bool = True,
 ) -> dict[str, Any]:
     """Fly once and write the complete record into `folder`; return the content of summary.json.
 
@@ -28,6 +30,7 @@ def fly_logged(
     command: the command line that repeats this flight, for the record.
     console: shows the live status of a real-time flight; None: no output.
     core: the onboard core of a lockstep flight, one of onboard.cores.CORES.
+    log: whether a lockstep flight writes logs, figure and report; without them config.yaml and summary.json are left.
 
     Raises
     ------
@@ -43,10 +46,8 @@ def fly_logged(
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
     if lockstep:
-        from experiments.flights.lockstep_log import fly_and_log
-
-        outcome = fly_and_log(config, folder, with_offboard, core=core)
-        summary, trace = lockstep_summary(config, outcome), outcome.trace
+        outcome = fly_in_lockstep(config, folder if log else None, with_offboard, core)
+        summary, trace = lockstep_summary(config, outcome), outcome.trace if log else None
     else:
         summary, trace = fly_in_real_time(config, folder, console or Console(quiet=True))
     summary["command"] = command
@@ -56,6 +57,17 @@ def fly_logged(
         draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
         write_report(folder)
     return summary
+
+
+def fly_in_lockstep(config: FlightConfig, folder: Path | None, with_offboard: bool, core: str) -> LockstepOutcome:
+    """Fly in virtual time, the trainer in a process of its own; the logs into `folder`, if there is one."""
+    from experiments.flights.lockstep_log import fly_and_log
+    from experiments.flights.training_worker import training_for
+
+    with training_for(config if with_offboard else None) as train:
+        if folder is None:
+            return fly_lockstep(config, with_offboard=with_offboard, core=core, train=train)
+        return fly_and_log(config, folder, with_offboard, core=core, train=train)
 
 
 def lockstep_summary(config: FlightConfig, outcome: LockstepOutcome) -> dict[str, Any]:

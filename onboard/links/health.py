@@ -50,12 +50,12 @@ class _Block(NamedTuple):
     """Samples dropped in this time because their time stamp was not new."""
     mean: Array
     """[6]: specific force, m/s^2, and rates, rad/s."""
-    stuck: Array
-    """[6]: which of them never changed."""
+    inertial: Array
+    """[samples, 6]: the samples."""
 
 
 class LinkHealth:
-    """Judges the inertial stream. `fault` is why it is not good enough; "" if it is."""
+    """Judges the inertial stream when `fault` is read; it is not read in flight."""
 
     def __init__(self, config: LinkHealthConfig) -> None:
         self._config = config
@@ -71,7 +71,15 @@ class LinkHealth:
         self._inertial: list[tuple[float, ...]] = []
         self.force: Array = np.zeros(3)
         """[3] m/s^2: mean specific force of the newest samples; zero before there is one."""
-        self.fault = NOT_JUDGED
+        self._ended_ns = 0, 0
+        self._fault: str | None = NOT_JUDGED
+
+    @property
+    def fault(self) -> str:
+        """Why the stream is not good enough; "" if it is."""
+        if self._fault is None:
+            self._fault = self._judge(*self._ended_ns)
+        return self._fault
 
     def add(self, stamp_ns: int, delay_ns: int, arrival_ns: int, inertial: tuple[float, ...]) -> None:
         """Add a good sample.
@@ -110,13 +118,13 @@ class LinkHealth:
                 self._gap_ns,
                 self._backwards,
                 inertial.mean(axis=0),
-                (inertial == inertial[0]).all(axis=0),
+                inertial,
             )
         )
         self._late = self._gap_ns = self._backwards = 0
         self._inertial = []
         self.force = np.mean([block.mean[:3] for block in self._blocks], axis=0)
-        self.fault = self._judge(stamp_ns, arrival_ns)
+        self._ended_ns, self._fault = (stamp_ns, arrival_ns), None  # to be judged
 
     def _judge(self, stamp_ns: int, arrival_ns: int) -> str:
         """The first fault; the time base first, because the other checks depend on it."""
@@ -144,7 +152,8 @@ class LinkHealth:
     def _judge_rest(self) -> str:
         """The first fault of the sensors of a vehicle that stands still."""
         config, blocks = self._config, self._blocks
-        stuck = np.flatnonzero(np.all([block.stuck for block in blocks], axis=0))
+        unchanged = [(block.inertial == block.inertial[0]).all(axis=0) for block in blocks]
+        stuck = np.flatnonzero(np.all(unchanged, axis=0))
         if len(stuck):
             return f"{AXES[stuck[0]]} never changes: stuck"
         force = float(np.linalg.norm(self.force))

@@ -240,7 +240,7 @@ class _Path:
             delivery = self._decide(datagram, now_ns, since_start_s, draws) if recorded is None else recorded
         self._count(delivery)
         if delivery.outcome == "delivered":
-            arriving = _flip(datagram, delivery.flipped_bit)
+            arriving = datagram if delivery.flipped_bit < 0 else _flip(datagram, delivery.flipped_bit)
             self._push(now_ns + delivery.delay_ns, False, arriving)
             if delivery.copy_delay_ns >= 0:
                 self._push(now_ns + delivery.copy_delay_ns, True, arriving)

@@ -1,0 +1,73 @@
+"""Rounds of training of a lockstep flight in a process of its own, so that the flight goes on while torch works.
+
+The flight stays the same to the bit: a round gets copies of its samples, and its result counts from its modelled time
+on, whenever it was really there. If it is not there by then, the flight waits.
+"""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any
+
+from experiments.flights.scenario import FlightConfig
+from offboard.training.job import TrainingJob, TrainingResult
+from sim_vehicle.lockstep import Training, train_at_once
+
+
+class TrainingWorker:
+    """One process that trains. A context manager; call it to start a round."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, context, initializer=_prepare)
+
+    def __call__(self, job: Any) -> Callable[[], TrainingResult]:
+        """Start a round; what is returned waits for its result.
+
+        A fleet's job trains in this process, because it changes the fleet. So does one whose worker died.
+        """
+        if not isinstance(job, TrainingJob):
+            return train_at_once(job)
+        try:
+            future = self._pool.submit(job.run)
+        except BrokenProcessPool:
+            return train_at_once(job)
+        return lambda: _result(future, job)
+
+    def __enter__(self) -> "TrainingWorker":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _result(future: "Future[TrainingResult]", job: TrainingJob) -> TrainingResult:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        return job.run()
+
+
+def _prepare() -> None:
+    """Leave Ctrl-C to the parent, and load torch before the first round."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    import offboard.training.round  # noqa: F401
+
+
+@contextmanager
+def training_for(config: FlightConfig | None) -> Iterator[Training[TrainingResult]]:
+    """How a flight should train: in a worker where it learns and this machine has a second core, else at once.
+
+    config: None for a flight without offboard.
+    """
+    learns = config is not None and config.offboard.experience.mode == "learn"
+    several = len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1
+    if learns and several:
+        with TrainingWorker() as worker:
+            yield worker
+    else:
+        yield train_at_once

@@ -1,0 +1,42 @@
+"""Times RotorPy's own simulation loop, as a yardstick for lockstep: its quadrotor, controller and sensors, no link.
+
+RotorPy: Folk, Paulos, Kumar 2023, https://arxiv.org/abs/2306.04485.
+"""
+
+import time
+from importlib.util import find_spec
+from typing import Final
+
+RATE_HZ: Final = 200
+"""Of the loop, as onboard's."""
+RADIUS_M: Final = 1.0
+
+
+def is_installed() -> bool:
+    """Whether RotorPy can be imported (extra `peers`)."""
+    return find_spec("rotorpy") is not None
+
+
+def rotorpy_speed(seconds: float) -> float:
+    """Return the flight time per computing time of a circle with the geometric controller, at RATE_HZ.
+
+    Raises
+    ------
+    ImportError
+        If RotorPy is not installed.
+    """
+    from rotorpy.controllers.quadrotor_control import SE3Control
+    from rotorpy.environments import Environment
+    from rotorpy.trajectories.circular_traj import CircularTraj
+    from rotorpy.vehicles.crazyflie_params import quad_params
+    from rotorpy.vehicles.multirotor import Multirotor
+
+    environment = Environment(
+        vehicle=Multirotor(quad_params),
+        controller=SE3Control(quad_params),
+        trajectory=CircularTraj(radius=RADIUS_M),
+        sim_rate=RATE_HZ,
+    )
+    start = time.perf_counter()
+    result = environment.run(t_final=seconds)
+    return float(result["time"][-1]) / (time.perf_counter() - start)

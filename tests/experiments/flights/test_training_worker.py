@@ -1,0 +1,98 @@
+"""A lockstep flight is the same whether its rounds of training run in a process of their own or not."""
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from async_dmrac.command_line import main
+from experiments.flights import training_worker
+from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
+from experiments.flights.scenario import Choices, resolve
+from experiments.flights.training_worker import TrainingWorker, training_for
+from offboard.training.fleet import Fleet, FleetJob
+from sim_vehicle.lockstep import train_at_once
+
+CONFIG = resolve("figure8_wind", Choices("dmrac", seed=4, duration_s=11.0))
+
+
+@pytest.fixture(scope="module")
+def at_once() -> LockstepOutcome:
+    outcome = fly_lockstep(CONFIG)
+    assert outcome.onboard["features"]["swaps"] >= 1, "the flight should learn"
+    return outcome
+
+
+def assert_same(one: LockstepOutcome, other: LockstepOutcome) -> None:
+    assert one.trace_sha256 == other.trace_sha256
+    assert one.events == other.events
+    assert one.offboard == other.offboard
+    assert one.learnt == other.learnt
+    assert len(one.offboard_records) == len(other.offboard_records)
+    for (kind, when, vector), (same_kind, same_when, same) in zip(
+        one.offboard_records, other.offboard_records, strict=True
+    ):
+        assert (kind, when) == (same_kind, same_when)
+        np.testing.assert_array_equal(vector, same)
+
+
+def test_a_worker_changes_nothing(at_once: LockstepOutcome) -> None:
+    with TrainingWorker() as worker:
+        assert_same(at_once, fly_lockstep(CONFIG, train=worker))
+
+
+def test_the_rounds_of_a_worker_that_dies_are_run_here(at_once: LockstepOutcome) -> None:
+    rounds = 0
+    with TrainingWorker() as worker:
+
+        def killing(job: Any) -> Any:
+            nonlocal rounds
+            rounds += 1
+            if rounds == 3:
+                for process in worker._pool._processes.values():
+                    assert process.pid is not None
+                    os.kill(process.pid, signal.SIGKILL)
+            return worker(job)
+
+        outcome = fly_lockstep(CONFIG, train=killing)
+    assert rounds > 3
+    assert_same(at_once, outcome)
+
+
+def test_a_fleets_job_is_run_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = FleetJob(Fleet(), None)  # type: ignore[arg-type]
+    monkeypatch.setattr(FleetJob, "run", lambda self: os.getpid())
+    with TrainingWorker() as worker:
+        assert worker(job)() == os.getpid()
+
+
+def test_a_flight_that_learns_nothing_starts_no_process() -> None:
+    with training_for(resolve("hover", Choices("pid", seed=1, duration_s=5.0))) as train:
+        assert train is train_at_once
+    with training_for(None) as train:
+        assert train is train_at_once
+
+
+@pytest.mark.parametrize(("cores", "kind"), [({0}, type(train_at_once)), ({0, 1}, TrainingWorker)])
+def test_a_worker_needs_a_second_core(cores: set[int], kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training_worker.os, "sched_getaffinity", lambda pid: cores, raising=False)
+    with training_for(CONFIG) as train:
+        assert type(train) is kind
+
+
+def test_without_logs_the_summary_is_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["fly", "hover", "--lockstep", "--controller", "pid", "--duration", "6", "--core", "c"]
+    assert main([*words, "--out", str(tmp_path / "logged")]) == 0
+    assert main([*words, "--out", str(tmp_path / "plain"), "--no-log"]) == 0
+    assert sorted(file.name for file in (tmp_path / "plain").iterdir()) == ["config.yaml", "summary.json"]
+    logged, plain = ((tmp_path / name / "summary.json").read_text("utf-8") for name in ("logged", "plain"))
+    assert "--no-log" in plain
+    assert plain.replace(" --no-log", "") == logged
+    capsys.readouterr()
+    assert main(["fly", "hover", "--no-log"]) == 2
+    assert "--no-log: only with --lockstep" in capsys.readouterr().err
+    assert main([*words, "--no-log", "--remember", "--memory", str(tmp_path / "memory")]) == 2
+    assert "--no-log: not with --remember" in capsys.readouterr().err
