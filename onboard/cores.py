@@ -12,6 +12,8 @@ from protocol.arrival import Datagrams
 from protocol.keys import LinkKeys
 
 CORES: Final = ("numpy", "c")
+PRECISIONS: Final = ("double", "float")
+"""Of the numbers of the C core: 64 or 32 bits. numpy's are double."""
 
 
 class AnyCore(Protocol):
@@ -45,8 +47,17 @@ class AnyCore(Protocol):
         """Mode, features and counters, for the flight record."""
 
 
-def build_core(name: str, config: OnboardConfig, session: int, keys: LinkKeys, clearance: Clearance = CLEAR) -> AnyCore:
+def build_core(
+    name: str,
+    config: OnboardConfig,
+    session: int,
+    keys: LinkKeys,
+    clearance: Clearance = CLEAR,
+    precision: str = "double",
+) -> AnyCore:
     """A core by its name, one of CORES; the other parameters as of OnboardCore.
+
+    precision: of the C core, one of PRECISIONS.
 
     Raises
     ------
@@ -56,6 +67,7 @@ def build_core(name: str, config: OnboardConfig, session: int, keys: LinkKeys, c
     given = config, session, keys.offboard, keys.vehicle, keys.ground, clearance
     if name == "c":
         from onboard.c.compiled_core import CompiledCore  # nothing else needs it, or its compiler
+        from onboard.c.library import Variant
 
-        return CompiledCore(*given)
+        return CompiledCore(*given, variant=Variant(precision))
     return OnboardCore(*given)

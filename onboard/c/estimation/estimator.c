@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 #include "protocol/geometry.h"
 
 #define AROUND(self) (&(PoseSurroundings){&(self)->filter, &(self)->state, &(self)->corrections, &(self)->gyro})
@@ -25,8 +26,8 @@ void estimator_init(Estimator *self, const EstimatorConfig *config) {
     calibration_init(&self->calibration, config);
     still_start_init(&self->start, config->start_samples, config->start_rate_max_rad_s);
     vibration_init(&self->vibration);
-    self->aid_fresh_ns = (int64_t)((double)config->aid_fresh_s * 1e9);
-    self->recovery_ns = (int64_t)((double)config->recovery_s * 1e9);
+    self->aid_fresh_ns = nanoseconds_below(config->aid_fresh_s);
+    self->recovery_ns = nanoseconds_below(config->recovery_s);
     self->on_ground = self->at_rest = true;
 }
 

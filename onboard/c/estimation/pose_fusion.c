@@ -4,13 +4,14 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 #include "protocol/geometry.h"
 
 /* PoseFusion.__init__ */
 void pose_fusion_init(PoseFusion *self, const EstimatorConfig *config) {
     memset(self, 0, sizeof *self);
     self->config = *config;
-    self->delay_max_ns = (int64_t)((double)config->pose_delay_max_s * 1e9);
+    self->delay_max_ns = nanoseconds_below(config->pose_delay_max_s);
     self->last_capture_ns = NEVER_NS;
     pose_trust_init(&self->trust, config);
 }

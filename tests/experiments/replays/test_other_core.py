@@ -73,7 +73,7 @@ def spoiled(flight: RecordedFlight, column: str, change: float) -> CheckResult:
 
 @pytest.mark.parametrize(
     ("column", "change"),
-    [("mode", 1.0), ("feature_version", 1.0), ("law", 1.0), ("motor_3", 2.0 * MOTOR_DIFFERENCE_MAX)],
+    [("mode", 1.0), ("feature_version", 1.0), ("law", 1.0), ("motor_3", 2.0 * MOTOR_DIFFERENCE_MAX["double"])],
 )
 def test_another_decision_or_command_is_found(by_numpy: RecordedFlight, column: str, change: float) -> None:
     difference = spoiled(by_numpy, column, change).difference
@@ -82,7 +82,7 @@ def test_another_decision_or_command_is_found(by_numpy: RecordedFlight, column: 
 
 
 def test_rounding_is_no_difference(by_numpy: RecordedFlight) -> None:
-    assert spoiled(by_numpy, "motor_3", 0.5 * MOTOR_DIFFERENCE_MAX).equal
+    assert spoiled(by_numpy, "motor_3", 0.5 * MOTOR_DIFFERENCE_MAX["double"]).equal
     assert spoiled(by_numpy, "position_n", 1e-12).equal
 
 
