@@ -113,9 +113,7 @@ def check_log(
     return _Check(log, _fresh_core(flight, log, key_file, name, precision), judge).run()
 
 
-def _fresh_core(
-    flight: RecordedFlight, log: LogFile, key_file: Path | None, name: str, precision: str
-) -> AnyCore:
+def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None, name: str, precision: str) -> AnyCore:
     session = log.metadata.get("session", "")
     if not session.isdigit():
         raise ConfigError(f"{log.path}: does not name its session")
