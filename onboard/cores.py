@@ -66,8 +66,8 @@ def build_core(
     """
     given = config, session, keys.offboard, keys.vehicle, keys.ground, clearance
     if name == "c":
+        from onboard.c.compile import Variant
         from onboard.c.compiled_core import CompiledCore  # nothing else needs it, or its compiler
-        from onboard.c.library import Variant
 
         return CompiledCore(*given, variant=Variant(precision))
     return OnboardCore(*given)

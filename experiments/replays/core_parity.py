@@ -127,9 +127,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), metavar="NAME")
     parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), metavar="NAME")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of each flight (default: %(default)g)")
-    parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="keep the flights here, and use those that are here"
-    )
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the flights here, and use those that are")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows to this file")
     arguments = parser.parse_args(words)
     rows: list[ParityRow] = []

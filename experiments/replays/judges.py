@@ -19,8 +19,8 @@ OUTPUTS: Final = (
     (Entry.TO_GROUND, "datagram to the ground station", "to_ground"),
 )
 MOTOR_DIFFERENCE_MAX: Final = {"double": 1e-7, "float": 2e-3}
-"""Of motor commands of two cores, as a share of the maximum thrust, by the precision of the C core; a motor datagram holds
-no step smaller than 1e-7."""
+"""Of motor commands of two cores, as a share of the maximum thrust, by the precision of the C core; a motor datagram
+holds no step smaller than 1e-7."""
 DECISIONS: Final = ("mode", "adapting", "saturated", "feature_version", "law")
 """Fields of a tick record that hold a decision."""
 MOTORS: Final = slice(OFFSET["motor_1"], OFFSET["motor_4"] + 1)

@@ -95,8 +95,7 @@ static void find_start(Estimator *self, const ImuReading *reading) {
     quaternion_of(angles[0], angles[1], REAL(0.0), quaternion);
     filter_start(&self->filter, quaternion, rate, sigmas);
     self->state.initialised = true;
-    EstimatorEvent *event =
-        estimator_report(&self->corrections.events, reading->time_ns, ESTIMATOR_FOUND_ATTITUDE, 0);
+    EstimatorEvent *event = estimator_report(&self->corrections.events, reading->time_ns, ESTIMATOR_FOUND_ATTITUDE, 0);
     event->values[0] = angles[0];
     event->values[1] = angles[1];
     state_publish(&self->state, &self->filter, reading);
@@ -356,8 +355,8 @@ void estimator_receive_flow(Estimator *self, const FlowReading *reading) {
         vector_copy(self->filter.position, before);
         residual[axis] = measured[axis] - expected;
         real score = filter_correct_scalar(&self->filter, h, residual[axis], sigma * sigma, config->flow_gate);
-        used = corrections_conclude(&self->corrections, &self->filter, &self->state, AID_FLOW, score,
-                                    config->flow_gate, before, now_ns) && used;
+        used &= corrections_conclude(&self->corrections, &self->filter, &self->state, AID_FLOW, score,
+                                     config->flow_gate, before, now_ns);
     }
     if (!used) {
         recover(self, AID_FLOW, VELOCITY, 3, now_ns);

@@ -11,7 +11,7 @@ from experiments.replays.judges import MOTOR_DIFFERENCE_MAX
 from experiments.replays.recorded_flight import RecordedFlight, read_recorded
 from experiments.replays.replay_check import CheckResult, check_flight, check_log
 from flight_log.log_file import LogFile
-from onboard.c.library import BuildError, compiler
+from onboard.c.compile import BuildError, compiler
 from onboard.record.tick import OFFSET, TICK
 
 try:

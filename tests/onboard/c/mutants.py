@@ -2,8 +2,8 @@
 
     python -m tests.onboard.c.mutants [NAME ...]
 
-Each bug is a small change of one line: a sign, a gain, an index, or a state that is not brought up to date. The tests of
-the room must fail with it, and pass without. It needs a C compiler.
+Each bug is a small change of one line: a sign, a gain, an index, or a state that is not brought up to date. The
+tests of the room must fail with it, and pass without. It needs a C compiler.
 """
 
 import os
