@@ -26,7 +26,7 @@ class CustomBuildHook(BuildHookInterface):
         try:
             for variant in (core.DEFAULT, core.DEFAULT._replace(real="float")):
                 name = core.prebuilt_name(variant)
-                library, declared = (Path(self._folder.name) / f"{name}{end}" for end in (".so", ".h"))
+                library, declared = (Path(self._folder.name) / f"{name}{end}" for end in (".so", core.DECLARED))
                 core.compile_core(variant, library)
                 declared.write_text(core.preprocessed_headers(variant), encoding="utf-8")
                 for path in (library, declared):

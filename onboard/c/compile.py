@@ -18,6 +18,8 @@ FOLDER: Final = Path(__file__).resolve().parent
 """The root of the C sources."""
 PREBUILT: Final = FOLDER / "prebuilt"
 """In an installed wheel: the libraries that were built with it, and what their headers declare."""
+DECLARED: Final = ".declared"
+"""Ending of the file beside a library that holds what its headers declare, for ctypes. (Not .h: it is no source.)"""
 COMPILERS: Final = ("cc", "gcc", "clang")
 LANGUAGE: Final = ("-std=c99", "-pedantic", "-ffp-contract=off", "-fno-math-errno")
 """-ffp-contract=off: no fused multiply-add, so every machine rounds the same."""
@@ -116,6 +118,6 @@ def _own_lines(preprocessed: str) -> str:
     for line in preprocessed.splitlines():
         if line.startswith("# "):
             own = line.split('"')[1].startswith(str(FOLDER))
-        elif own:
+        elif own and line.strip():
             kept.append(line)
     return "\n".join(kept)

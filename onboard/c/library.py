@@ -12,9 +12,10 @@ import os
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from onboard.c.compile import (
+    DECLARED,
     DEFAULT,
     FOLDER,
     PREBUILT,
@@ -28,9 +29,6 @@ from onboard.c.compile import (
 )
 from onboard.c.declarations import Declarations
 from onboard.c.generate import check
-
-DECLARED: Final = ".h"
-"""Ending of the file beside a library that holds what its headers declare, for ctypes."""
 
 
 class Built(NamedTuple):

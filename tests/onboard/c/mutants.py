@@ -179,7 +179,7 @@ def copy_to(folder: Path) -> None:
 def run_tests(folder: Path, tests: Sequence[str]) -> str:
     """The first test that fails in the copy; "" if all pass."""
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    options = ["-q", "-x", "-p", "no:cacheprovider", "-m", "not full and not realtime"]
+    options = ["-q", "-x", "-p", "no:cacheprovider", "--timeout=3600", "-m", "not full and not realtime"]
     command = [sys.executable, "-m", "pytest", *options, *(f"{HERE}/{test}.py" for test in tests)]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode == 0:
