@@ -49,6 +49,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "view": Subcommand("async_dmrac.commands.view", "open a flight in the 3-D viewer"),
     "report": Subcommand("async_dmrac.commands.report", "one self-contained page about a flight"),
     "compare": Subcommand("async_dmrac.commands.compare", "overlay flights"),
+    "core": Subcommand("async_dmrac.commands.core", "build the onboard core in C"),
     "preflight": Subcommand("async_dmrac.commands.preflight", "check a vehicle's link before it may fly"),
 }
 

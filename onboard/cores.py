@@ -13,6 +13,8 @@ from protocol.keys import LinkKeys
 
 NUMPY: Final = "numpy"
 CORES: Final = (NUMPY, "c")
+PRECISIONS: Final = ("double", "float")
+"""Of the numbers of the C core: 64 or 32 bits. numpy's are double."""
 
 
 class AnyCore(Protocol):
@@ -46,8 +48,17 @@ class AnyCore(Protocol):
         """Mode, features and counters, for the flight record."""
 
 
-def build_core(name: str, config: OnboardConfig, session: int, keys: LinkKeys, clearance: Clearance = CLEAR) -> AnyCore:
+def build_core(
+    name: str,
+    config: OnboardConfig,
+    session: int,
+    keys: LinkKeys,
+    clearance: Clearance = CLEAR,
+    precision: str = "double",
+) -> AnyCore:
     """A core by its name, one of CORES; the other parameters as of OnboardCore.
+
+    precision: of the C core, one of PRECISIONS.
 
     Raises
     ------
@@ -56,9 +67,10 @@ def build_core(name: str, config: OnboardConfig, session: int, keys: LinkKeys, c
     """
     given = config, session, keys.offboard, keys.vehicle, keys.ground, clearance
     if name == "c":
+        from onboard.c.compile import Variant
         from onboard.c.compiled_core import CompiledCore  # nothing else needs it, or its compiler
 
-        return CompiledCore(*given)
+        return CompiledCore(*given, variant=Variant(precision))
     return OnboardCore(*given)
 
 

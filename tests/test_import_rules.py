@@ -66,11 +66,12 @@ NAMED_SHELLS = {
     "offboard.links.vehicle_service",
     "offboard.background",
     "offboard.memory.folder",
+    "onboard.c.compile",
     "onboard.c.declarations",
     "onboard.c.library",
 }
 """Modules outside the shells' names that are shells, and why: key files; the compiler's cache; the offboard process's
-part for each vehicle, its thread, and the folder of a memory; building and loading the C core."""
+part for each vehicle, its thread, and the folder of a memory; compiling, building and loading the C core."""
 FOR_SHELLS = ("runtime.", "flight_log.writer")
 WITH_CORES = ("protocol", "onboard", "offboard", "sim_vehicle")
 NOT_IN_A_CORE = {

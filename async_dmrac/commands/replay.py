@@ -8,7 +8,7 @@ from rich.console import Console
 
 from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
-from onboard.cores import CORES
+from onboard.cores import CORES, PRECISIONS
 
 if TYPE_CHECKING:
     from experiments.replays.recorded_flight import RecordedFlight
@@ -18,6 +18,7 @@ EXAMPLES = """examples:
   dmrac replay flights/... --controller pid                         another controller with the same link
   dmrac replay flights/... --check                                  does this onboard code give the same bits?
   dmrac replay flights/... --check --core c                         does the C core decide the same?
+  dmrac replay flights/... --check --core c --precision float       and with numbers of 32 bits?
   dmrac replay flights/... --save-trace configs/dropouts/mine.csv   store the deliveries of its link for dmrac dropouts
 """
 
@@ -36,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=CORES,
         help="with --check: the onboard core (default: the recorded one, which gives equal bits)",
     )
+    parser.add_argument(
+        "--precision", choices=PRECISIONS, default="double", help="with --core c: of its numbers (default: double)"
+    )
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
     parser.add_argument(
         "--save-trace", type=Path, metavar="FILE", help="only write the link's deliveries to a .csv file"
@@ -50,10 +54,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--check: compares with the recorded flight; it takes no --controller and no --seed")
     if arguments.core and not arguments.check:
         raise ConfigError(f"--core {arguments.core}: only with --check")
+    if arguments.precision != "double" and arguments.core != "c":
+        raise ConfigError(f"--precision {arguments.precision}: only with --core c")
     flight = read_recorded(arguments.flight)
     if arguments.save_trace is not None:
         return save_trace(flight, arguments.save_trace)
-    return check(flight, arguments.key_file, arguments.core) if arguments.check else replay(flight, arguments)
+    return check(flight, arguments) if arguments.check else replay(flight, arguments)
 
 
 def replay(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
@@ -73,11 +79,11 @@ def replay(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
     return 0 if again.survived else 1
 
 
-def check(flight: "RecordedFlight", key_file: Path | None, core: str | None) -> int:
+def check(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
     """Compare with the logged outputs; print the result of each onboard log."""
     from experiments.replays.replay_check import check_flight
 
-    results = check_flight(flight, key_file, core)
+    results = check_flight(flight, arguments.key_file, arguments.core, arguments.precision)
     for result in results:
         plain_console().print(str(result))
     return 0 if all(result.equal for result in results) else 1

@@ -18,8 +18,9 @@ OUTPUTS: Final = (
     (Entry.TO_OFFBOARD, "datagram to offboard", "to_offboard"),
     (Entry.TO_GROUND, "datagram to the ground station", "to_ground"),
 )
-MOTOR_DIFFERENCE_MAX: Final = 1e-7
-"""Of motor commands of two cores, as a share of the maximum thrust; a motor datagram holds no smaller step."""
+MOTOR_DIFFERENCE_MAX: Final = {"double": 1e-7, "float": 2e-3}
+"""Of motor commands of two cores, as a share of the maximum thrust, by the precision of the C core; a motor datagram
+holds no step smaller than 1e-7."""
 DECISIONS: Final = ("mode", "adapting", "saturated", "feature_version", "law")
 """Fields of a tick record that hold a decision."""
 MOTORS: Final = slice(OFFSET["motor_1"], OFFSET["motor_4"] + 1)
@@ -36,6 +37,9 @@ class Finding(NamedTuple):
 class Judge(Protocol):
     """Compares tick by tick."""
 
+    motor_difference: float
+    """Largest so far of those that are allowed, as a share of the maximum thrust."""
+
     def compare(self, tick: LoggedTick, row: Row | None, output: OnboardOutput) -> Finding | None:
         """The first difference. row: the logged tick record, if there is one."""
 
@@ -51,6 +55,7 @@ class SameBits:
     """The same core must give the same bits."""
 
     verdict = "equal bit for bit"
+    motor_difference = 0.0
 
     def compare(self, tick: LoggedTick, row: Row | None, output: OnboardOutput) -> Finding | None:
         """Tick record and datagrams."""
@@ -72,14 +77,15 @@ class SameBits:
 class SameDecisions:
     """Another core rounds differently: it must decide the same, and command the same but for rounding."""
 
-    def __init__(self, log: LogFile) -> None:
+    def __init__(self, log: LogFile, motor_difference_max: float) -> None:
         self._logged = _events(log)
-        self._motors = 0.0
+        self._allowed = motor_difference_max
+        self.motor_difference = 0.0
 
     @property
     def verdict(self) -> str:
         """With the largest difference of a motor command."""
-        largest = f"motor commands within {self._motors:.1e} of full scale"
+        largest = f"motor commands within {self.motor_difference:.1e} of full scale"
         return f"the same modes, events, feature versions and numbers of datagrams, {largest}"
 
     def compare(self, tick: LoggedTick, row: Row | None, output: OnboardOutput) -> Finding | None:
@@ -101,10 +107,10 @@ class SameDecisions:
                 return Finding(f"{TICK.topic} {name}", *(f"{number:g}" for number in numbers))
         apart = np.abs(logged[MOTORS] - replayed[MOTORS])
         worst = int(apart.argmax())
-        if not apart[worst] <= MOTOR_DIFFERENCE_MAX:
+        if not apart[worst] <= self._allowed:
             numbers = logged[MOTORS][worst], replayed[MOTORS][worst]
             return Finding(f"{TICK.topic} motor_{worst + 1}", *(repr(float(number)) for number in numbers))
-        self._motors = max(self._motors, float(apart[worst]))
+        self.motor_difference = max(self.motor_difference, float(apart[worst]))
         return None
 
     def at_end(self) -> Finding | None:

@@ -15,7 +15,7 @@ from typing import Final
 
 from configs.loader import ConfigError
 from experiments.flights.carried_experience import learns, start_from
-from experiments.replays.judges import OUTPUTS, Finding, Judge, Row, SameBits, SameDecisions
+from experiments.replays.judges import MOTOR_DIFFERENCE_MAX, OUTPUTS, Finding, Judge, Row, SameBits, SameDecisions
 from experiments.replays.recorded_flight import RecordedFlight
 from flight_log.log_file import LogFile
 from onboard.core import OnboardOutput
@@ -60,6 +60,8 @@ class CheckResult:
     """Reason why the log was not checked to its end; "" if it was."""
     verdict: str = SameBits.verdict
     """What a log without difference has shown."""
+    motor_difference: float = 0.0
+    """Largest of a motor command before the first difference, as a share of the maximum thrust."""
 
     @property
     def equal(self) -> bool:
@@ -77,13 +79,16 @@ class CheckResult:
         return f"{line}; NOT CHECKED further: {self.incomplete}" if self.incomplete else line
 
 
-def check_flight(flight: RecordedFlight, key_file: Path | None = None, core: str | None = None) -> list[CheckResult]:
+def check_flight(
+    flight: RecordedFlight, key_file: Path | None = None, core: str | None = None, precision: str = "double"
+) -> list[CheckResult]:
     """Check every run of the onboard process of a flight.
 
     Parameters
     ----------
     key_file: the link's key; None: the one in the flight's configuration.
     core: one of onboard.cores.CORES; None: the one that flew, which must give the same bits.
+    precision: of the C core, one of onboard.cores.PRECISIONS.
 
     Raises
     ------
@@ -92,19 +97,23 @@ def check_flight(flight: RecordedFlight, key_file: Path | None = None, core: str
     """
     if not flight.onboard_logs:
         raise ConfigError(f"{flight.path}: holds no log of onboard")
-    return [check_log(flight, log, key_file, core) for log in flight.onboard_logs]
+    return [check_log(flight, log, key_file, core, precision) for log in flight.onboard_logs]
 
 
-def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None, core: str | None = None) -> CheckResult:
+def check_log(
+    flight: RecordedFlight, log: LogFile, key_file: Path | None, core: str | None = None, precision: str = "double"
+) -> CheckResult:
     """Check one log. Raises ConfigError as `check_flight` does."""
     if TOPIC not in log.raw:
         raise ConfigError(f"{log.path}: holds no {TOPIC}, so there is nothing to compare with")
     flew = log.metadata.get("core", "numpy")
-    judge = SameBits() if core in (None, flew) else SameDecisions(log)
-    return _Check(log, _fresh_core(flight, log, key_file, core or flew), judge).run()
+    name = core or flew
+    same = name == flew and precision == "double"
+    judge = SameBits() if same else SameDecisions(log, MOTOR_DIFFERENCE_MAX[precision])
+    return _Check(log, _fresh_core(flight, log, key_file, name, precision), judge).run()
 
 
-def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None, name: str) -> AnyCore:
+def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None, name: str, precision: str) -> AnyCore:
     session = log.metadata.get("session", "")
     if not session.isdigit():
         raise ConfigError(f"{log.path}: does not name its session")
@@ -114,7 +123,7 @@ def _fresh_core(flight: RecordedFlight, log: LogFile, key_file: Path | None, nam
         named = str(key_file) if key_file is not None else network.key_file
         keys = load_keys(named, network.vehicle_key_file, network.ground_key_file)
     clearance = Clearance(log.metadata.get("arming_bar", ""), log.metadata.get("notice", ""))
-    core = build_core(name, flight.config.onboard, int(session), keys, clearance)
+    core = build_core(name, flight.config.onboard, int(session), keys, clearance, precision)
     over_link = learns(core.controller) and flight.with_offboard
     if flight.experience is not None and not over_link:
         start_from(flight.experience, core, None)
@@ -156,6 +165,7 @@ class _Check:
             difference,
             self._incomplete,
             self._judge.verdict,
+            self._judge.motor_difference,
         )
 
     def _rows_by_time(self) -> dict[int, Row]:

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from configs.loader import ConfigError
+from onboard.c.compile import DEFAULT, BuildError, Variant
 from onboard.c.compiled_controller import CompiledController
 from onboard.c.config_table import TableError, image
 from onboard.c.estimator_summary import calibration, counts, mean_scores
@@ -24,7 +25,7 @@ from onboard.c.event_text import (
     version_text,
 )
 from onboard.c.feature_arrays import put_start_features, view
-from onboard.c.library import DEFAULT, BuildError, Variant, load
+from onboard.c.library import load
 from onboard.config import OnboardConfig
 from onboard.core import ZERO, OnboardOutput
 from onboard.estimation.state import VehicleState

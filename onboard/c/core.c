@@ -203,8 +203,8 @@ static void sample(Core *self, const ControlInputs *control_inputs, int64_t now_
         sampler_push(&self->samples, now_ns, self->signals.values, u_hat, nu_ad);
     }
     SampleBatch *batches = self->batches;
-    int32_t due = sampler_poll(&self->samples, now_ns, self->reception.version, offboard_link_loss_share(link, now_ns),
-                               batches);
+    int32_t due =
+        sampler_poll(&self->samples, now_ns, self->reception.version, offboard_link_loss_share(link, now_ns), batches);
     output->to_offboard_count = 0;
     for (int32_t i = 0; i < due; i++) {
         output->to_offboard_count +=

@@ -148,7 +148,7 @@ class Declarations:
 
 def _number(text: str) -> int:
     """The value of a constant expression of whole numbers, + - * / and brackets."""
-    plain = re.sub(r"(?<=\d)[uUlL]+", "", text)
+    plain = " ".join(re.sub(r"(?<=\d)[uUlL]+", "", text).split())
     if not re.fullmatch(r"[\d\s()+*/-]+", plain):
         raise DeclarationError(f"number {text!r} not understood")
     return int(eval(plain.replace("/", "//"), {"__builtins__": {}}))

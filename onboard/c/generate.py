@@ -8,9 +8,9 @@ of the table is read by a C file; `check` says what is wrong.
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Final
 
+from onboard.c.compile import FOLDER
 from onboard.c.config_table import (
     HEADER_BYTES,
     LEAF_BYTES,
@@ -30,8 +30,6 @@ from onboard.c.config_table import (
 from onboard.c.constants_table import constants, enumerations, literal, mode_enumerations, mode_sets, transitions
 from protocol.signals import SIGNAL_NAMES
 
-FOLDER: Final = Path(__file__).resolve().parent
-"""The root of the C sources."""
 GENERATED: Final = FOLDER / "generated"
 COMMAND: Final = "python -m onboard.c.generate"
 _NOTE: Final = f"Written by {COMMAND}. Do not edit."

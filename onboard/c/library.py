@@ -1,106 +1,88 @@
-"""Builds the core as a shared library with the system's C compiler, at first use, and loads it.
+"""The core as a shared library: built at first use and kept, or taken from the wheel, and loaded.
 
-The library is kept in a cache folder whose name is a digest of sources and options, so a change of any source builds
-anew. Before it compiles, the build checks that generated files and configuration records agree (generate.py).
+A built library is kept in a cache folder, under a name that is a digest of sources, options and compiler, so a change
+of any source builds anew. Before it compiles, the build checks that generated files and configuration records agree
+(generate.py).
 """
 
 import contextlib
 import ctypes
 import hashlib
 import os
-import shlex
-import shutil
-import subprocess
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
+from onboard.c.compile import (
+    DECLARED,
+    DEFAULT,
+    FOLDER,
+    PREBUILT,
+    BuildError,
+    Variant,
+    compile_core,
+    compiler,
+    prebuilt_name,
+    preprocessed_headers,
+    sources_digest,
+)
 from onboard.c.declarations import Declarations
-from onboard.c.generate import FOLDER, check
-
-COMPILERS: Final = ("cc", "gcc", "clang")
-LANGUAGE: Final = ("-std=c99", "-pedantic", "-ffp-contract=off", "-fno-math-errno")
-"""-ffp-contract=off: no fused multiply-add, so every machine rounds the same."""
-WARNINGS: Final = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wvla")
+from onboard.c.generate import check
 
 
-class BuildError(Exception):
-    """The core cannot be built. The message says what to do."""
+class Built(NamedTuple):
+    """A library that is there."""
 
-
-class Variant(NamedTuple):
-    """What is built."""
-
-    real: str = "double"
-    """double or float."""
-    options: tuple[str, ...] = ("-O2",)
+    path: Path
+    origin: str
+    """wheel, cache, or built: now."""
 
     @property
-    def flags(self) -> list[str]:
-        """Options of the compiler, but for warnings and output."""
-        number = ["-DDMRAC_FLOAT"] if self.real == "float" else []
-        return [*LANGUAGE, *number, *self.options, f"-I{FOLDER}"]
+    def declared(self) -> Path:
+        """The file with the declarations."""
+        return self.path.with_suffix(DECLARED)
 
 
-def compiler() -> list[str]:
-    """The command of the C compiler: that of the environment's CC, else the first one found.
+def compile_library(variant: Variant, out: Path) -> None:
+    """Check the generated files and compile the core into `out`. Raises BuildError or generate's TableError."""
+    check()
+    compile_core(variant, out)
+
+
+def ready_library(variant: Variant) -> Built:
+    """The library of a variant: of the wheel if its sources are these, else of the cache, else compiled now.
 
     Raises
     ------
     BuildError
-        If there is none.
+        If it has to be compiled and cannot be.
     """
-    given = shlex.split(os.environ.get("CC", ""))
-    for command in [given] if given else [[name] for name in COMPILERS]:
-        if shutil.which(command[0]):
-            return command
-    tried = given[0] if given else ", ".join(COMPILERS)
-    raise BuildError(
-        f"no C compiler (tried {tried}): install one (on Debian and Ubuntu: apt install gcc libc6-dev) "
-        "or name it in the environment variable CC"
-    )
+    prebuilt = Built(PREBUILT / f"{prebuilt_name(variant)}.so", "wheel")
+    if variant.options == DEFAULT.options and prebuilt.path.exists() and prebuilt.declared.exists():
+        return prebuilt
+    digest = hashlib.sha256(repr((variant, compiler(), sources_digest())).encode()).hexdigest()[:16]
+    built = Built(cache_folder() / f"core-{digest}.so", "cache")
+    if built.path.exists() and built.declared.exists():
+        return built
+    _write_whole(built.declared, lambda part: part.write_text(preprocessed_headers(variant), encoding="utf-8"))
+    _write_whole(built.path, lambda part: compile_library(variant, part))
+    return built._replace(origin="built")
 
 
-def sources() -> list[Path]:
-    """All C files."""
-    return sorted(FOLDER.rglob("*.c"))
-
-
-def headers() -> list[Path]:
-    """All headers."""
-    return sorted(FOLDER.rglob("*.h"))
-
-
-def compile_library(variant: Variant, out: Path) -> None:
-    """Compile the core into the shared library `out`. Raises BuildError with the compiler's messages."""
-    check()
-    shared = ["-shared", "-fPIC", "-Wl,-Bsymbolic"]
-    run([*compiler(), *variant.flags, *WARNINGS, *shared, *map(str, sources()), "-lm", "-o", str(out)])
-
-
-def run(command: list[str]) -> str:
-    """Run a command of the build; returns what it printed. Raises BuildError."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()}")
-    return done.stdout
+def _write_whole(path: Path, write: Any) -> None:
+    """Write a file beside and rename it: another process may be reading it."""
+    part = path.with_suffix(f"{path.suffix}.{os.getpid()}")
+    write(part)
+    part.replace(path)
 
 
 def cached_library(variant: Variant) -> Path:
-    """The library of a variant, compiled unless it is in the cache. Raises BuildError."""
-    digest = hashlib.sha256(repr((variant, compiler())).encode())
-    for path in (*sources(), *headers()):
-        digest.update(str(path.relative_to(FOLDER)).encode() + path.read_bytes())
-    library = _cache_folder() / f"core-{digest.hexdigest()[:16]}.so"
-    if not library.exists():
-        part = library.with_suffix(f".{os.getpid()}")
-        compile_library(variant, part)
-        part.replace(library)  # at once: another process may be loading it
-    return library
+    """The library of a variant (`ready_library`). Raises BuildError."""
+    return ready_library(variant).path
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
     """A folder that this user alone writes to: beside the sources, or in the home directory. Raises BuildError."""
     for base in (FOLDER / "__pycache__", Path("~/.cache/async-dmrac").expanduser()):
         with contextlib.suppress(OSError):
@@ -108,27 +90,6 @@ def _cache_folder() -> Path:
             if os.access(base, os.W_OK):
                 return base
     raise BuildError(f"no folder to keep the core in: neither {FOLDER} nor ~/.cache can be written")
-
-
-def read_declarations(variant: Variant) -> Declarations:
-    """What the headers declare, constants put in by the preprocessor."""
-    includes = "".join(f'#include "{path.relative_to(FOLDER)}"\n' for path in headers())
-    command = [*compiler(), *variant.flags, "-E", "-xc", "-"]
-    done = subprocess.run(command, input=includes, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise BuildError(f"{shlex.join(command)} failed:\n{done.stderr.strip()}")
-    return Declarations(_own_lines(done.stdout))
-
-
-def _own_lines(preprocessed: str) -> str:
-    """The lines that come from the core's own headers. A line `# 12 "file"` says where the next ones come from."""
-    kept, own = [], False
-    for line in preprocessed.splitlines():
-        if line.startswith("# "):
-            own = line.split('"')[1].startswith(str(FOLDER))
-        elif own:
-            kept.append(line)
-    return "\n".join(kept)
 
 
 class Core(SimpleNamespace):
@@ -140,18 +101,12 @@ class Core(SimpleNamespace):
         return f"Core({self.real})"  # not all that it declares: a failed test shows it
 
 
-DEFAULT: Final = Variant()
-
-
 @lru_cache(maxsize=8)
 def load(variant: Variant = DEFAULT) -> Core:
     """The core, built if necessary. Raises BuildError."""
-    return open_library(cached_library(variant), variant)
-
-
-def open_library(path: Path, variant: Variant) -> Core:
-    """A library that is built, with its declarations."""
-    declared, library = read_declarations(variant), ctypes.CDLL(str(path))
+    built = ready_library(variant)
+    declared = Declarations(built.declared.read_text(encoding="utf-8"))
+    library = ctypes.CDLL(str(built.path))
     functions = {}
     for name, (result, arguments) in declared.functions.items():
         function = functions[name] = getattr(library, name)

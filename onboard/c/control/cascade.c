@@ -51,8 +51,8 @@ static ChannelTelemetry *telemetry_of(Cascade *self, int channel) {
 
 /* nu_ad of a channel's law, guarded */
 static void guarded_step(Cascade *self, int channel, const ControlInputs *inputs, real nu_ad[3]) {
-    guard_step(&self->guard, self->augmentations, channel, self->channels + channel, telemetry_of(self, channel), inputs,
-               nu_ad);
+    guard_step(&self->guard, self->augmentations, channel, self->channels + channel, telemetry_of(self, channel),
+               inputs, nu_ad);
 }
 
 /* --- the channels' inputs --- */

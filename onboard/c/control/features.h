@@ -54,7 +54,7 @@ typedef struct {
     FeatureSelection selection;
     real inverse[INPUTS_MAX]; /* 1 / scale */
     Network network;
-    real last_layer[FEATURES_MAX * 3]; /* theta_n that came with the network; zero for features that a flight starts with */
+    real last_layer[FEATURES_MAX * 3]; /* theta_n that came with the network; zero for a flight's first features */
     real exponent[RBF_COUNT * (2 * INPUTS_MAX + 1)]; /* of the radial functions, linear in [z; z^2; 1] */
 } Features;
 

@@ -223,7 +223,9 @@ void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adaptin
         const ChannelWatch *watch = self->watches + channel;
         if (self->learns[channel] && watch_failed(watch) && self->level != LEVEL_NONE) {
             WatchFinding why = watch_worse(watch, (int32_t)self->level, (int32_t)self->level + 1);
-            FallReason reason = why == WATCH_MODEL_ERROR ? FALL_MODEL_ERROR : why == WATCH_TRIAL ? FALL_TRIAL : FALL_MISFIT;
+            FallReason reason = why == WATCH_MODEL_ERROR ? FALL_MODEL_ERROR
+                                : why == WATCH_TRIAL     ? FALL_TRIAL
+                                                         : FALL_MISFIT;
             fall_back(self, augmentations, reason, channel);
             return;
         }

@@ -34,14 +34,14 @@ typedef struct {
     const real *signals; /* [SIGNAL_COUNT], at the present */
     const ChannelMeasurement *position;
     const ChannelMeasurement *attitude;
-    bool saturated;       /* whether the motors could not deliver the last command */
-    bool adapt;           /* false on the ground and while an input is too old to learn from: change no adaptive state */
-    real coming_now[3];   /* angular acceleration by the actuators, rad/s^2, body FRD */
-    real coming_next[3];  /* the same in one tick, under the command that is already sent */
-    bool level_only;      /* true without a velocity estimate: hold level, sink slowly, do not control position */
-    int32_t missed;       /* ticks missed since the last one; the last command was held meanwhile */
-    real thrust_n;        /* N, collective thrust delivered now */
-    real thrust_scale;    /* thrust of the motors as a multiple of the nominal one */
+    bool saturated;      /* whether the motors could not deliver the last command */
+    bool adapt;          /* false on the ground and while an input is too old to learn from: change no adaptive state */
+    real coming_now[3];  /* angular acceleration by the actuators, rad/s^2, body FRD */
+    real coming_next[3]; /* the same in one tick, under the command that is already sent */
+    bool level_only;     /* true without a velocity estimate: hold level, sink slowly, do not control position */
+    int32_t missed;      /* ticks missed since the last one; the last command was held meanwhile */
+    real thrust_n;       /* N, collective thrust delivered now */
+    real thrust_scale;   /* thrust of the motors as a multiple of the nominal one */
 } ControlInputs;
 
 /* What one channel did in a tick, for the log; zeros where a controller has no such quantity. */

@@ -134,8 +134,8 @@ static real of_kind(const FeatureSelection *selection, const real *row, int32_t 
 }
 
 /* largest_shares */
-void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states, int32_t n,
-                    real shares[3]) {
+void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states,
+                    int32_t n, real shares[3]) {
     real slope[3 * INPUTS_MAX];
     shares[0] = shares[1] = shares[2] = REAL(0.0);
     for (int i = 0; i < n; i++) {

@@ -28,8 +28,8 @@ void slopes(const Features *features, const real *theta, const real signals[SIGN
 
 /* Of each axis, the largest slope over the states [n, SIGNAL_COUNT] and the kinds of input, as a share of its limit. The
  * slope over the inputs of a kind is the norm of its row. */
-void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states, int32_t n,
-                    real shares[3]);
+void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states,
+                    int32_t n, real shares[3]);
 
 /* theta [k, 3] becomes `theta_n` with the slope of every axis at these states within its limit. An axis with too steep a map
  * is flattened about its mean over the states, whose features are Phi [k, n]. */

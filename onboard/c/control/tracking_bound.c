@@ -136,7 +136,8 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
             bound = axis_restart(axis, REAL(0.0), e[i], -rate);
         } else {
             bound = real_abs(axis_respond(axis, command_turn[i], command_rate[i], inputs->dt));
-            bound += axis_step(axis, REAL(0.0), measured->u_hat[i], measured->residual[i], e[i], command_rate[i] - rate);
+            bound +=
+                axis_step(axis, REAL(0.0), measured->u_hat[i], measured->residual[i], e[i], command_rate[i] - rate);
         }
         squared += bound * bound;
     }
@@ -152,8 +153,7 @@ void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, con
         return;
     }
     real period = inputs->dt / (real)(1 + inputs->missed); /* ControlInputs.period */
-    bool restart =
-        !self->running || inputs->missed > 0 || inputs->state->position_reset_count != self->resets_seen;
+    bool restart = !self->running || inputs->missed > 0 || inputs->state->position_reset_count != self->resets_seen;
     if (!self->running || period != self->period) {
         start(self, period);
     }

@@ -55,8 +55,7 @@ static void see_ahead(VersionTest *self, const real now[SIGNAL_COUNT]) {
         memcpy(state, now, SIGNAL_COUNT * sizeof(real));
         for (int i = 0; i < 3; i++) {
             real reach = REAL(0.5) * h * (real_abs(velocity[i]) + turn);
-            state[SIGNAL_POSITION_N + i] +=
-                REAL(0.5) * h * velocity[i] + reach * corner[(PLACE_ROW + i) * BOX_POINTS];
+            state[SIGNAL_POSITION_N + i] += REAL(0.5) * h * velocity[i] + reach * corner[(PLACE_ROW + i) * BOX_POINTS];
             state[SIGNAL_VELOCITY_N + i] += turn * corner[(VELOCITY_ROW + i) * BOX_POINTS];
             state[SIGNAL_ROLL + i] += ANGLE_REACH_RAD * corner[(ANGLE_ROW + i) * BOX_POINTS];
             state[SIGNAL_BODY_VELOCITY_X + i] += turn * corner[(BODY_VELOCITY_ROW + i) * BOX_POINTS];

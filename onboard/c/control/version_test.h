@@ -20,9 +20,9 @@ typedef struct {
     VersionTestConfig config;
     int32_t channel; /* 0, 1 */
     SlopeLimits slope_limits;
-    real corners[BOX_AXES * BOX_POINTS]; /* of the unit box, [BOX_AXES, BOX_POINTS] */
-    real path[PATH_POINTS * SIGNAL_COUNT];  /* states on the line ahead, from here on; of the last test */
-    real box[BOX_POINTS * SIGNAL_COUNT];    /* states in the box; of the last test */
+    real corners[BOX_AXES * BOX_POINTS];   /* of the unit box, [BOX_AXES, BOX_POINTS] */
+    real path[PATH_POINTS * SIGNAL_COUNT]; /* states on the line ahead, from here on; of the last test */
+    real box[BOX_POINTS * SIGNAL_COUNT];   /* states in the box; of the last test */
     VersionFindings found;
 } VersionTest;
 

@@ -23,7 +23,7 @@ typedef struct {
     real rate;     /* lambda, 1/s */
     real tracking; /* gamma */
     TrackingWeights PB;
-    real d[3]; /* nu of the bias-only law, units of u */
+    real d[3];                    /* nu of the bias-only law, units of u */
     real sent_map[SENT_MAX * 3];  /* a ring: nu of the law that learns, as commanded */
     real sent_bias[SENT_MAX * 3]; /* d at that time */
     int32_t sent_first;

@@ -80,8 +80,8 @@ static int64_t hundredths(real bias) {
 
 /* The gyroscope's bias is too large; an event unless the same was said before. */
 static void refuse_bias(BenchCalibration *self, int32_t axis, real bias, int64_t now_ns, EstimatorEvents *events) {
-    bool said = self->refusal == CALIBRATION_BIASED && self->biased_axis == axis &&
-                hundredths(self->bias) == hundredths(bias);
+    bool said =
+        self->refusal == CALIBRATION_BIASED && self->biased_axis == axis && hundredths(self->bias) == hundredths(bias);
     self->refusal = CALIBRATION_BIASED;
     self->biased_axis = axis;
     self->bias = bias;

@@ -3,13 +3,14 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 #include "protocol/geometry.h"
 
 /* Corrections.__init__ */
 void corrections_init(Corrections *self, const EstimatorConfig *config) {
     memset(self, 0, sizeof *self);
     self->jump_threshold_m = config->jump_threshold_m;
-    self->recovery_ns = (int64_t)((double)config->recovery_s * 1e9);
+    self->recovery_ns = nanoseconds_below(config->recovery_s);
 }
 
 /* Corrections.note_score */

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 #include "protocol/geometry.h"
 
 #define AROUND(self) (&(PoseSurroundings){&(self)->filter, &(self)->state, &(self)->corrections, &(self)->gyro})
@@ -25,8 +26,8 @@ void estimator_init(Estimator *self, const EstimatorConfig *config) {
     calibration_init(&self->calibration, config);
     still_start_init(&self->start, config->start_samples, config->start_rate_max_rad_s);
     vibration_init(&self->vibration);
-    self->aid_fresh_ns = (int64_t)((double)config->aid_fresh_s * 1e9);
-    self->recovery_ns = (int64_t)((double)config->recovery_s * 1e9);
+    self->aid_fresh_ns = nanoseconds_below(config->aid_fresh_s);
+    self->recovery_ns = nanoseconds_below(config->recovery_s);
     self->on_ground = self->at_rest = true;
 }
 
@@ -94,8 +95,7 @@ static void find_start(Estimator *self, const ImuReading *reading) {
     quaternion_of(angles[0], angles[1], REAL(0.0), quaternion);
     filter_start(&self->filter, quaternion, rate, sigmas);
     self->state.initialised = true;
-    EstimatorEvent *event =
-        estimator_report(&self->corrections.events, reading->time_ns, ESTIMATOR_FOUND_ATTITUDE, 0);
+    EstimatorEvent *event = estimator_report(&self->corrections.events, reading->time_ns, ESTIMATOR_FOUND_ATTITUDE, 0);
     event->values[0] = angles[0];
     event->values[1] = angles[1];
     state_publish(&self->state, &self->filter, reading);
@@ -355,8 +355,8 @@ void estimator_receive_flow(Estimator *self, const FlowReading *reading) {
         vector_copy(self->filter.position, before);
         residual[axis] = measured[axis] - expected;
         real score = filter_correct_scalar(&self->filter, h, residual[axis], sigma * sigma, config->flow_gate);
-        used = corrections_conclude(&self->corrections, &self->filter, &self->state, AID_FLOW, score,
-                                    config->flow_gate, before, now_ns) && used;
+        used &= corrections_conclude(&self->corrections, &self->filter, &self->state, AID_FLOW, score,
+                                     config->flow_gate, before, now_ns);
     }
     if (!used) {
         recover(self, AID_FLOW, VELOCITY, 3, now_ns);

@@ -4,13 +4,14 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 #include "protocol/geometry.h"
 
 /* PoseFusion.__init__ */
 void pose_fusion_init(PoseFusion *self, const EstimatorConfig *config) {
     memset(self, 0, sizeof *self);
     self->config = *config;
-    self->delay_max_ns = (int64_t)((double)config->pose_delay_max_s * 1e9);
+    self->delay_max_ns = nanoseconds_below(config->pose_delay_max_s);
     self->last_capture_ns = NEVER_NS;
     pose_trust_init(&self->trust, config);
 }
@@ -40,8 +41,7 @@ void pose_fusion_check_drift(PoseFusion *self, const PoseSurroundings *at, int64
     const real level[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     ErrorStateFilter *filter = at->filter;
     PoseTrust *trust = &self->trust;
-    if (!self->had_pose || !at->corrections->in_flight || stuck_gyro_any(at->gyro) || trust->drifting ||
-        trust->blind) {
+    if (!self->had_pose || !at->corrections->in_flight || stuck_gyro_any(at->gyro) || trust->drifting || trust->blind) {
         pose_trust_forget(trust);
         return;
     }
@@ -204,8 +204,7 @@ static void jump_to(PoseFusion *self, const PoseSurroundings *at, const Pose *po
 }
 
 /* PoseFusion._refuse: count a refused pose; jump to it if enough of them in a row agree */
-static void refuse(PoseFusion *self, const PoseSurroundings *at, const Pose *pose, int64_t capture_ns,
-                   int64_t now_ns) {
+static void refuse(PoseFusion *self, const PoseSurroundings *at, const Pose *pose, int64_t capture_ns, int64_t now_ns) {
     real apart[3];
     vector_subtract(pose->position, self->refused_position, apart);
     bool agrees = vector_length(apart) < self->config.pose_agree_m;

@@ -4,13 +4,14 @@
 
 #include "generated/constants.h"
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 #include "protocol/geometry.h"
 
 /* PoseTrust.__init__ */
 void pose_trust_init(PoseTrust *self, const EstimatorConfig *config) {
     memset(self, 0, sizeof *self);
     self->config = *config;
-    self->fresh_ns = (int64_t)((double)config->aid_fresh_s * 1e9);
+    self->fresh_ns = nanoseconds_below(config->aid_fresh_s);
     self->flow_ns = self->range_ns = self->pressure_ns = NEVER_NS;
 }
 

@@ -4,13 +4,10 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 
 #define NO_COMMAND (-1)
 #define DESCENDING ((1 << MODE_HOLD_LEVEL) | (1 << MODE_LANDING))
-
-static int64_t nanoseconds(real seconds) {
-    return (int64_t)((double)seconds * 1e9);
-}
 
 /* Supervisor.__init__ */
 void supervisor_init(Supervisor *self, const SupervisorConfig *config) {
@@ -209,17 +206,17 @@ static int64_t time_limit_ns(const Supervisor *self) {
     const SupervisorConfig *config = &self->config;
     switch (self->mode) {
         case MODE_ARMED:
-            return nanoseconds(config->armed_max_s);
+            return nanoseconds_below(config->armed_max_s);
         case MODE_TAKE_OFF:
-            return nanoseconds(config->take_off_max_s);
+            return nanoseconds_below(config->take_off_max_s);
         case MODE_HOLD:
-            return nanoseconds(config->hold_max_s);
+            return nanoseconds_below(config->hold_max_s);
         case MODE_HOLD_LEVEL:
-            return nanoseconds(config->level_max_s);
+            return nanoseconds_below(config->level_max_s);
         case MODE_LANDING:
-            return nanoseconds(config->landing_max_s);
+            return nanoseconds_below(config->landing_max_s);
         default:
-            return nanoseconds(config->landed_s);
+            return nanoseconds_below(config->landed_s);
     }
 }
 
@@ -290,14 +287,14 @@ static bool is_true(const Supervisor *self, Event event, const SupervisorInputs 
 static int64_t lasting_ns(const SupervisorConfig *config, Event event) {
     switch (event) {
         case EVENT_HEALTHY:
-            return nanoseconds(config->healthy_for_s);
+            return nanoseconds_below(config->healthy_for_s);
         case EVENT_POSITION_BACK:
         case EVENT_VELOCITY_BACK:
-            return nanoseconds(config->back_for_s);
+            return nanoseconds_below(config->back_for_s);
         case EVENT_TOUCHED_DOWN:
-            return nanoseconds(config->touch_down_for_s);
+            return nanoseconds_below(config->touch_down_for_s);
         case EVENT_BATTERY_LOW:
-            return nanoseconds(config->battery_low_for_s);
+            return nanoseconds_below(config->battery_low_for_s);
         default:
             return -1;
     }

@@ -68,9 +68,9 @@ typedef struct {
     real battery_v;
     real battery_remaining; /* fraction; negative when unknown */
     real tilt_rad;
-    real height_m;         /* above the floor */
-    real climb_m_s;        /* positive upwards */
-    real distance_m;       /* from the origin, horizontally */
+    real height_m;   /* above the floor */
+    real climb_m_s;  /* positive upwards */
+    real distance_m; /* from the origin, horizontally */
     real position_sigma_m;
     real thrust_to_weight; /* collective thrust of the actuator model over weight */
     bool initialised;      /* the attitude is known */

@@ -6,10 +6,6 @@
 
 #define NS_PER_MS 1000000
 
-static int64_t nanoseconds(real seconds) {
-    return (int64_t)((double)seconds * 1e9 + 0.5);
-}
-
 /* OffboardLink.__init__ */
 bool offboard_link_init(OffboardLink *self, const CoreConfig *config, uint64_t session, const uint8_t *key,
                         int32_t key_size) {
@@ -18,8 +14,8 @@ bool offboard_link_init(OffboardLink *self, const CoreConfig *config, uint64_t s
     for (int i = 0; i < LAYOUT_BYTES; i++) {
         layout[i] = (uint8_t)config->layout[i];
     }
-    self->status_period_ns = nanoseconds(config->status_period_s);
-    self->sync_period_ns = nanoseconds(config->time_sync_period_s);
+    self->status_period_ns = nanoseconds_nearest(config->status_period_s);
+    self->sync_period_ns = nanoseconds_nearest(config->time_sync_period_s);
     loss_rate_init(&self->loss);
     self->asked_ns = self->answered_ns = self->last_received_ns = NEVER_NS;
     return endpoint_init(&self->endpoint, session, key, key_size, config->vehicle_id, layout);

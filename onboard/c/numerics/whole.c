@@ -1,5 +1,21 @@
 #include "numerics/whole.h"
 
+static double written(real seconds) {
+#ifdef DMRAC_FLOAT
+    return (double)(int64_t)((double)seconds * 1e6 + 0.5) / 1e6;
+#else
+    return seconds;
+#endif
+}
+
+int64_t nanoseconds_below(real seconds) {
+    return (int64_t)(written(seconds) * 1e9);
+}
+
+int64_t nanoseconds_nearest(real seconds) {
+    return (int64_t)(written(seconds) * 1e9 + 0.5);
+}
+
 int64_t whole_sum(int64_t a, int64_t b) {
     if (b > 0 && a > INT64_MAX - b) {
         return INT64_MAX;

@@ -21,7 +21,7 @@ typedef struct {
 } DelayBucket;
 
 typedef struct {
-    bool known; /* there is a mapping */
+    bool known;        /* there is a mapping */
     int64_t offset_ns; /* our clock minus the sender's; valid if known */
     DelayBucket current;
     DelayBucket sealed[CLOCK_BUCKETS]; /* earlier buckets within the window, oldest first */

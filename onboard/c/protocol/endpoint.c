@@ -160,8 +160,8 @@ static void start_session(Endpoint *self, const Header *header) {
 }
 
 /* Session and sequence: what Endpoint._decode does between the MAC and `_count` */
-static Rejection accept_session(Endpoint *self, const Header *header, const uint8_t *body, size_t size,
-                                int64_t now_ns, Message *out) {
+static Rejection accept_session(Endpoint *self, const Header *header, const uint8_t *body, size_t size, int64_t now_ns,
+                                Message *out) {
     if (self->peer.started && header->session == self->peer.current) {
         return replay_window_verdict(&self->peer.window, header->sequence);
     }
@@ -180,8 +180,8 @@ static bool fits_time(const Endpoint *self, uint64_t sent_ns, int64_t now_ns) {
     if (sent_ns > (uint64_t)COUNTER_MAX) {
         return false;
     }
-    return !self->has_fastest || whole_difference((int64_t)sent_ns, now_ns) <=
-                                     whole_difference(PEER_AHEAD_MAX_NS, self->fastest_ns);
+    return !self->has_fastest ||
+           whole_difference((int64_t)sent_ns, now_ns) <= whole_difference(PEER_AHEAD_MAX_NS, self->fastest_ns);
 }
 
 /* Endpoint._is_of_before */

@@ -187,7 +187,8 @@ static Refusal unpack_channel(MsgpackReader *reader, uint64_t float_size, bool *
         fields.scale.number != vector_bytes) {
         return REFUSAL_UNDECODABLE;
     }
-    if (!all_finite(&fields.parameters, float_size) || !all_finite(&fields.offset, 4) || !all_finite(&fields.scale, 4)) {
+    if (!all_finite(&fields.parameters, float_size) || !all_finite(&fields.offset, 4) ||
+        !all_finite(&fields.scale, 4)) {
         return REFUSAL_NOT_FINITE;
     }
     if (!read_scales(&fields, &shape.selection) || twice) {

@@ -32,8 +32,8 @@ bool status_is_valid(const Status *self) {
     bool numbers = 0 <= self->mode && self->mode < MODES && is_version(self->feature_version) &&
                    is_version(self->transfer_version) && is_version(self->refused_version) && 0 <= self->refusal &&
                    self->refusal < REFUSAL_COUNT;
-    bool counters = self->ticks >= 0 && self->missed_ticks >= 0 && self->received >= 0 && self->lost >= 0 &&
-                    self->rejected >= 0;
+    bool counters =
+        self->ticks >= 0 && self->missed_ticks >= 0 && self->received >= 0 && self->lost >= 0 && self->rejected >= 0;
     return numbers && counters && 0 <= self->received_chunks_size && self->received_chunks_size <= BITMAP_BYTES &&
            -1 <= self->pose_age_ms && self->pose_age_ms <= UINT32_MAX;
 }

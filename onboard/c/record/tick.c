@@ -23,8 +23,7 @@ static double *put_channel(double *at, const ChannelTelemetry *telemetry, const 
 }
 
 /* write_tick */
-void write_tick(double *row, const ControlInputs *inputs, const ControlOutput *control,
-                const TickContext *context) {
+void write_tick(double *row, const ControlInputs *inputs, const ControlOutput *control, const TickContext *context) {
     const VehicleState *state = inputs->state;
     const Target *target = inputs->target;
     double *at = row;

@@ -25,8 +25,7 @@ typedef struct {
 } TickContext;
 
 /* `row`: TICK_FIELDS numbers. */
-void write_tick(double *row, const ControlInputs *inputs, const ControlOutput *control,
-                const TickContext *context);
+void write_tick(double *row, const ControlInputs *inputs, const ControlOutput *control, const TickContext *context);
 
 /* Seconds since `then_ns`; -1 if it has never happened. */
 double age_s(int64_t now_ns, int64_t then_ns);

@@ -3,14 +3,15 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
+#include "numerics/whole.h"
 
 /* SampleQueue.__init__ */
 void sampler_init(SampleQueue *self, const SamplerConfig *config) {
     memset(self, 0, sizeof *self);
     self->config = *config;
     self->period_ns = (int64_t)(1e9 / (double)config->rate_hz + 0.5);
-    self->repeat_after_ns = (int64_t)((double)config->repeat_after_s * 1e9 + 0.5);
-    self->allowance_bytes = BURST_BYTES;
+    self->repeat_after_ns = nanoseconds_nearest(config->repeat_after_s);
+    self->allowance_bytes = (double)BURST_BYTES;
 }
 
 /* The sample `index` places behind the oldest that waits. */
@@ -73,8 +74,8 @@ void sampler_push(SampleQueue *self, int64_t time_ns, const real signals[SIGNAL_
 }
 
 /* _cost_bytes */
-static real cost_bytes(int32_t samples) {
-    return (real)(BATCH_OVERHEAD_BYTES + samples * SAMPLE_BYTES);
+static double cost_bytes(int32_t samples) {
+    return (double)(BATCH_OVERHEAD_BYTES + samples * SAMPLE_BYTES);
 }
 
 /* SampleQueue._refill */
@@ -82,8 +83,11 @@ static void refill(SampleQueue *self, int64_t now_ns) {
     int64_t since_ns = self->refilled && now_ns > self->refilled_ns ? now_ns - self->refilled_ns : 0;
     self->refilled = true;
     self->refilled_ns = now_ns;
-    real earned = (real)since_ns * REAL(1e-9) * self->config.budget_bytes_s;
-    self->allowance_bytes = real_min(BURST_BYTES, self->allowance_bytes + earned);
+    double earned = (double)since_ns * 1e-9 * (double)self->config.budget_bytes_s;
+    self->allowance_bytes += earned;
+    if (self->allowance_bytes > (double)BURST_BYTES) {
+        self->allowance_bytes = (double)BURST_BYTES;
+    }
 }
 
 /* SampleQueue._ready_run: length of the next batch: full, ended by a gap or a new version, or overdue; 0 to wait */
@@ -132,10 +136,10 @@ static void repeat_later(SampleQueue *self, const SampleBatch *batch, int64_t du
 
 /* SampleQueue._due_repeats: as long as the budget has room for a batch of new samples as well */
 static int32_t due_repeats(SampleQueue *self, int64_t now_ns, SampleBatch *batches, int32_t count) {
-    real new_bytes = cost_bytes(self->config.batch_samples);
+    double new_bytes = cost_bytes(self->config.batch_samples);
     while (self->repeats_count > 0 && self->repeats[self->repeats_first].due_ns <= now_ns) {
         const SampleBatch *batch = &self->repeats[self->repeats_first].batch;
-        real cost = cost_bytes(batch->count);
+        double cost = cost_bytes(batch->count);
         if (cost + new_bytes <= self->allowance_bytes && count < BATCHES_MAX) {
             self->allowance_bytes -= cost;
             self->repeated += batch->count;
@@ -159,7 +163,7 @@ int32_t sampler_poll(SampleQueue *self, int64_t now_ns, int64_t feature_version,
     bool repeat = self->config.repeat_from_loss <= loss && loss < REAL(1.0);
     int32_t count = 0, run;
     while (count < BATCHES_MAX && (run = ready_run(self, now_ns)) > 0) {
-        real cost = cost_bytes(run);
+        double cost = cost_bytes(run);
         if (cost > self->allowance_bytes) {
             break;
         }
@@ -176,5 +180,5 @@ int32_t sampler_poll(SampleQueue *self, int64_t now_ns, int64_t feature_version,
 /* SampleQueue.charge */
 void sampler_charge(SampleQueue *self, int32_t datagram_bytes, int64_t now_ns) {
     refill(self, now_ns);
-    self->allowance_bytes -= (real)(datagram_bytes + NETWORK_BYTES);
+    self->allowance_bytes -= (double)(datagram_bytes + NETWORK_BYTES);
 }

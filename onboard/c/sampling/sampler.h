@@ -39,7 +39,7 @@ typedef struct {
     int64_t start_ns;
     int64_t due_ns;
     int64_t pushed_ns;
-    real allowance_bytes;
+    double allowance_bytes; /* a double in the float core too: a batch is due to the byte */
     bool refilled;
     int64_t refilled_ns;
     Repeat repeats[REPEATS_MAX]; /* a ring */

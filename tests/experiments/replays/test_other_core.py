@@ -11,7 +11,7 @@ from experiments.replays.judges import MOTOR_DIFFERENCE_MAX
 from experiments.replays.recorded_flight import RecordedFlight, read_recorded
 from experiments.replays.replay_check import CheckResult, check_flight, check_log
 from flight_log.log_file import LogFile
-from onboard.c.library import BuildError, compiler
+from onboard.c.compile import BuildError, compiler
 from onboard.record.tick import OFFSET, TICK
 
 try:
@@ -73,7 +73,7 @@ def spoiled(flight: RecordedFlight, column: str, change: float) -> CheckResult:
 
 @pytest.mark.parametrize(
     ("column", "change"),
-    [("mode", 1.0), ("feature_version", 1.0), ("law", 1.0), ("motor_3", 2.0 * MOTOR_DIFFERENCE_MAX)],
+    [("mode", 1.0), ("feature_version", 1.0), ("law", 1.0), ("motor_3", 2.0 * MOTOR_DIFFERENCE_MAX["double"])],
 )
 def test_another_decision_or_command_is_found(by_numpy: RecordedFlight, column: str, change: float) -> None:
     difference = spoiled(by_numpy, column, change).difference
@@ -82,7 +82,7 @@ def test_another_decision_or_command_is_found(by_numpy: RecordedFlight, column: 
 
 
 def test_rounding_is_no_difference(by_numpy: RecordedFlight) -> None:
-    assert spoiled(by_numpy, "motor_3", 0.5 * MOTOR_DIFFERENCE_MAX).equal
+    assert spoiled(by_numpy, "motor_3", 0.5 * MOTOR_DIFFERENCE_MAX["double"]).equal
     assert spoiled(by_numpy, "position_n", 1e-12).equal
 
 

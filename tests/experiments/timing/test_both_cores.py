@@ -3,7 +3,7 @@
 import pytest
 
 from experiments.timing.both_cores import INSIDE, main, measure_cores
-from onboard.c.library import BuildError, compiler
+from onboard.c.compile import BuildError, compiler
 from onboard.cores import CORES
 
 try:

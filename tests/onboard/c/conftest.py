@@ -2,7 +2,8 @@
 
 import pytest
 
-from onboard.c.library import BuildError, Core, Variant, compiler, load
+from onboard.c.compile import BuildError, Variant, compiler
+from onboard.c.library import Core, load
 from tests.onboard.c.parity import SANITIZED
 
 OPTIONS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all") if SANITIZED else ("-O2",)

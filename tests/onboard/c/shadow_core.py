@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from onboard.c.compile import Variant
 from onboard.c.compiled_core import CompiledCore
-from onboard.c.library import Variant
 from onboard.config import OnboardConfig
 from onboard.core import OnboardCore, OnboardOutput
 from onboard.record.tick import OFFSET, TICK

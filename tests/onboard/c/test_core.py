@@ -14,8 +14,8 @@ from experiments.flights.lockstep_flight import build, fly_lockstep
 from experiments.flights.metrics import flight_metrics
 from experiments.flights.scenario import Choices, resolve
 from onboard.c import compiled_core
+from onboard.c.compile import BuildError, Variant
 from onboard.c.compiled_core import CompiledCore
-from onboard.c.library import BuildError, Variant
 from onboard.core import OnboardCore
 from onboard.flight.modes import FlightMode
 from onboard.record.tick import OFFSET

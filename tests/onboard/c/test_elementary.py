@@ -6,7 +6,8 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from onboard.c.library import Core, Variant, load
+from onboard.c.compile import Variant
+from onboard.c.library import Core, load
 from tests.onboard.c.parity import SANITIZED, real
 
 RANGES = {

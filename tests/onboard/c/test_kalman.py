@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.c.library import FOLDER, Core, Variant, compiler, run
+from onboard.c.compile import FOLDER, Variant, compiler, run
+from onboard.c.library import Core
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer, fade, prior_variance, project
 from onboard.control.laws.kalman_state import KalmanState
 from tests.onboard.c.conftest import OPTIONS

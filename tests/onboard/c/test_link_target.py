@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from onboard.c.library import FOLDER, WARNINGS, Variant, compiler, run
+from onboard.c.compile import FOLDER, WARNINGS, Variant, compiler, run
 from protocol.statistics import REJECTIONS
 
 HERE = Path(__file__).resolve().parent / "fuzz"

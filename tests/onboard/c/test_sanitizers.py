@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from onboard.c.library import compiler, run
+from onboard.c.compile import compiler, run
 
 HERE = Path(__file__).resolve().parent
 LEFT_OUT = ("test_sanitizers.py", "test_build.py", "test_link_target.py")

@@ -28,7 +28,8 @@ typedef struct {
     KalmanLastLayer kalman_layer;     /* LAW_KALMAN */
     SlopeBound slope_bound;           /* LAW_KALMAN that learns */
     RecentStates recent;
-    real signals[3 * SIGNAL_COUNT]; /* of the last tick: at the present, ahead, and on the path now (adaptive_reads_path) */
+    real signals[3 *
+                 SIGNAL_COUNT]; /* of the last tick: at the present, ahead, and on the path now (adaptive_reads_path) */
     int64_t ticks;
     real dt; /* of the last tick, s */
     real Delta_hat[3];

@@ -91,8 +91,7 @@ void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *thet
 }
 
 /* KalmanLastLayer.adopt */
-void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S,
-                        int32_t feature_count) {
+void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S, int32_t feature_count) {
     int n = feature_count + 1;
     start(self, theta, feature_count);
     memcpy(self->state.X, X, (size_t)(3 * n) * sizeof(real));
@@ -154,8 +153,8 @@ void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu
 }
 
 /* evaluate */
-void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi, int32_t n,
-                     real *nu) {
+void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi,
+                     int32_t n, real *nu) {
     real a = REAL(1.0), one[3];
     if (config->confidence) {
         a = fade(confidence(state, Phi + n - 3, n), confidence(state, Phi + n - 2, n));

@@ -25,7 +25,7 @@ typedef struct {
     real theta_norm2;
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
-    real gap[3]; /* what the map says here beside the path, as far as it counts */
+    real gap[3];                        /* what the map says here beside the path, as far as it counts */
     real work[STATES_MAX * STATES_MAX]; /* of the projection; it keeps nothing between two steps */
 } KalmanLastLayer;
 
@@ -68,8 +68,8 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
 void kalman_start(const KalmanConfig *config, real prior_rate, int32_t feature_count, KalmanState *out);
 
 /* nu [3, n] at the features Phi [k, n]; the last three are those of a tick: the second of them, ahead, fades. */
-void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi, int32_t n,
-                     real *nu);
+void kalman_evaluate(const KalmanConfig *config, const real *theta, const KalmanState *state, const real *Phi,
+                     int32_t n, real *nu);
 
 /* a, from the confidence at the present state and at the one ahead. */
 real fade(real here, real ahead);

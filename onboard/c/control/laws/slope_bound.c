@@ -89,7 +89,8 @@ static void look_along(const KalmanState *state, int32_t n, SlopeWorkspace *work
 }
 
 /* X -= mu S A'y of one axis; unit, slope [n]. */
-static void flatten(KalmanState *state, int axis, const real *unit, const real *slope, int32_t n, SlopeWorkspace *work) {
+static void flatten(KalmanState *state, int axis, const real *unit, const real *slope, int32_t n,
+                    SlopeWorkspace *work) {
     real y[SLOPE_INPUTS_MAX];
     for (int i = 0; i < n; i++) {
         for (int j = 0; j < n; j++) {

@@ -275,7 +275,8 @@ static void core_sends(Script *script, Scene *scene) {
     if (offboard_link_status_due(link, scene->now_ns)) {
         Status status = {.mode = 4, .received_chunks_size = (int32_t)(take(script, 1) % 12)};
         bool allowed = status.received_chunks_size <= BITMAP_BYTES;
-        CHECK(offboard_link_status(link, &status, scene->now_ns - (int64_t)take(script, 5), scene->now_ns, sent) == allowed);
+        CHECK(offboard_link_status(link, &status, scene->now_ns - (int64_t)take(script, 5), scene->now_ns, sent) ==
+              allowed);
         if (allowed) {
             check_sent(scene, sent, sequence++);
         }
@@ -310,7 +311,7 @@ static void start(Script *script, Scene *scene) {
     CHECK(authenticator_init(&scene->peer, key, key_size, DIRECTION_DOWN));
     CHECK(authenticator_init(&scene->up, key, key_size, DIRECTION_UP));
     scene->session = FIRST_SESSION;
-    scene->sequence = 1000; /* so that a script can go back by more than the window */
+    scene->sequence = 1000;                          /* so that a script can go back by more than the window */
     scene->now_ns = (int64_t)(take(script, 8) >> 2); /* up to 146 years */
 }
 
