@@ -47,12 +47,13 @@ BYTES_DEFINITION: Final = "uint8[] data\n"
 class _VectorRing:
     """Records of one topic before they are written: one thread pushes, one drains."""
 
-    def __init__(self, channel: int, field_count: int) -> None:
+    def __init__(self, channel: int, record_type: RecordType) -> None:
         self.channel = channel
         self.dropped = 0
+        self._kind = record_type.kind
         self._times = np.zeros(RING_ROWS, dtype=np.int64)
         self._sequences = np.zeros(RING_ROWS, dtype=np.int64)
-        self._values = np.zeros((RING_ROWS, field_count))
+        self._values = np.zeros((RING_ROWS, len(record_type.fields)))
         self._sequence = 0
         self._head = 0
         self._tail = 0
@@ -78,7 +79,8 @@ class _VectorRing:
         if tail == head:
             return None
         rows = np.arange(tail, head) & (RING_ROWS - 1)
-        block = vector_block(self.channel, self._sequences[rows], np.maximum(self._times[rows], 0), self._values[rows])
+        times_ns, values = np.maximum(self._times[rows], 0), self._values[rows]
+        block = vector_block(self.channel, self._sequences[rows], times_ns, values, self._kind)
         self._tail = head
         return block
 
@@ -162,7 +164,7 @@ class FlightLogWriter:
     def declare(self, record_type: RecordType) -> _VectorRing:
         """Allocate the ring of a record type, so that its first record costs no more than the others."""
         channel = self._file.add_channel(record_type.topic, ros_definition(record_type))
-        ring = _VectorRing(channel, len(record_type.fields))
+        ring = _VectorRing(channel, record_type)
         # a new dict: the thread may be iterating over the old one
         self._vectors = {**self._vectors, record_type.topic: ring}
         return ring

@@ -47,7 +47,7 @@ VEHICLE_SILENT_NS: Final = 500_000_000
 FINAL_SAFE_COMMANDS: Final = 3
 """The last command is repeated: one datagram can be lost."""
 
-LOOP: Final = RecordType("onboard/loop", (("lateness", "us"), ("tick", "us"), ("missed", "")))
+LOOP: Final = RecordType("onboard/loop", (("lateness", "us"), ("tick", "us"), ("missed", "")), "float32")
 
 
 class Sockets:

@@ -100,7 +100,7 @@ def check_log(flight: RecordedFlight, log: LogFile, key_file: Path | None, core:
     if TOPIC not in log.raw:
         raise ConfigError(f"{log.path}: holds no {TOPIC}, so there is nothing to compare with")
     flew = log.metadata.get("core", "numpy")
-    judge = SameBits() if core in (None, flew) else SameDecisions(log)
+    judge = SameBits(log) if core in (None, flew) else SameDecisions(log)
     return _Check(log, _fresh_core(flight, log, key_file, core or flew), judge).run()
 
 
