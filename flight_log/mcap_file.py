@@ -50,7 +50,7 @@ FORMAT_VERSION: Final = 2
 METADATA_NAME: Final = "async_dmrac"
 """Name of the metadata record with the process that wrote the file and the format version."""
 CDR_HEADER: Final = b"\x00\x01\x00\x00"
-"""Little-endian CDR without options. Alignment counts from the end of this header: fields of one kind need no padding."""
+"""Little-endian CDR without options. Alignment counts from its end: fields of one kind need no padding."""
 RECORD_HEAD_BYTES: Final = 9
 """Opcode (1) and length (8) at the start of every MCAP record."""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
@@ -260,6 +260,12 @@ class McapFile:
         """Write the summary, which completes the file. Call `close` afterwards."""
         self._write(_records([DataEnd(data_section_crc=0)]))
         self._write(self._summary(self._position))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last record written, s."""
+        first, last = self._times or (0, 0)
+        return (last - first) * 1e-9
 
     def close(self) -> None:
         """Close the file, complete or not. Never raises."""

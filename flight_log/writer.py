@@ -3,7 +3,7 @@
 Theory of operation. `write` costs the 200 Hz loop three array assignments into a preallocated ring. Every
 FLUSH_PERIOD_S a thread copies the new records out of the rings, as arrays, and writes them as one MCAP chunk in one
 unbuffered write. A process that is killed thus loses at most the records since the last flush. An error of the disk
-does not affect the flight: logging stops, one message reports it, and `failure` holds the reason. A full ring drops
+does not affect the flight: logging stops, one message says where, and `failure` holds the reason. A full ring drops
 new records, counts them, and logs an event; their sequence numbers are missing in the file, so a reader can locate the
 gap. Without the thread (`threaded=False`, for the lockstep simulation, where a second of flight takes milliseconds)
 `write` flushes by the time of the records, and no record is dropped.
@@ -281,7 +281,8 @@ class FlightLogWriter:
 
     def _report_failure(self, reason: str) -> None:
         self.failure = reason
-        self._on_failure(f"{self.process}: the flight log stopped, the flight goes on: {self.path}: {reason}")
+        place = f"after {self._file.duration_s:.1f} s"
+        self._on_failure(f"the flight log stopped {place}, the flight goes on: {self.path}: {reason}")
 
 
 def _create(path: Path) -> tuple[Path, McapFile]:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from typing import Final
+from typing import Any, Final
 
 from configs.loader import ConfigError
 from experiments.campaigns.campaign import CampaignConfig, Seeds
@@ -10,8 +10,11 @@ from experiments.campaigns.flight_jobs import FlightJob, unfold
 
 SEED: Final = 1000
 """The flights of this seed stand for those of all seeds."""
-CHANGES_NO_FLIGHT: Final = ("scenario", "description", "network")
-"""Sections of a resolved flight that change nothing in lockstep."""
+CHANGES_NO_FLIGHT: Final[dict[str, Any]] = {
+    **dict.fromkeys(("scenario", "description", "network"), True),
+    "offboard": {"experience": {"versions_kept"}},
+}
+"""Sections and values of a resolved flight that change nothing in lockstep."""
 
 
 def fingerprint(campaign: CampaignConfig) -> str:
@@ -31,4 +34,4 @@ def _settings(job: FlightJob) -> object:
         flight = job.configuration()
     except ConfigError:
         return [job.scenario, job.controller, job.duration_s, job.assignments]
-    return flight.model_dump(mode="json", by_alias=True, exclude=set(CHANGES_NO_FLIGHT))
+    return flight.model_dump(mode="json", by_alias=True, exclude=CHANGES_NO_FLIGHT)

@@ -1,12 +1,14 @@
 """Where flights are flown: processes of this machine, or a Dask cluster. Both are `concurrent.futures` executors."""
 
 import multiprocessing
+import os
 import signal
 from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Any, Final, Protocol
 
 from configs.loader import ConfigError
 from experiments.campaigns.worker import one_thread_each
+from runtime.signals import die_with
 
 TRIES: Final = 2
 """Number of times that a flight is tried if its worker dies."""
@@ -43,7 +45,7 @@ class LocalPool:
         one_thread_each()
         context = multiprocessing.get_context("spawn")
         self._executor = ProcessPoolExecutor(
-            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=self._flights_each
+            self.count, context, _begin_worker, (os.getpid(),), max_tasks_per_child=self._flights_each
         )
         return self._executor
 
@@ -53,9 +55,10 @@ class LocalPool:
             self._executor.shutdown(wait=True, cancel_futures=True)
 
 
-def _ignore_interrupt() -> None:
-    """Leave Ctrl-C to the parent, which ends the pool in order."""
+def _begin_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, which ends the pool in order; end with it, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with(parent)
 
 
 class DaskWorkers:

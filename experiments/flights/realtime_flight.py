@@ -56,6 +56,8 @@ class RealtimeResult:
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
     """Unexpected events, one line each."""
+    faults: list[str] = field(default_factory=list)
+    """Why the record is incomplete, one line each."""
 
 
 class Child:
@@ -244,6 +246,8 @@ class Supervisor:
         for key, _ in self._selector.select(0.1):
             child: Child = key.data
             for entry in child.lines():
+                if entry.get("kind") == "fault":
+                    self.result.faults.append(f"{child.name}: {entry.get('text', '')}")
                 self._on_status(entry)
             if not child.running:
                 self._selector.unregister(child.pipe)
