@@ -35,6 +35,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     ),
     "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
     "attack": Subcommand("async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost"),
+    "soak": Subcommand("async_dmrac.commands.soak", "fly for long while processes are killed and ports flooded"),
     "learn": Subcommand("async_dmrac.commands.learn", "learn a memory from logged flights and from other memories"),
     "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds"),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from async_dmrac.commands.shared import plain_console
+from async_dmrac.commands.shared import add_trust_option, plain_console
 from configs.loader import ConfigError
 from onboard.cores import CORES
 
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=CORES,
         help="with --check: the onboard core (default: the recorded one, which gives equal bits)",
     )
+    add_trust_option(parser)
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
     parser.add_argument(
         "--save-trace", type=Path, metavar="FILE", help="only write the link's deliveries to a .csv file"
@@ -50,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--check: compares with the recorded flight; it takes no --controller and no --seed")
     if arguments.core and not arguments.check:
         raise ConfigError(f"--core {arguments.core}: only with --check")
-    flight = read_recorded(arguments.flight)
+    flight = read_recorded(arguments.flight, arguments.trust)
     if arguments.save_trace is not None:
         return save_trace(flight, arguments.save_trace)
     return check(flight, arguments.key_file, arguments.core) if arguments.check else replay(flight, arguments)

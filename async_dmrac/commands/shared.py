@@ -23,6 +23,13 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS", help="fly on this Dask cluster instead, tcp://HOST:PORT")
 
 
+def add_trust_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that allows a record to name classes that are not part of this project."""
+    parser.add_argument(
+        "--trust", action="store_true", help="run the code of classes that the record names and this project lacks"
+    )
+
+
 def positive(text: str) -> int:
     """Convert an option's text to a number of 1 or more."""
     value = int(text)

@@ -5,6 +5,7 @@ import json
 from typing import Any, Final
 
 from configs.loader import ConfigError
+from configs.named_class import UntrustedClassError
 from experiments.campaigns.campaign import CampaignConfig, Seeds
 from experiments.campaigns.flight_jobs import FlightJob, unfold
 
@@ -32,6 +33,8 @@ def fingerprint(campaign: CampaignConfig) -> str:
 def _settings(job: FlightJob) -> object:
     try:
         flight = job.configuration()
+    except UntrustedClassError:
+        raise
     except ConfigError:
         return [job.scenario, job.controller, job.duration_s, job.assignments]
     return flight.model_dump(mode="json", by_alias=True, exclude=CHANGES_NO_FLIGHT)

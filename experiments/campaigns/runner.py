@@ -104,7 +104,7 @@ def run_campaign(
 ) -> Progress:
     """Fly the flights that are not in the store; if there are any, record the machine in a prepared folder.
 
-    KeyboardInterrupt is passed on; reported flights are stored.
+    KeyboardInterrupt is passed on; reported flights are stored, and those in the air are given up.
 
     Parameters
     ----------
@@ -120,6 +120,9 @@ def run_campaign(
     try:
         loop = _Loop(run, store, workers, progress, report)
         loop.fly(missing)
+    except KeyboardInterrupt:
+        workers.abandon()
+        raise
     finally:
         workers.close()
     return progress

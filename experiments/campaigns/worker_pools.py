@@ -27,6 +27,9 @@ class Workers(Protocol):
     def close(self) -> None:
         """End all executors."""
 
+    def abandon(self) -> None:
+        """Give up the flights in the air: their rows will not be received."""
+
 
 class LocalPool:
     """Spawned processes of this machine, one thread each.
@@ -53,6 +56,12 @@ class LocalPool:
         """Drop waiting flights and wait for those in the air."""
         if self._executor is not None:
             self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def abandon(self) -> None:
+        """Kill the processes."""
+        if self._executor is not None:
+            for process in multiprocessing.active_children():
+                process.kill()
 
 
 def _begin_worker(parent: int) -> None:
@@ -83,4 +92,8 @@ class DaskWorkers:
 
     def close(self) -> None:
         """Disconnect from the cluster."""
+        self._client.close()
+
+    def abandon(self) -> None:
+        """Disconnect from the cluster, which drops the flights that nobody waits for."""
         self._client.close()

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -60,14 +60,18 @@ class RealtimeResult:
     """Why the record is incomplete, one line each."""
 
 
-class Child:
-    """One process of the flight."""
+def process_command(name: str, config_path: Path, out: Path) -> list[str]:
+    """Return the command that starts a process of the flight."""
+    return [sys.executable, "-m", MODULES[name], "--config", str(config_path.resolve()), "--out", str(out.resolve())]
 
-    def __init__(self, name: str, config_path: Path, out: Path) -> None:
+
+class Child:
+    """One process of the flight. Its status goes through a pipe, its standard error into a file in `out`."""
+
+    def __init__(self, name: str, command: Sequence[str], out: Path) -> None:
         self.name = name
         self.ready = False
-        self.command = [sys.executable, "-m", MODULES[name], "--config", str(config_path.resolve())]
-        self.command += ["--out", str(out.resolve())]
+        self.command = list(command)
         self._errors = out / f"{name}_errors.txt"
         self._rest = b""
         with self._errors.open("ab") as errors:
@@ -169,7 +173,7 @@ class Supervisor:
             self._end_all()
 
     def _start(self, name: str) -> None:
-        child = Child(name, self._config_path, self._out)
+        child = Child(name, process_command(name, self._config_path, self._out), self._out)
         self.children[name] = child
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
 

@@ -36,3 +36,6 @@ class InlineWorkers:
 
     def close(self) -> None:
         pass
+
+    def abandon(self) -> None:
+        pass
