@@ -47,7 +47,11 @@ VEHICLE_SILENT_NS: Final = 500_000_000
 FINAL_SAFE_COMMANDS: Final = 3
 """The last command is repeated: one datagram can be lost."""
 
-LOOP: Final = RecordType("onboard/loop", (("lateness", "us"), ("tick", "us"), ("missed", "")), "float32")
+LOOP: Final = RecordType(
+    "onboard/loop",
+    (("lateness", "us"), ("tick", "us"), ("missed", ""), ("computed", "us, of all threads in the tick")),
+    "float32",
+)
 
 
 class Sockets:
@@ -125,6 +129,7 @@ class OnboardProcess:
         now = time.monotonic_ns()
         while not self._ended(now):
             woke_ns = now = self._pace.wait()
+            used_ns = time.process_time_ns()
             output: OnboardOutput | None
             escapes = self.escapes
             try:
@@ -137,7 +142,7 @@ class OnboardProcess:
             if output is not None:
                 self._send(output, now)
             self._log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, self._pace.missed, self.escapes > escapes))
-            self._note_loop(now, woke_ns)
+            self._note_loop(now, woke_ns, used_ns)
         self._leave_safe(now)
         return int(self.escapes >= self._realtime.escapes_max)
 
@@ -187,7 +192,7 @@ class OnboardProcess:
                 self._log.event(now, text)
                 self._status.report(text)
 
-    def _note_loop(self, now: int, woke_ns: int) -> None:
+    def _note_loop(self, now: int, woke_ns: int, used_ns: int) -> None:
         duration_ns = time.monotonic_ns() - woke_ns
         self._ticks.add(duration_ns)
         self._lateness.add(self._pace.lateness_ns)
@@ -195,6 +200,7 @@ class OnboardProcess:
         record[0] = self._pace.lateness_ns * 1e-3
         record[1] = duration_ns * 1e-3
         record[2] = self._pace.missed
+        record[3] = (time.process_time_ns() - used_ns) * 1e-3
         self._log.write(LOOP, now, record)
 
     def _answer_escape(self, now: int) -> OnboardOutput | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiments.soak.soak import SoakRun
-from experiments.soak.verdict import SLOPE_MAX_MB_MIN, UNEXPLAINED, Memory, Verdict
+from experiments.soak.verdict import SLOPE_MAX_MB_MIN, UNEXPLAINED, Memory, TickGap, Verdict
 from flight_log.html import image, page, paragraph, section, table
 from runtime.files import write_atomically, write_json
 
@@ -27,6 +27,7 @@ def numbers(run: SoakRun, verdict: Verdict) -> dict[str, Any]:
         "alive": verdict.alive,
         "ticks": verdict.ticks,
         "missed_ticks": verdict.missed,
+        "gaps": [asdict(one) for one in verdict.gaps],
         "escapes": verdict.escapes,
         "memory": memory,
         "disruptions": len(run.done),
@@ -62,6 +63,7 @@ def html(run: SoakRun, verdict: Verdict) -> str:
                 table([_memory_row(one) for one in verdict.memory], MEMORY_HEAD),
                 image(_memory_figure(run), "memory over time"),
             ),
+            section("Missed ticks", table([_gap_row(one) for one in verdict.gaps], GAP_HEAD)),
             section("Time in each mode", table([(name, f"{s:.1f} s") for name, s in verdict.modes_s.items()])),
             section("What was done", table(done_rows(run), ("flight time", "what", "ended", "note"))),
             section("Events of the processes", table(_event_rows(run.events), ("event (N: a digit)", "times"))),
@@ -70,6 +72,14 @@ def html(run: SoakRun, verdict: Verdict) -> str:
 
 
 MEMORY_HEAD: Final = ("process", "lives", "longest", "first MB", "last MB", "MB/min")
+
+
+GAP_HEAD: Final = ("flight time", "missed", "gap", "no processor for", "explanation")
+
+
+def _gap_row(one: TickGap) -> tuple[str, ...]:
+    times = f"{one.gap_ms:.1f} ms", f"{one.waited_ms:.1f} ms"
+    return f"{one.at_s:.2f} s", str(one.missed), *times, one.why
 
 
 def result_rows(run: SoakRun, verdict: Verdict) -> list[tuple[str, str]]:

@@ -21,9 +21,9 @@ SLOPE_MAX_MB_MIN: Final = 0.2
 AFTER_STOP_NS: Final = 100_000_000
 """A tick that is missed so soon after a stop of onboard is the stop's."""
 WAITED_SHARE: Final = 0.5
-"""A gap between ticks is explained by waiting if onboard's threads waited for this share of what it is too long."""
+"""Missed ticks are explained if onboard had no processor for this share of their time."""
 STOPPED = "stopped by the soak"
-WAITED = "waited for a processor"
+WAITED = "had no processor"
 UNEXPLAINED = "unexplained"
 
 
@@ -45,6 +45,21 @@ class Memory:
         return self.slope_mb_min <= SLOPE_MAX_MB_MIN
 
 
+@dataclass(frozen=True, slots=True)
+class TickGap:
+    """A gap in which onboard missed ticks."""
+
+    at_s: float
+    """Flight time."""
+    missed: int
+    gap_ms: float
+    """Between the two ticks."""
+    waited_ms: float
+    """For which onboard had no processor: its threads waited for one, or the tick took longer than they computed."""
+    why: str
+    """STOPPED, WAITED or UNEXPLAINED."""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What a soak has shown."""
@@ -54,8 +69,7 @@ class Verdict:
     alive: bool
     why_lost: str
     ticks: int
-    missed: dict[str, int]
-    """Missed ticks by explanation."""
+    gaps: list[TickGap]
     escapes: dict[str, int]
     """By process."""
     memory: list[Memory]
@@ -65,6 +79,14 @@ class Verdict:
     versions: int
     """Feature version in use at the end."""
     faults: list[str]
+
+    @property
+    def missed(self) -> dict[str, int]:
+        """Missed ticks by explanation."""
+        found: Counter[str] = Counter()
+        for gap in self.gaps:
+            found[gap.why] += gap.missed
+        return dict(found)
 
     @property
     def failures(self) -> list[str]:
@@ -92,7 +114,7 @@ def judge(run: SoakRun, out: Path) -> Verdict:
         alive=not why,
         why_lost=why,
         ticks=int(onboard.get("ticks", 0)),
-        missed=missed_ticks(run, _loop(out), run.config.onboard.period_ns),
+        gaps=gaps_of(run, _loop(out), run.config.onboard.period_ns),
         escapes={"onboard": int(onboard.get("escapes", 0)), "offboard": int(offboard.get("escapes", 0))},
         memory=memories(run),
         modes_s=_modes(trace),
@@ -102,26 +124,25 @@ def judge(run: SoakRun, out: Path) -> Verdict:
     )
 
 
-def missed_ticks(run: SoakRun, loop: Table | None, period_ns: int = 5_000_000) -> dict[str, int]:
-    """Missed ticks by explanation.
+def gaps_of(run: SoakRun, loop: Table | None, period_ns: int = 5_000_000) -> list[TickGap]:
+    """Every gap in which ticks were missed, with its explanation.
 
     loop: records of onboard's life in the air; ticks are missed between two of them.
     """
     if loop is None:
-        return {}
+        return []
     times, new = loop.time_ns, np.diff(loop["missed"])
     at = np.flatnonzero(new > 0)
     begins_ns, ends_ns = times[at], times[at + 1]
-    waited_ns = run.waits.between(begins_ns, ends_ns)
-    found: Counter[str] = Counter()
+    idle_ns = 1e3 * (loop["tick"][at] - loop["computed"][at])  # a tick never sleeps
+    waited_ns = np.maximum(run.waits.between(begins_ns - period_ns, ends_ns), idle_ns)
+    found = []
     for count, begin, end, waited in zip(new[at], begins_ns, ends_ns, waited_ns, strict=True):
-        if _stopped(run, begin, end):
-            found[STOPPED] += int(count)
-        elif waited >= WAITED_SHARE * (end - begin - period_ns):
-            found[WAITED] += int(count)
-        else:
-            found[UNEXPLAINED] += int(count)
-    return dict(found)
+        why = WAITED if waited >= WAITED_SHARE * count * period_ns else UNEXPLAINED
+        why = STOPPED if _stopped(run, begin, end) else why
+        begin_s = (begin - run.begin_ns) * 1e-9
+        found.append(TickGap(float(begin_s), int(count), float((end - begin) * 1e-6), float(waited * 1e-6), why))
+    return found
 
 
 def _stopped(run: SoakRun, begin_ns: int, end_ns: int) -> bool:
