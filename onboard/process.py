@@ -49,7 +49,7 @@ FINAL_SAFE_COMMANDS: Final = 3
 
 LOOP: Final = RecordType(
     "onboard/loop",
-    (("lateness", "us"), ("tick", "us"), ("missed", ""), ("computed", "us, of all threads in the tick")),
+    (("lateness", "us"), ("tick", "us"), ("missed", ""), ("computed", "us, of all threads since the tick before")),
     "float32",
 )
 
@@ -119,6 +119,7 @@ class OnboardProcess:
             Intake("ground", sockets.ground, GROUND_FEW, GROUND_KIND_MAX, ground, holds_key),
         )
         self._last_vehicle_ns = 0
+        self._used_ns = time.process_time_ns()
         self._stopping = False
         self._land_pending = False
         self._latest_report = ""
@@ -129,7 +130,6 @@ class OnboardProcess:
         now = time.monotonic_ns()
         while not self._ended(now):
             woke_ns = now = self._pace.wait()
-            used_ns = time.process_time_ns()
             output: OnboardOutput | None
             escapes = self.escapes
             try:
@@ -142,7 +142,7 @@ class OnboardProcess:
             if output is not None:
                 self._send(output, now)
             self._log.write_bytes(TOPIC, now, self._datagrams.end_tick(now, self._pace.missed, self.escapes > escapes))
-            self._note_loop(now, woke_ns, used_ns)
+            self._note_loop(now, woke_ns)
         self._leave_safe(now)
         return int(self.escapes >= self._realtime.escapes_max)
 
@@ -192,7 +192,7 @@ class OnboardProcess:
                 self._log.event(now, text)
                 self._status.report(text)
 
-    def _note_loop(self, now: int, woke_ns: int, used_ns: int) -> None:
+    def _note_loop(self, now: int, woke_ns: int) -> None:
         duration_ns = time.monotonic_ns() - woke_ns
         self._ticks.add(duration_ns)
         self._lateness.add(self._pace.lateness_ns)
@@ -200,7 +200,9 @@ class OnboardProcess:
         record[0] = self._pace.lateness_ns * 1e-3
         record[1] = duration_ns * 1e-3
         record[2] = self._pace.missed
-        record[3] = (time.process_time_ns() - used_ns) * 1e-3
+        used_ns = time.process_time_ns()
+        record[3] = (used_ns - self._used_ns) * 1e-3
+        self._used_ns = used_ns
         self._log.write(LOOP, now, record)
 
     def _answer_escape(self, now: int) -> OnboardOutput | None:

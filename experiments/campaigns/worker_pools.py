@@ -8,12 +8,17 @@ from typing import Any, Final, Protocol
 
 from configs.loader import ConfigError
 from experiments.campaigns.worker import one_thread_each
+from runtime.errors import PlainError
 from runtime.signals import die_with
 
 TRIES: Final = 2
 """Number of times that a flight is tried if its worker dies."""
 FLIGHTS_PER_PROCESS: Final = 200
 """After so many flights a worker process is replaced, so that memory stays flat even if a library leaks."""
+
+
+class WorkersLostError(PlainError):
+    """The workers are gone, and with them the flights in the air; what was reported is stored."""
 
 
 class Workers(Protocol):
@@ -29,6 +34,9 @@ class Workers(Protocol):
 
     def abandon(self) -> None:
         """Give up the flights in the air: their rows will not be received."""
+
+    def require_alive(self) -> None:
+        """Raise WorkersLostError if no flight will ever come back."""
 
 
 class LocalPool:
@@ -56,6 +64,9 @@ class LocalPool:
         """Drop waiting flights and wait for those in the air."""
         if self._executor is not None:
             self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def require_alive(self) -> None:
+        """Do nothing: a dead process breaks its executor, which fails its flights."""
 
     def abandon(self) -> None:
         """Kill the processes."""
@@ -93,6 +104,11 @@ class DaskWorkers:
     def close(self) -> None:
         """Disconnect from the cluster."""
         self._client.close()
+
+    def require_alive(self) -> None:
+        """Raise WorkersLostError if the scheduler is gone; the client gives up some seconds after it has lost it."""
+        if self._client.status in ("closing", "closed"):
+            raise WorkersLostError("the scheduler of the cluster is gone; all rows are stored, continue with --resume")
 
     def abandon(self) -> None:
         """Disconnect from the cluster, which drops the flights that nobody waits for."""

@@ -1,7 +1,9 @@
 """Judges a soak by what it left: logs, summaries, memory, and what was done to whom and when."""
 
 import json
+import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,8 +24,10 @@ AFTER_STOP_NS: Final = 100_000_000
 """A tick that is missed so soon after a stop of onboard is the stop's."""
 WAITED_SHARE: Final = 0.5
 """Missed ticks are explained if onboard had no processor for this share of their time."""
+SWAP_EVENT: Final = re.compile(r"features \d+ ")
 STOPPED = "stopped by the soak"
 WAITED = "had no processor"
+SWAPPED = "a version was taken over or refused"
 UNEXPLAINED = "unexplained"
 
 
@@ -55,9 +59,9 @@ class TickGap:
     gap_ms: float
     """Between the two ticks."""
     waited_ms: float
-    """For which onboard had no processor: its threads waited for one, or the tick took longer than they computed."""
+    """For which onboard had no processor: its threads waited for one, or the gap is longer than they computed."""
     why: str
-    """STOPPED, WAITED or UNEXPLAINED."""
+    """STOPPED, WAITED, SWAPPED or UNEXPLAINED."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def judge(run: SoakRun, out: Path) -> Verdict:
         alive=not why,
         why_lost=why,
         ticks=int(onboard.get("ticks", 0)),
-        gaps=gaps_of(run, _loop(out), run.config.onboard.period_ns),
+        gaps=gaps_of(run, *_ticks(out), run.config.onboard.period_ns),
         escapes={"onboard": int(onboard.get("escapes", 0)), "offboard": int(offboard.get("escapes", 0))},
         memory=memories(run),
         modes_s=_modes(trace),
@@ -124,21 +128,28 @@ def judge(run: SoakRun, out: Path) -> Verdict:
     )
 
 
-def gaps_of(run: SoakRun, loop: Table | None, period_ns: int = 5_000_000) -> list[TickGap]:
+def gaps_of(
+    run: SoakRun, loop: Table | None, swaps_ns: Sequence[int] = (), period_ns: int = 5_000_000
+) -> list[TickGap]:
     """Every gap in which ticks were missed, with its explanation.
 
+    Parameters
+    ----------
     loop: records of onboard's life in the air; ticks are missed between two of them.
+    swaps_ns: the ticks in which a feature version was tested.
     """
     if loop is None:
         return []
     times, new = loop.time_ns, np.diff(loop["missed"])
     at = np.flatnonzero(new > 0)
     begins_ns, ends_ns = times[at], times[at + 1]
-    idle_ns = 1e3 * (loop["tick"][at] - loop["computed"][at])  # a tick never sleeps
+    computed_ns = 1e3 * (loop["computed"][at] + loop["computed"][at + 1])
+    idle_ns = ends_ns - begins_ns - np.maximum(computed_ns, period_ns)
     waited_ns = np.maximum(run.waits.between(begins_ns - period_ns, ends_ns), idle_ns)
     found = []
     for count, begin, end, waited in zip(new[at], begins_ns, ends_ns, waited_ns, strict=True):
-        why = WAITED if waited >= WAITED_SHARE * count * period_ns else UNEXPLAINED
+        why = SWAPPED if np.isin(begin, swaps_ns) else UNEXPLAINED
+        why = WAITED if waited >= WAITED_SHARE * count * period_ns else why
         why = STOPPED if _stopped(run, begin, end) else why
         begin_s = (begin - run.begin_ns) * 1e-9
         found.append(TickGap(float(begin_s), int(count), float((end - begin) * 1e-6), float(waited * 1e-6), why))
@@ -171,11 +182,13 @@ def _modes(trace: FlightTrace | None) -> dict[str, float]:
     return {FlightMode(int(mode)).name: float(count) * step_s for mode, count in zip(modes, counts, strict=True)}
 
 
-def _loop(out: Path) -> Table | None:
+def _ticks(out: Path) -> tuple[Table | None, list[int]]:
+    """The records of onboard's loop in the air, and the times of the ticks that tested a version."""
     try:
-        return open_flight(out / "onboard_2.mcap").get("onboard/loop")
+        flight = open_flight(out / "onboard_2.mcap")
     except FlightError:
-        return None
+        return None, []
+    return flight.get("onboard/loop"), [one.time_ns for one in flight.events if SWAP_EVENT.match(one.text)]
 
 
 def _summary(out: Path, name: str) -> dict[str, Any]:

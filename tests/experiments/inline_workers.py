@@ -39,3 +39,6 @@ class InlineWorkers:
 
     def abandon(self) -> None:
         pass
+
+    def require_alive(self) -> None:
+        pass

@@ -12,6 +12,7 @@ import pytest
 
 from async_dmrac.command_line import main
 from experiments.campaigns.store import read_table
+from tests.dask_cluster import running_cluster
 
 LONG = """
 description: Flights that take minutes.
@@ -114,3 +115,44 @@ def test_without_a_scheduler_no_folder_is_made(tmp_path: Path, capsys: pytest.Ca
     assert main(words) == 2
     assert "no scheduler answers" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.full
+def test_a_campaign_ends_when_its_scheduler_dies(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    out = tmp_path / "out"
+    words = ["campaign", str(campaign_file(tmp_path)), "--out", str(out), "--scheduler"]
+    with running_cluster(tmp_path) as cluster, (tmp_path / "output.txt").open("wb") as output:
+        parent = subprocess.Popen(
+            [sys.executable, "-m", "async_dmrac", *words, cluster],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        limit_s = time.monotonic() + START_LIMIT_S
+        while not (out / "campaign.yaml").exists():
+            assert time.monotonic() < limit_s
+            time.sleep(0.2)
+        time.sleep(2.0)
+        os.kill(scheduler_of(tmp_path), signal.SIGKILL)
+        try:
+            assert parent.wait(3 * END_LIMIT_S) == 2
+        finally:
+            parent.kill()
+            parent.wait()
+    text = (tmp_path / "output.txt").read_text()
+    assert "the scheduler of the cluster is gone; all rows are stored" in text
+    assert "Traceback" not in text
+    assert read_table(out).num_rows == 0, "no flight is blamed"
+
+
+def scheduler_of(folder: Path) -> int:
+    """The process of the scheduler whose file is in a folder."""
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (place / "cmdline").read_bytes()
+        except OSError:
+            continue
+        if b"dask_scheduler" in words and str(folder).encode() in words:
+            return int(place.name)
+    raise AssertionError("no scheduler")

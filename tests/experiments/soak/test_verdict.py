@@ -1,6 +1,7 @@
 """What a soak is judged by, on made-up records."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from experiments.flights.scenario import resolve
 from experiments.soak.crew import Done
 from experiments.soak.schedule import Action, Disruption
 from experiments.soak.soak import SoakRun
-from experiments.soak.verdict import STOPPED, UNEXPLAINED, WAITED, TickGap, Verdict, gaps_of, memories
+from experiments.soak.verdict import STOPPED, SWAPPED, UNEXPLAINED, WAITED, TickGap, Verdict, gaps_of, memories
 from experiments.soak.watch import Life, Waits
 from flight_log.reader import Table
 
@@ -28,7 +29,9 @@ def waits(waited_ms: dict[int, float]) -> Waits:
 
 def run(done: list[Done], waited: Waits, lives: list[Life] | None = None) -> SoakRun:
     values: dict[str, Any] = dict.fromkeys(SoakRun.__dataclass_fields__)
-    return SoakRun(**values | {"config": resolve("hover"), "done": done, "waits": waited, "lives": lives or []})
+    return SoakRun(
+        **values | {"config": resolve("hover"), "begin_ns": 0, "done": done, "waits": waited, "lives": lives or []}
+    )
 
 
 def loop(*late_ms: tuple[int, float], computing: bool = True) -> Table:
@@ -47,8 +50,8 @@ def loop(*late_ms: tuple[int, float], computing: bool = True) -> Table:
     return Table("onboard/loop", names, dict.fromkeys(names, ""), np.array(times), values)
 
 
-def missed_ticks(soak: SoakRun, ticks: Table) -> dict[str, int]:
-    return verdict(gaps=gaps_of(soak, ticks)).missed
+def missed_ticks(soak: SoakRun, ticks: Table, swaps_ns: Sequence[int] = ()) -> dict[str, int]:
+    return verdict(gaps=gaps_of(soak, ticks, swaps_ns)).missed
 
 
 def stop_at(begin_ms: float, end_ms: float) -> Done:
@@ -62,6 +65,12 @@ def test_each_missed_tick_has_its_explanation() -> None:
     waited = waits({int(at_ms[1] // 50) + 1: 9.0})
     found = missed_ticks(run([stop_at(at_ms[0] - 42.0, at_ms[0] - 3.0)], waited), ticks)
     assert found == {STOPPED: 8, WAITED: 2, UNEXPLAINED: 3}
+
+
+def test_a_tick_that_computes_long_is_the_swaps_or_nobodys() -> None:
+    ticks = loop((200, 10.0))
+    assert missed_ticks(run([], waits({})), ticks, [int(ticks.time_ns[199])]) == {SWAPPED: 2}
+    assert missed_ticks(run([], waits({})), ticks, [int(ticks.time_ns[150])]) == {UNEXPLAINED: 2}
 
 
 def test_a_stop_of_another_process_explains_nothing() -> None:
