@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ BY_CONTROLLER = ("class: onboard.control.cascade:CascadedController", f"class: {
 BY_DISTURBANCE = ("disturbances: []", f"disturbances: [{{kind: '{MODULE}:Wind'}}]")
 READS_LOGS_ONLY = (
     *("log info", "log check", "log export --csv", "log merge -o all.mcap", "report", "compare -o c.html FLIGHT"),
-    *("learn --out memory",),
+    *("learn --out memory", *(("view --save f.rrd",) if find_spec("rerun") else ())),
 )
 IMPORTS = ("replay", "replay --check", "replay --controller pid", "replay --save-trace t.csv")
 
