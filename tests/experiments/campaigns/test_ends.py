@@ -22,7 +22,7 @@ seeds: {count: 6}
 """
 ROOT = Path(__file__).resolve().parents[3]
 WORKERS = 2
-START_LIMIT_S = 90.0
+START_LIMIT_S = 240.0
 END_LIMIT_S = 20.0
 
 
