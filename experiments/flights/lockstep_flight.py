@@ -55,10 +55,10 @@ class LockstepOutcome:
     """Delivery of each datagram of the link, by direction."""
     recordings: dict[Direction, RecordedDeliveries] = field(default_factory=dict)
     """How many of the recorded deliveries, if any, were used."""
-    log_faults: list[str] = field(default_factory=list)
-    """Why the flight's logs are incomplete, one line each."""
     learnt: bytes = b""
     """Experience for another flight (experiments.flights.carried_experience)."""
+    log_faults: list[str] = field(default_factory=list)
+    """Why the flight's logs are incomplete, one line each."""
 
 
 def build(

@@ -111,7 +111,7 @@ def slope_text(one: Memory) -> str:
 
 def done_rows(run: SoakRun) -> list[tuple[str, ...]]:
     """Return one row for each disruption."""
-    rows = []
+    rows = list[tuple[str, ...]]()
     for one in run.done:
         begin_s = (one.begin_ns - run.begin_ns) * 1e-9
         ended = f"after {(one.end_ns - one.begin_ns) * 1e-9:.3f} s" if one.end_ns else "-"
