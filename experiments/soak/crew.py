@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +19,8 @@ from experiments.soak.schedule import Action, Disruption
 from experiments.soak.watch import Life
 
 READY_LIMIT_S: Final = 180.0
+NICENESS: Final = {"offboard": -10, "capture": -10, "ground": -5}
+"""These have machines of their own in a laboratory: other programs of this one must not starve them."""
 SHORT_STOP_S: Final = 0.06
 """A stop up to this long is waited for, so that it does not get longer."""
 
@@ -72,6 +75,8 @@ class Crew:
         if name == "offboard" and checkpoint.exists():
             command += ["--resume", str(checkpoint)]
         child = Child(name, command, self._out)
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, child.process.pid, NICENESS.get(name, 0))
         self.children[name] = child
         self.lives.append(Life(name, child.process.pid))
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
@@ -115,6 +120,8 @@ class Crew:
             self._floods.append((subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL), done))
         elif child is None or not child.running or any(one.disruption.target == child.name for _, one in self._pending):
             done.note = "left out: the process was not running"
+        elif not child.ready:
+            done.note = "left out: the process was still starting"
         elif disruption.action is Action.STOP:
             self._stop(child, done)
         else:

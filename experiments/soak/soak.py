@@ -20,6 +20,7 @@ from experiments.link.flood import keyed
 from experiments.soak.crew import Crew, Done
 from experiments.soak.schedule import Action, Disruption, blackouts, draw
 from experiments.soak.watch import MEMORY_EVERY_S, Life, Waits
+from onboard.flight.modes import FlightMode
 from runtime.signals import StopRequest
 from runtime.sockets import require_free, split_address
 
@@ -32,6 +33,8 @@ ON_THE_GROUND_S: Final = 0.2
 """After onboard is ready, and before the vehicle is calibrated: here it may be killed."""
 PRIORITY: Final = 5
 """SCHED_FIFO, below the vehicle and onboard: a stop must not get longer because this process waits."""
+ON_THE_FLOOR: Final = (FlightMode.LANDED.name, FlightMode.READY.name, FlightMode.TERMINATED.name)
+"""After the flight, in time or not, there is nothing left to disturb."""
 ON_THE_GROUND: Final = Disruption(0.0, Action.KILL, "onboard", 0.0)
 
 
@@ -142,7 +145,7 @@ def _watch(
 ) -> None:
     """Do what is due until the vehicle's process or onboard has ended, or somebody asks to end."""
     memory_s = 0.0
-    waiting = list(due)
+    waiting, flown = list(due), False
     while crew.children["sim"].running and crew.children["onboard"].running and stop.count == 0:
         crew.read(TURN_S)
         crew.attend()
@@ -156,7 +159,9 @@ def _watch(
             memory_s = now_ns * 1e-9 + MEMORY_EVERY_S
             for life in crew.lives:
                 life.note(now_ns * 1e-9)
-        if flight_s > duration_s + OVERTIME_S:
+        mode = crew.status.get("onboard", {}).get("mode")
+        flown = flown or mode == FlightMode.FLYING.name
+        if flight_s > duration_s + OVERTIME_S or (flown and mode in ON_THE_FLOOR):
             return
 
 

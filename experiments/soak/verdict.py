@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.flights.logged_flight import read_trace
-from experiments.flights.metrics import flight_metrics
+from experiments.flights.metrics import flight_metrics, lost_target
 from experiments.flights.trace import FlightTrace
 from experiments.soak.schedule import Action
 from experiments.soak.soak import SoakRun
 from flight_log.reader import FlightError, Table, open_flight
-from onboard.flight.modes import FlightMode
+from onboard.flight.modes import AIRBORNE, FlightMode
 
 SLOPE_MAX_MB_MIN: Final = 0.2
 AFTER_STOP_NS: Final = 100_000_000
@@ -112,6 +112,7 @@ def judge(run: SoakRun, out: Path) -> Verdict:
     why = str(sim.get("crash_reason", "the vehicle left no summary"))
     if not onboard:
         why = why or "onboard left no summary"
+    why = why or (fallen(run, trace) if trace is not None else "no log of the flight")
     rmse = flight_metrics(trace, run.config.onboard.guidance.trajectory).position_rmse_m if trace else float("nan")
     return Verdict(
         minutes=float(sim.get("duration_s", 0.0)) / 60.0,
@@ -126,6 +127,16 @@ def judge(run: SoakRun, out: Path) -> Verdict:
         versions=int(onboard.get("features", {}).get("version", 0)),
         faults=run.faults,
     )
+
+
+def fallen(run: SoakRun, trace: FlightTrace) -> str:
+    """How the vehicle left the air before its time, or its target; "" if it did not, or was asked to land."""
+    landing_s = run.config.onboard.guidance.land_after_s
+    aloft = trace.time_s[np.isin(trace.mode, [mode.value for mode in AIRBORNE])]
+    last_s = float(aloft[-1]) if aloft.size else 0.0
+    if last_s < landing_s and not run.interrupted:
+        return f"on the floor after {last_s:.1f} s, and was to fly for {landing_s:.1f} s"
+    return lost_target(trace)
 
 
 def gaps_of(
