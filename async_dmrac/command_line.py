@@ -13,6 +13,7 @@ import async_dmrac
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+EXIT_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 
 
@@ -34,6 +35,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     ),
     "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
     "attack": Subcommand("async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost"),
+    "soak": Subcommand("async_dmrac.commands.soak", "fly for long while processes are killed and ports flooded"),
     "learn": Subcommand("async_dmrac.commands.learn", "learn a memory from logged flights and from other memories"),
     "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds"),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),
@@ -82,12 +84,13 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns 0 for success, 1 for a lost vehicle or failed check, 2 for bad usage or config."""
+    """Entry point; returns 0 for success, 1 for a lost vehicle, failed check or full disk, 2 for bad usage."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((word for word in arguments if not word.startswith("-")), None)
     parsed = build_parser(name).parse_args(arguments)
     from configs.loader import ConfigError
     from runtime.errors import PlainError
+    from runtime.files import no_space
 
     try:
         status: int = parsed.run(parsed)
@@ -95,10 +98,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
         return EXIT_USAGE
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None and not no_space(error):
             raise
-        print(f"dmrac {parsed.subcommand}: {error.filename}: {error.strerror}", file=sys.stderr)
-        return EXIT_USAGE
+        print(f"dmrac {parsed.subcommand}: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
+        return EXIT_FAILED if no_space(error) else EXIT_USAGE
     except KeyboardInterrupt:
         return 130
     return status

@@ -87,7 +87,7 @@ def merge(flight: Flight, path: Path) -> None:
         If it cannot be written.
     """
     try:
-        file = McapFile(path)
+        file = McapFile(path, for_all=True)
     except FileExistsError:
         raise FlightError(f"{path}: exists already") from None
     try:

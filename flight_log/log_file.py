@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
+from flight_log.chunk_columns import restored
 from flight_log.mcap_file import (
     CDR_HEADER,
     FORMAT_VERSION,
@@ -194,10 +195,9 @@ class _Parser:
 
     def _read_chunk(self, body: memoryview) -> None:
         *_, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
-        start = CHUNK_HEAD.size + name_length + 8
-        if name_length or len(body) - start != size:
-            raise ValueError("compressed chunk")
-        records = body[start:]
+        start = CHUNK_HEAD.size + name_length
+        compression = bytes(body[CHUNK_HEAD.size : start]).decode()
+        records = memoryview(restored(compression, body[start + 8 :], size))
         if zlib.crc32(records) != crc:
             raise ValueError("checksum of a chunk")
         position = 0
@@ -229,7 +229,8 @@ class _Parser:
         if definition.startswith("uint8[] "):
             self._log.raw.setdefault(channel.topic, []).append((time_ns, payload[4:]))
             return end
-        dtype = message_dtype(len(payload) // 8)
+        kind = "float32" if definition.startswith("float32 ") else "float64"
+        dtype = message_dtype(len(payload) // np.dtype(kind).itemsize, kind)
         rows = np.frombuffer(records, dtype, (len(records) - position) // dtype.itemsize, position)
         same = (rows["channel"] == number) & (rows["length"] == length) & (rows["opcode"] == Opcode.MESSAGE)
         count = len(rows) if same.all() else int(np.argmin(same))
@@ -247,7 +248,7 @@ class _Parser:
                 record_type,
                 np.concatenate([part["sequence"] for part in parts]).astype(np.int64),
                 np.concatenate([part["log_time"] for part in parts]).astype(np.int64),
-                np.concatenate([part["values"] for part in parts]),
+                np.concatenate([part["values"] for part in parts]).astype(np.float64),
             )
 
 

@@ -38,17 +38,19 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
+from flight_log.chunk_columns import COLUMNS, PLAIN_ZSTD, compressed, compressed_columns
 from flight_log.schema import RecordType
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 PRIVATE: Final = 0o600
 """Only the owner reads a log: it has what was on the wires."""
 LIBRARY: Final = "async-dmrac flight record"
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
+"""1: no chunk is compressed, all fields are float64. Both are read."""
 METADATA_NAME: Final = "async_dmrac"
 """Name of the metadata record with the process that wrote the file and the format version."""
 CDR_HEADER: Final = b"\x00\x01\x00\x00"
-"""Little-endian CDR without options. Alignment counts from the end of this header: float64 fields need no padding."""
+"""Little-endian CDR without options. Alignment counts from its end: fields of one kind need no padding."""
 RECORD_HEAD_BYTES: Final = 9
 """Opcode (1) and length (8) at the start of every MCAP record."""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
@@ -70,10 +72,12 @@ class Block:
     """[n]: log time of each, ns."""
     offsets: NDArray[np.int64]
     """[n]: start of each in `data`."""
+    rows: int = 1
+    """Number of records of equal length that `data` consists of; 1 if their lengths differ."""
 
 
-def message_dtype(field_count: int) -> np.dtype[np.void]:
-    """The bytes of an MCAP message record with a flat vector of float64, as a numpy type."""
+def message_dtype(field_count: int, kind: str = "float64") -> np.dtype[np.void]:
+    """The bytes of an MCAP message record with a flat vector of float64 or float32, as a numpy type."""
     layout = [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -82,16 +86,20 @@ def message_dtype(field_count: int) -> np.dtype[np.void]:
         ("log_time", "<u8"),
         ("publish_time", "<u8"),
         ("cdr", "V4"),
-        ("values", "<f8", (field_count,)),
+        ("values", np.dtype(kind).newbyteorder("<"), (field_count,)),
     ]
     return np.dtype(layout)
 
 
 def vector_block(
-    channel: int, sequences: NDArray[np.int64], times_ns: NDArray[np.int64], values: NDArray[np.float64]
+    channel: int,
+    sequences: NDArray[np.int64],
+    times_ns: NDArray[np.int64],
+    values: NDArray[np.float64],
+    kind: str = "float64",
 ) -> Block:
-    """A block of flat vectors [n, k] with their sequence numbers [n] and times [n]."""
-    dtype = message_dtype(values.shape[1])
+    """A block of flat vectors [n, k] with their sequence numbers [n] and times [n]; `kind` is that of RecordType."""
+    dtype = message_dtype(values.shape[1], kind)
     rows: Rows = np.empty(len(values), dtype=dtype)
     rows["opcode"] = Opcode.MESSAGE
     rows["length"] = dtype.itemsize - RECORD_HEAD_BYTES
@@ -99,8 +107,9 @@ def vector_block(
     rows["sequence"] = sequences
     rows["log_time"] = rows["publish_time"] = times_ns
     rows["cdr"] = np.void(CDR_HEADER)
-    rows["values"] = values
-    return Block(channel, rows.tobytes(), rows["log_time"].copy(), dtype.itemsize * np.arange(len(rows)))
+    with np.errstate(over="ignore"):  # too large for float32: infinite in the log
+        rows["values"] = values
+    return Block(channel, rows.tobytes(), rows["log_time"].copy(), dtype.itemsize * np.arange(len(rows)), len(rows))
 
 
 def bytes_block(channel: int, messages: Sequence[tuple[int, int, bytes]]) -> Block:
@@ -132,23 +141,29 @@ def ros_name(topic: str) -> str:
 
 def ros_definition(record_type: RecordType) -> str:
     """The ros2msg text of a record type, with the unit of each field as a comment."""
-    return "".join(f"float64 {name}{f' # {unit}' if unit else ''}\n" for name, unit in record_type.fields)
+    return "".join(f"{record_type.kind} {name}{f' # {unit}' if unit else ''}\n" for name, unit in record_type.fields)
 
 
 def record_type_of(topic: str, definition: str) -> RecordType | None:
-    """Inverse of `ros_definition`; None if the text contains anything but float64 fields."""
-    fields = []
+    """Inverse of `ros_definition`; None if the text contains anything but fields of one such kind."""
+    fields, kinds = [], set[str]()
     for line in definition.splitlines():
         declaration, _, unit = line.partition("#")
         kind, _, name = declaration.strip().partition(" ")
-        if kind != "float64" or not name:
+        kinds.add(kind)
+        if not name:
             return None
         fields.append((name.strip(), unit.strip()))
-    return RecordType(topic, tuple(fields))
+    if kinds == {"float32"}:
+        return RecordType(topic, tuple(fields), "float32")
+    return RecordType(topic, tuple(fields)) if kinds == {"float64"} else None
 
 
 class McapFile:
     """An MCAP file open for writing. Not thread-safe.
+
+    for_all: whether every MCAP reader can read it: with an index of the messages, and compressed row by row. Otherwise
+        this project's readers alone: a third smaller (flight_log.chunk_columns).
 
     Raises
     ------
@@ -157,13 +172,16 @@ class McapFile:
         the file is then truncated to its last complete record, and stays readable.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, for_all: bool = False) -> None:
+        self._for_all = for_all
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), PRIVATE)
         self._position = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._unwritten: list[Schema | Channel] = []
-        self._chunks: list[ChunkIndex] = []
+        self._chunks = bytearray()
+        """The CHUNK_INDEX records, as bytes: a flight of hours has many."""
+        self._chunk_count = 0
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._message_counts: dict[int, int] = {}
@@ -211,32 +229,43 @@ class McapFile:
         body = b"".join([head, *(block.data for block in blocks)])
         first = min(int(block.times.min()) for block in blocks)
         last = max(int(block.times.max()) for block in blocks)
-        chunk = _chunk_head(body, first, last) + body
+        if self._for_all:
+            compression, data = PLAIN_ZSTD, compressed(body)
+        else:
+            tables = ((1, head), *((block.rows, block.data) for block in blocks))
+            compression, data = COLUMNS, compressed_columns([one for one in tables if one[1]])
+        chunk = _chunk_head(body, first, last, compression, len(data)) + data
+        offsets, tail = dict[int, int](), b""
+        for channel, entries in _index_entries(blocks, len(head)).items() if self._for_all else ():
+            offsets[channel] = self._position + len(chunk) + len(tail)
+            tail += _message_index(channel, entries)
         index = ChunkIndex(
             message_start_time=first,
             message_end_time=last,
             chunk_start_offset=self._position,
             chunk_length=len(chunk),
-            message_index_offsets={},
-            message_index_length=0,
-            compression="",
-            compressed_size=len(body),
+            message_index_offsets=offsets,
+            message_index_length=len(tail),
+            compression=compression,
+            compressed_size=len(data),
             uncompressed_size=len(body),
         )
-        tail = b""
-        for channel, entries in _index_entries(blocks, len(head)).items():
-            index.message_index_offsets[channel] = self._position + len(chunk) + len(tail)
-            tail += _message_index(channel, entries)
-        index.message_index_length = len(tail)
         self._write(chunk + tail)
         del self._unwritten[: len(announced)]
-        self._chunks.append(index)
+        self._chunks += _records([index])
+        self._chunk_count += 1
         self._count(blocks, first, last)
 
     def finish(self) -> None:
         """Write the summary, which completes the file. Call `close` afterwards."""
         self._write(_records([DataEnd(data_section_crc=0)]))
         self._write(self._summary(self._position))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last record written, s."""
+        first, last = self._times or (0, 0)
+        return (last - first) * 1e-9
 
     def close(self) -> None:
         """Close the file, complete or not. Never raises."""
@@ -258,35 +287,31 @@ class McapFile:
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._message_counts,
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunk_count,
             message_count=sum(self._message_counts.values()),
             message_start_time=start,
             message_end_time=end,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        groups: list[tuple[Opcode, list[Any]]] = [
-            (Opcode.SCHEMA, list(self._schemas.values())),
-            (Opcode.CHANNEL, list(self._channels.values())),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._metadata),
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, _records(list(self._schemas.values()))),
+            (Opcode.CHANNEL, _records(list(self._channels.values()))),
+            (Opcode.STATISTICS, _records([statistics])),
+            (Opcode.CHUNK_INDEX, bytes(self._chunks)),
+            (Opcode.ATTACHMENT_INDEX, _records(self._attachments)),
+            (Opcode.METADATA_INDEX, _records(self._metadata)),
         ]
-        builder, offsets = RecordBuilder(), []
+        body, offsets = b"", list[SummaryOffset]()
         for opcode, records in groups:
-            before = builder.count
-            for record in records:
-                record.write(builder)
             if records:
-                offsets.append(SummaryOffset(opcode, position + before, builder.count - before))
-        offset_start = position + builder.count
-        for offset in offsets:
-            offset.write(builder)
-        body = builder.end()
+                offsets.append(SummaryOffset(opcode, position + len(body), len(records)))
+            body += records
+        offset_start = position + len(body)
+        body += _records(offsets)
         plain = _records([Footer(summary_start=position, summary_offset_start=offset_start, summary_crc=0)])
         crc = zlib.crc32(plain[:-4], zlib.crc32(body))
-        return bytes(body) + plain[:-4] + crc.to_bytes(4, "little") + MAGIC
+        return body + plain[:-4] + crc.to_bytes(4, "little") + MAGIC
 
     def _write(self, data: bytes) -> None:
         view = memoryview(data)
@@ -330,8 +355,9 @@ def _message_index(channel: int, entries: bytes) -> bytes:
     return bytes([Opcode.MESSAGE_INDEX]) + len(body).to_bytes(8, "little") + body
 
 
-def _chunk_head(body: bytes, first: int, last: int) -> bytes:
-    """The bytes of a CHUNK record before its uncompressed records."""
+def _chunk_head(body: bytes, first: int, last: int, compression: str, size: int) -> bytes:
+    """The bytes of a CHUNK record before its `size` bytes of compressed records."""
     fields = first.to_bytes(8, "little") + last.to_bytes(8, "little") + len(body).to_bytes(8, "little")
-    fields += zlib.crc32(body).to_bytes(4, "little") + (0).to_bytes(4, "little") + len(body).to_bytes(8, "little")
-    return bytes([Opcode.CHUNK]) + (len(fields) + len(body)).to_bytes(8, "little") + fields
+    fields += zlib.crc32(body).to_bytes(4, "little") + len(compression).to_bytes(4, "little") + compression.encode()
+    fields += size.to_bytes(8, "little")
+    return bytes([Opcode.CHUNK]) + (len(fields) + size).to_bytes(8, "little") + fields

@@ -3,7 +3,7 @@
 Theory of operation. `write` costs the 200 Hz loop three array assignments into a preallocated ring. Every
 FLUSH_PERIOD_S a thread copies the new records out of the rings, as arrays, and writes them as one MCAP chunk in one
 unbuffered write. A process that is killed thus loses at most the records since the last flush. An error of the disk
-does not affect the flight: logging stops, one message reports it, and `failure` holds the reason. A full ring drops
+does not affect the flight: logging stops, one message says where, and `failure` holds the reason. A full ring drops
 new records, counts them, and logs an event; their sequence numbers are missing in the file, so a reader can locate the
 gap. Without the thread (`threaded=False`, for the lockstep simulation, where a second of flight takes milliseconds)
 `write` flushes by the time of the records, and no record is dropped.
@@ -47,12 +47,13 @@ BYTES_DEFINITION: Final = "uint8[] data\n"
 class _VectorRing:
     """Records of one topic before they are written: one thread pushes, one drains."""
 
-    def __init__(self, channel: int, field_count: int) -> None:
+    def __init__(self, channel: int, record_type: RecordType) -> None:
         self.channel = channel
         self.dropped = 0
+        self._kind = record_type.kind
         self._times = np.zeros(RING_ROWS, dtype=np.int64)
         self._sequences = np.zeros(RING_ROWS, dtype=np.int64)
-        self._values = np.zeros((RING_ROWS, field_count))
+        self._values = np.zeros((RING_ROWS, len(record_type.fields)))
         self._sequence = 0
         self._head = 0
         self._tail = 0
@@ -78,7 +79,8 @@ class _VectorRing:
         if tail == head:
             return None
         rows = np.arange(tail, head) & (RING_ROWS - 1)
-        block = vector_block(self.channel, self._sequences[rows], np.maximum(self._times[rows], 0), self._values[rows])
+        times_ns, values = np.maximum(self._times[rows], 0), self._values[rows]
+        block = vector_block(self.channel, self._sequences[rows], times_ns, values, self._kind)
         self._tail = head
         return block
 
@@ -162,7 +164,7 @@ class FlightLogWriter:
     def declare(self, record_type: RecordType) -> _VectorRing:
         """Allocate the ring of a record type, so that its first record costs no more than the others."""
         channel = self._file.add_channel(record_type.topic, ros_definition(record_type))
-        ring = _VectorRing(channel, len(record_type.fields))
+        ring = _VectorRing(channel, record_type)
         # a new dict: the thread may be iterating over the old one
         self._vectors = {**self._vectors, record_type.topic: ring}
         return ring
@@ -279,7 +281,8 @@ class FlightLogWriter:
 
     def _report_failure(self, reason: str) -> None:
         self.failure = reason
-        self._on_failure(f"{self.process}: the flight log stopped, the flight goes on: {self.path}: {reason}")
+        place = f"after {self._file.duration_s:.1f} s"
+        self._on_failure(f"the flight log stopped {place}, the flight goes on: {self.path}: {reason}")
 
 
 def _create(path: Path) -> tuple[Path, McapFile]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from offboard.training.job import TrainingResult
+from runtime.files import no_space
 
 NICENESS: Final = 10
 
@@ -40,6 +41,8 @@ class BackgroundThread:
                 result = task()
                 if result is not None:
                     results.put(result)
+            except OSError as error:
+                results.put(f"no file can be written: {error.strerror}" if no_space(error) else traceback.format_exc())
             except Exception:
                 results.put(traceback.format_exc())
             if first:

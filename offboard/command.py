@@ -26,7 +26,7 @@ from protocol.feature_config import fill_process
 from protocol.keys import load_key
 from protocol.session import session_number
 from runtime.errors import StartError
-from runtime.files import make_folder, write_json
+from runtime.files import make_folder, write_last
 from runtime.flight_options import FlightOptions, add_flight_options, flight_of
 from runtime.kernel import THREAD_SWITCH_S
 from runtime.signals import StopRequest
@@ -156,8 +156,9 @@ def _open_services(vehicles: Sequence[Vehicle], logs: ExitStack, several: bool) 
             metadata = {"seed": str(vehicle.config.seed), "insecure": vehicle.flight.network.insecure_links}
             attachments = {"config.yaml": vehicle.flight.text}
             file = vehicle.out / "offboard.mcap"
-            log = logs.enter_context(FlightLogWriter(file, "offboard", metadata, attachments))
             core, network, out, status = vehicle.core, vehicle.flight.network, vehicle.out, vehicle.status
+            writer = FlightLogWriter(file, "offboard", metadata, attachments, on_failure=status.fault)
+            log = logs.enter_context(writer)
             services.append(VehicleService(core, network, log, out, status, background, (link, capture)))
     except AddressInUseError:
         for service in services:
@@ -167,14 +168,14 @@ def _open_services(vehicles: Sequence[Vehicle], logs: ExitStack, several: bool) 
 
 
 def _write_summary(vehicle: Vehicle, service: VehicleService) -> bool:
-    """Write the summary of one vehicle; False if that failed."""
+    """Write the summary of one vehicle; False if that failed, or its log or another file before."""
     file = vehicle.out / "offboard_summary.json"
     try:
-        write_json(file, service.summary())
+        summary = service.summary()
     except Exception as error:  # of any kind: the summaries of the other vehicles must still be written
         print(f"{file}: cannot be written: {error}", file=sys.stderr)
         return False
-    return True
+    return write_last(file, summary) and not service.unwritten
 
 
 def _remember(vehicle: Vehicle) -> bool:

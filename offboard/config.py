@@ -116,6 +116,9 @@ class ExperienceConfig(ConfigRecord):
 
     mode: Literal["learn", "frozen"] = Field(default="learn", description="frozen: fly what was loaded, learn nothing")
     checkpoint_period_s: float = Field(default=5.0, gt=0.0, description="s between checkpoints")
+    versions_kept: int = Field(
+        default=20, ge=1, le=100_000, description="files features_N.npz: older ones of the flight are deleted"
+    )
     memory: str = Field(default="", description="folder of the memory to start from; empty: none (docs/memory.md)")
     remember: bool = Field(default=False, description="add the flight to that memory when the process ends")
 

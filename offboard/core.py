@@ -72,6 +72,8 @@ class OffboardCore:
         capture_key: bytes | None = None,
     ) -> None:
         self._learning = config.experience.mode == "learn"
+        self.versions_kept: Final = config.experience.versions_kept
+        """Files of versions that the process keeps."""
         self._round_period_ns = round(config.trainer.period_s * 1e9)
         self._checkpoint_period_ns = round(config.experience.checkpoint_period_s * 1e9)
         self._clock = ForwardClock()

@@ -18,7 +18,7 @@ from protocol.feature_config import fill_process
 from protocol.keys import load_keys
 from protocol.session import session_number
 from runtime.errors import StartError
-from runtime.files import make_folder, write_json
+from runtime.files import make_folder, write_last
 from runtime.flight_options import add_flight_options, flight_of
 from runtime.kernel import prepare_interpreter, request_realtime
 from runtime.signals import StopRequest
@@ -73,7 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the process; returns the exit status (0 flown, 1 ended by failures, 2 bad configuration or address)."""
+    """Run the process; returns the exit status.
+
+    0 flown, 1 ended by failures or its record is incomplete, 2 bad configuration or address.
+    """
     stop = StopRequest()
     try:
         needed = {"--vehicle": "URL", "--offboard": "HOST:PORT"}
@@ -98,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         "insecure": network.insecure_links,
     }
     about |= {"arming_bar": clearance.refusal, "notice": clearance.notice}
-    log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments)
+    log = FlightLogWriter(arguments.out / "onboard.mcap", "onboard", about, attachments, on_failure=status.fault)
     try:
         status.report("; ".join(map(str, request_realtime(config.realtime.priority))))
         prepare_interpreter()
@@ -111,8 +114,9 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         log.close()
         sockets.close()
-    write_json(arguments.out / "onboard_summary.json", process.summary())
-    return result
+    summary = process.summary() | {"log_failure": log.failure}
+    written = write_last(arguments.out / "onboard_summary.json", summary)
+    return result or int(not written or bool(log.failure))
 
 
 def clearance_of(arguments: argparse.Namespace, vehicle: str, config: OnboardConfig) -> Clearance:

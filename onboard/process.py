@@ -47,7 +47,11 @@ VEHICLE_SILENT_NS: Final = 500_000_000
 FINAL_SAFE_COMMANDS: Final = 3
 """The last command is repeated: one datagram can be lost."""
 
-LOOP: Final = RecordType("onboard/loop", (("lateness", "us"), ("tick", "us"), ("missed", "")))
+LOOP: Final = RecordType(
+    "onboard/loop",
+    (("lateness", "us"), ("tick", "us"), ("missed", ""), ("computed", "us, of all threads since the tick before")),
+    "float32",
+)
 
 
 class Sockets:
@@ -115,6 +119,7 @@ class OnboardProcess:
             Intake("ground", sockets.ground, GROUND_FEW, GROUND_KIND_MAX, ground, holds_key),
         )
         self._last_vehicle_ns = 0
+        self._used_ns = time.process_time_ns()
         self._stopping = False
         self._land_pending = False
         self._latest_report = ""
@@ -195,6 +200,9 @@ class OnboardProcess:
         record[0] = self._pace.lateness_ns * 1e-3
         record[1] = duration_ns * 1e-3
         record[2] = self._pace.missed
+        used_ns = time.process_time_ns()
+        record[3] = (used_ns - self._used_ns) * 1e-3
+        self._used_ns = used_ns
         self._log.write(LOOP, now, record)
 
     def _answer_escape(self, now: int) -> OnboardOutput | None:

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import sys
 from importlib import import_module
 
 
@@ -13,5 +14,11 @@ def main(package: str, description: str) -> int:
     command = import_module(f"{package}.command")
     parser = argparse.ArgumentParser(prog=f"python -m {package}", description=description)
     command.add_arguments(parser)
-    status: int = command.run(parser.parse_args())
+    try:
+        status: int = command.run(parser.parse_args())
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"{error.filename}: {error.strerror}", file=sys.stderr)
+        return 2
     return status

@@ -1,26 +1,69 @@
 """Files of a process, written completely or not at all."""
 
+import errno
 import json
 import os
+import sys
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from runtime.errors import StartError
 
+PART: Final = ".part"
+"""Behind the name of a file that is being written."""
+_NO_SPACE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a reader finds the old or the new content, even after a crash in between. Raises OSError."""
-    beside = path.with_name(path.name + ".part")
-    with beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
+    """Write a file so that a reader finds the old or the new content, even after a power cut in between.
+
+    Raises
+    ------
+    OSError
+        Names the file. Nothing of the new content is left.
+    """
+    beside = path.with_name(path.name + PART)
+    try:
+        with beside.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names of a folder's files to the disk: without it a power cut may undo a rename. Raises OSError."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def no_space(error: OSError) -> bool:
+    """Whether the disk, or this user's share of it, is full."""
+    return error.errno in _NO_SPACE
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:
     """Write a summary atomically; values may be numpy scalars and arrays. Raises OSError."""
     write_atomically(path, (json.dumps(values, indent=2, default=plain_value) + "\n").encode())
+
+
+def write_last(path: Path, values: dict[str, Any]) -> bool:
+    """Write the summary of a process that ends; False, with a line on stderr, if the disk does not take it."""
+    try:
+        write_json(path, values)
+    except OSError as error:
+        print(f"{path}: cannot be written: {error.strerror}", file=sys.stderr, flush=True)
+        return False
+    return True
 
 
 def make_folder(path: Path) -> None:

@@ -57,9 +57,9 @@ def request_realtime(priority: int) -> list[Grant]:
     return grants
 
 
-def resident_mb() -> float:
-    """Resident memory of this process, MB (10^6 bytes)."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+def resident_mb(process: int | str = "self") -> float:
+    """Resident memory of a process, MB (10^6 bytes). Raises OSError if there is none of this number."""
+    pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 

@@ -26,10 +26,15 @@ def die_with_parent() -> Callable[[], None]:
     """A function for `subprocess.Popen(preexec_fn=)`: the kernel kills the child when its parent has ended."""
     parent = os.getpid()
     prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up before the fork: the child only calls it
+    return lambda: _die_with(parent, prctl)
 
-    def in_child() -> None:
-        prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-        if os.getppid() != parent:  # the parent ended before the call
-            os._exit(1)
 
-    return in_child
+def die_with(parent: int) -> None:
+    """Let the kernel kill this process when its parent, which has this number, has ended."""
+    _die_with(parent, ctypes.CDLL(None, use_errno=True).prctl)
+
+
+def _die_with(parent: int, prctl: Callable[..., int]) -> None:
+    prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+    if os.getppid() != parent:  # the parent ended before the call
+        os._exit(1)

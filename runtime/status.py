@@ -53,8 +53,15 @@ class StatusLines:
 
     def report(self, text: str) -> None:
         """Write an event."""
+        self._event("event", text)
+
+    def fault(self, text: str) -> None:
+        """Write that the record of the flight is incomplete, and why."""
+        self._event("fault", text)
+
+    def _event(self, kind: str, text: str) -> None:
         if self._json:
-            self._put({"process": self._process, "kind": "event", "text": text})
+            self._put({"process": self._process, "kind": kind, "text": text})
         else:
             self._line(f"{self._process}: {text}")
 

@@ -12,7 +12,7 @@ from configs.loader import ConfigError, load_section, read_tree
 from flight_log.writer import FlightLogWriter
 from protocol.keys import load_key
 from runtime.errors import StartError
-from runtime.files import make_folder, write_json
+from runtime.files import make_folder, write_last
 from runtime.flight_options import add_insecure_option
 from runtime.kernel import prepare_interpreter, request_realtime
 from runtime.signals import StopRequest
@@ -58,7 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the process. Returns the exit status: 0 flown, 1 no command from onboard, 2 bad configuration or address."""
+    """Run the process. Returns the exit status.
+
+    0 flown, 1 no command from onboard or the record is incomplete, 2 bad configuration or address.
+    """
     stop = StopRequest()
     try:
         seed, duration_s = _seed_and_duration(arguments.config)
@@ -79,7 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
     radio = Radio(radio_config, np.random.default_rng([seed, RADIO_STREAM]), start_ns=0)
     attachments = {"config.yaml": arguments.config.read_bytes()}
     about = {"seed": str(seed), "physics": config.physics}
-    log = FlightLogWriter(arguments.out / "sim_vehicle.mcap", "sim_vehicle", about, attachments)
+    file = arguments.out / "sim_vehicle.mcap"
+    log = FlightLogWriter(file, "sim_vehicle", about, attachments, on_failure=status.fault)
     try:
         process = SimProcess(vehicle, radio, network, duration_s, log, status, stop)
         request_realtime(PRIORITY)
@@ -92,8 +96,8 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     finally:
         log.close()
-    write_json(arguments.out / "sim_summary.json", process.summary())
-    return result
+    written = write_last(arguments.out / "sim_summary.json", process.summary() | {"log_failure": log.failure})
+    return result or int(not written or bool(log.failure))
 
 
 def _addresses(arguments: argparse.Namespace) -> dict[str, Any]:

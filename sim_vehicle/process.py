@@ -21,7 +21,7 @@ from runtime.kernel import resident_mb
 from runtime.signals import StopRequest
 from runtime.sockets import AddressInUseError, DatagramSocket
 from runtime.status import StatusLines
-from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, Direction, Radio, delivery_vector
+from sim_vehicle.link.radio import DELIVERY, DIRECTIONS, Radio, delivery_vector
 from sim_vehicle.records import TRUTH
 from sim_vehicle.stalls import Stalls
 from sim_vehicle.vehicle import PERIOD_NS, SimVehicle
@@ -37,7 +37,7 @@ AFTER_CRASH_NS: Final = 500_000_000
 """The process continues so long after a crash, so that the others record it."""
 START_LIMIT_S: Final = 120.0
 
-LOOP: Final = RecordType("sim_vehicle/loop", (("step_late", "us"), ("stalled_steps", "")))
+LOOP: Final = RecordType("sim_vehicle/loop", (("step_late", "us"), ("stalled_steps", "")), "float32")
 
 
 class SimProcess:
@@ -65,7 +65,6 @@ class SimProcess:
         self._loop_record = np.zeros(len(LOOP.fields))
         self._crash_ns = 0
         self._airborne = self._flown = self._ever_armed = False
-        self._deliveries_logged: dict[Direction, int] = {"up": 0, "down": 0}
         self.steps = 0
         self.stalled_steps = 0
         self.stalls = Stalls()
@@ -190,10 +189,9 @@ class SimProcess:
             self._status.write(self.status(step_ns))
 
     def _record_deliveries(self, at_ns: int) -> None:
-        for direction, deliveries in self._radio.deliveries.items():
-            for delivery in deliveries[self._deliveries_logged[direction] :]:
+        for direction in DIRECTIONS:
+            for delivery in self._radio.take_deliveries(direction):
                 self._log.write(DELIVERY, at_ns, delivery_vector(direction, delivery))
-            self._deliveries_logged[direction] = len(deliveries)
 
     def _ended(self) -> bool:
         if self._stop.count:

@@ -23,6 +23,7 @@ TRUTH: Final = RecordType(
         ("battery_voltage", "V"),
         ("airborne", "1 when nothing touches the floor"),
     ),
+    kind="float32",
 )
 """The true state at the end of a step.
 

@@ -44,6 +44,7 @@ MAY_IMPORT_ROOM: dict[str, tuple[str, ...]] = {
     "results": ("campaigns",),
     "link": ("flights", "replays", "campaigns", "results"),
     "attacks": ("flights", "campaigns"),
+    "soak": ("flights", "link"),
 }
 """The rooms of `experiments`, each with the other rooms that it may import."""
 FOR_EVERYONE = ("configs.loader", "flight_log.schema")
@@ -64,6 +65,7 @@ NAMED_SHELLS = {
     "protocol.keys",
     "sim_vehicle.physics.compiled",
     "offboard.links.vehicle_service",
+    "offboard.links.version_files",
     "offboard.background",
     "offboard.memory.folder",
     "onboard.c.compile",

@@ -40,16 +40,18 @@ def run(arguments: argparse.Namespace) -> int:
     campaign, path = load_campaign(arguments.campaign)
     folder = arguments.out or Path("campaigns") / path.stem
     flights = CampaignRun(campaign, path.stem, folder, arguments.seeds, core=arguments.core)
-    prepare_folder(flights, arguments.resume)
-    if arguments.retry_errors:
-        drop_failed(folder)
-    console, workers = plain_console(), open_workers(arguments)
+    console, workers = plain_console(), open_workers(arguments)  # first: without workers no folder is made
     try:
+        prepare_folder(flights, arguments.resume)
+        if arguments.retry_errors:
+            drop_failed(folder)
         with open_store(folder) as store, progress_bar(path.stem, console) as report:
             result = run_campaign(flights, store, workers, report)
     except KeyboardInterrupt:
         console.print("interrupted, all rows are stored. Continue with the same command and --resume")
         return 130
+    finally:
+        workers.close()
     console.print(
         f"{result.flown} flights at {result.flights_per_s:.2f} per second, {result.lost} vehicles lost, "
         f"{result.errors} flights failed; {result.done} of {result.total} in {folder}"

@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from async_dmrac.commands.shared import plain_console
+from async_dmrac.commands.shared import add_trust_option, plain_console
+from configs.named_class import classes_for
 
 EXAMPLES = """examples:
   dmrac figures campaigns/rotor_chip
@@ -14,6 +15,7 @@ EXAMPLES = """examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `dmrac figures`."""
     parser.add_argument("folder", type=Path, metavar="CAMPAIGN_OUT", help="folder of `dmrac campaign`")
+    add_trust_option(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write (default: CAMPAIGN_OUT/figures)")
 
 
@@ -23,6 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = plain_console()
     out = arguments.out or arguments.folder / "figures"
-    write_report(arguments.folder, out, console.print)
+    with classes_for(arguments.trust):
+        write_report(arguments.folder, out, console.print)
     console.print(f"written: {out / 'report.html'}")
     return 0

@@ -29,7 +29,8 @@ EXAMPLES = """examples:
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
   dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
 
-exit status: 0 vehicle alive, 1 vehicle lost, 2 bad usage, 3 invalid flight (the simulator stood still)
+exit status: 0 vehicle alive, 1 vehicle lost or the disk was full, 2 bad usage, 3 invalid flight (the simulator stood
+still)
 """
 EXIT_STATUS = {"alive": 0, "lost": 1, "invalid": 3}
 """By the outcome in summary.json."""
@@ -96,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
                 wait_for_viewer()
     except (FlightStartError, ConfigError) as error:
         raise type(error)(f"{error}{clear_folder(folder, earlier)}") from None
-    return EXIT_STATUS[summary["outcome"]]
+    return EXIT_STATUS[summary["outcome"]] or int(bool(summary["record_faults"]))
 
 
 def _memory_assignments(arguments: argparse.Namespace) -> list[str]:

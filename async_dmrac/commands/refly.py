@@ -4,7 +4,15 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
+from async_dmrac.commands.shared import (
+    add_trust_option,
+    add_worker_options,
+    open_workers,
+    plain_console,
+    positive,
+    progress_bar,
+)
+from configs.named_class import classes_for
 
 EXAMPLES = """examples:
   dmrac refly campaigns/rotor_chip                   one flight of each controller
@@ -26,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sample", type=positive, metavar="N", help="flights of each campaign (default: one per controller)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the choice (default: 0)")
+    add_trust_option(parser)
     add_worker_options(parser)
 
 
@@ -37,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = plain_console()
     campaigns = [read_flown(place) for place in arguments.places]
-    picked = [pick(flown, arguments.sample, arguments.seed) for flown in campaigns]
+    with classes_for(arguments.trust):
+        picked = [pick(flown, arguments.sample, arguments.seed) for flown in campaigns]
     all_same = True
     for flown, keys in zip(campaigns, picked, strict=True):
         name = flown.about.name

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from async_dmrac.commands.shared import plain_console
+from async_dmrac.commands.shared import add_trust_option, plain_console
 from configs.loader import ConfigError
 from onboard.cores import CORES, PRECISIONS
 
@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--precision", choices=PRECISIONS, default="double", help="with --core c: of its numbers (default: double)"
     )
+    add_trust_option(parser)
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
     parser.add_argument(
         "--save-trace", type=Path, metavar="FILE", help="only write the link's deliveries to a .csv file"
@@ -56,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--core {arguments.core}: only with --check")
     if arguments.precision != "double" and arguments.core != "c":
         raise ConfigError(f"--precision {arguments.precision}: only with --core c")
-    flight = read_recorded(arguments.flight)
+    flight = read_recorded(arguments.flight, arguments.trust)
     if arguments.save_trace is not None:
         return save_trace(flight, arguments.save_trace)
     return check(flight, arguments) if arguments.check else replay(flight, arguments)

@@ -29,6 +29,13 @@ def add_core_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--core", choices=CORES, default=NUMPY, help=f"the onboard core (default: {NUMPY})")
 
 
+def add_trust_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that allows a record to name classes that are not part of this project."""
+    parser.add_argument(
+        "--trust", action="store_true", help="run the code of classes that the record names and this project lacks"
+    )
+
+
 def positive(text: str) -> int:
     """Convert an option's text to a number of 1 or more."""
     value = int(text)

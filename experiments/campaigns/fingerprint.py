@@ -2,17 +2,21 @@
 
 import hashlib
 import json
-from typing import Final
+from typing import Any, Final
 
 from configs.loader import ConfigError
+from configs.named_class import UntrustedClassError
 from experiments.campaigns.campaign import CampaignConfig, Seeds
 from experiments.campaigns.flight_jobs import FlightJob, unfold
 from onboard.cores import NUMPY, core_option
 
 SEED: Final = 1000
 """The flights of this seed stand for those of all seeds."""
-CHANGES_NO_FLIGHT: Final = ("scenario", "description", "network")
-"""Sections of a resolved flight that change nothing in lockstep."""
+CHANGES_NO_FLIGHT: Final[dict[str, Any]] = {
+    **dict.fromkeys(("scenario", "description", "network"), True),
+    "offboard": {"experience": {"versions_kept"}},
+}
+"""Sections and values of a resolved flight that change nothing in lockstep."""
 
 
 def fingerprint(campaign: CampaignConfig, core: str = NUMPY) -> str:
@@ -35,6 +39,8 @@ def fingerprint(campaign: CampaignConfig, core: str = NUMPY) -> str:
 def _settings(job: FlightJob) -> object:
     try:
         flight = job.configuration()
+    except UntrustedClassError:
+        raise
     except ConfigError:
         return [job.scenario, job.controller, job.duration_s, job.assignments]
-    return flight.model_dump(mode="json", by_alias=True, exclude=set(CHANGES_NO_FLIGHT))
+    return flight.model_dump(mode="json", by_alias=True, exclude=CHANGES_NO_FLIGHT)

@@ -7,6 +7,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from configs.loader import ConfigError
+from configs.named_class import UntrustedClassError
 from experiments.campaigns.campaign import Seeds
 from experiments.campaigns.flight_row import Row
 from experiments.campaigns.flown import FlownCampaign
@@ -63,7 +64,28 @@ def pick(flown: FlownCampaign, sample: int | None, seed: int) -> list[str]:
     for of_controller in keys.values():
         rng.shuffle(of_controller)
     in_turn = [key for turn in zip_longest(*keys.values()) for key in turn if key is not None]
-    return in_turn[: len(keys) if sample is None else sample]
+    picked = in_turn[: len(keys) if sample is None else sample]
+    _require_classes(flown, frozenset(picked))
+    return picked
+
+
+def _require_classes(flown: FlownCampaign, keys: frozenset[str]) -> None:
+    """Build the configurations here, where the classes that they name are checked; the workers import them."""
+    for job in _run(flown, keys, Path()).jobs():
+        try:
+            job.configuration()
+        except UntrustedClassError:
+            raise
+        except ConfigError:
+            continue  # the flight fails, and its row says so
+
+
+def _run(flown: FlownCampaign, keys: frozenset[str], folder: Path) -> CampaignRun:
+    """The run that repeats the flights."""
+    seeds = flown.table.column("seed").to_pylist()
+    first = min(seeds)
+    config = flown.config.model_copy(update={"traces": 0, "seeds": Seeds(first=first, count=1 + max(seeds) - first)})
+    return CampaignRun(config, flown.about.name, folder, only=keys, core=flown.about.core)
 
 
 def refly(
@@ -77,10 +99,7 @@ def refly(
     folder: an empty folder for the repeated flights.
     """
     recorded = {row["key"]: row for row in flown.table.to_pylist()}
-    seeds = [row["seed"] for row in recorded.values()]
-    first = min(seeds)
-    config = flown.config.model_copy(update={"traces": 0, "seeds": Seeds(first=first, count=1 + max(seeds) - first)})
-    run = CampaignRun(config, flown.about.name, folder, only=frozenset(keys), core=flown.about.core)
+    run = _run(flown, frozenset(keys), folder)
     with open_store(folder) as store:
         run_campaign(run, store, workers, report)
     again = {row["key"]: row for row in read_table(folder).to_pylist()}

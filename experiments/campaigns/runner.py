@@ -24,6 +24,7 @@ from experiments.campaigns.worker_pools import TRIES, Workers
 from onboard.cores import NUMPY, check_core
 from runtime.files import write_atomically
 
+ALIVE_EVERY_S: Final = 2.0
 QUEUED_PER_WORKER: Final = 2
 """Flights submitted for each worker: one in flight, one waiting."""
 
@@ -134,7 +135,7 @@ def run_campaign(
 ) -> Progress:
     """Fly the flights that are not in the store; if there are any, record the machine in a prepared folder.
 
-    KeyboardInterrupt is passed on; reported flights are stored.
+    KeyboardInterrupt is passed on; reported flights are stored, and those in the air are given up.
 
     Parameters
     ----------
@@ -150,6 +151,9 @@ def run_campaign(
     try:
         loop = _Loop(run, store, workers, progress, report)
         loop.fly(missing)
+    except KeyboardInterrupt:
+        workers.abandon()
+        raise
     finally:
         workers.close()
     return progress
@@ -228,12 +232,17 @@ class _Loop:
         self._under_way[future] = job
 
     def _receive(self) -> None:
-        done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
+        done: set[Future[FlightResult]] = set()
+        while not done:
+            done, _ = wait(self._under_way, ALIVE_EVERY_S, return_when=FIRST_COMPLETED)
+            if not done:
+                self._workers.require_alive()
         for future in done:
             job = self._under_way.pop(future)
             try:
                 result = future.result()
             except Exception as error:  # the worker died, or its answer was lost
+                self._workers.require_alive()
                 self._again(job, f"the worker failed: {type(error).__name__}: {error}")
             else:
                 self._store_result(job, result)

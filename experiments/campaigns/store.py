@@ -10,13 +10,13 @@ between rename and deletion) counts once, by its key.
 import json
 import os
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.campaigns.flight_row import SCHEMA, Row
-from runtime.files import write_atomically
+from runtime.files import sync_folder, write_atomically
 
 PARQUET: Final = "flights.parquet"
 JOURNAL: Final = "flights.journal"
@@ -42,7 +42,7 @@ class CampaignStore:
         self.done: set[str] = set()
         """Keys of the flights that are done."""
         self._merge()
-        self._journal = (folder / JOURNAL).open("ab")
+        self._journal = self._open_journal()
         self._waiting = 0
 
     def append(self, row: Row) -> None:
@@ -55,7 +55,7 @@ class CampaignStore:
         if self._waiting >= MERGE_EVERY:
             self._journal.close()
             self._merge()
-            self._journal = (self._folder / JOURNAL).open("ab")
+            self._journal = self._open_journal()
             self._waiting = 0
 
     def close(self) -> None:
@@ -63,6 +63,11 @@ class CampaignStore:
         self._journal.close()
         self._merge()
         self._lock.close()
+
+    def _open_journal(self) -> BinaryIO:
+        journal = (self._folder / JOURNAL).open("ab")
+        sync_folder(self._folder)
+        return journal
 
     def _merge(self) -> None:
         rows = read_table(self._folder)

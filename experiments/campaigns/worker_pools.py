@@ -1,17 +1,24 @@
 """Where flights are flown: processes of this machine, or a Dask cluster. Both are `concurrent.futures` executors."""
 
 import multiprocessing
+import os
 import signal
 from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Any, Final, Protocol
 
 from configs.loader import ConfigError
 from experiments.campaigns.worker import one_thread_each
+from runtime.errors import PlainError
+from runtime.signals import die_with
 
 TRIES: Final = 2
 """Number of times that a flight is tried if its worker dies."""
 FLIGHTS_PER_PROCESS: Final = 200
 """After so many flights a worker process is replaced, so that memory stays flat even if a library leaks."""
+
+
+class WorkersLostError(PlainError):
+    """The workers are gone, and with them the flights in the air; what was reported is stored."""
 
 
 class Workers(Protocol):
@@ -24,6 +31,12 @@ class Workers(Protocol):
 
     def close(self) -> None:
         """End all executors."""
+
+    def abandon(self) -> None:
+        """Give up the flights in the air: their rows will not be received."""
+
+    def require_alive(self) -> None:
+        """Raise WorkersLostError if no flight will ever come back."""
 
 
 class LocalPool:
@@ -43,7 +56,7 @@ class LocalPool:
         one_thread_each()
         context = multiprocessing.get_context("spawn")
         self._executor = ProcessPoolExecutor(
-            self.count, context, initializer=_ignore_interrupt, max_tasks_per_child=self._flights_each
+            self.count, context, _begin_worker, (os.getpid(),), max_tasks_per_child=self._flights_each
         )
         return self._executor
 
@@ -52,10 +65,20 @@ class LocalPool:
         if self._executor is not None:
             self._executor.shutdown(wait=True, cancel_futures=True)
 
+    def require_alive(self) -> None:
+        """Do nothing: a dead process breaks its executor, which fails its flights."""
 
-def _ignore_interrupt() -> None:
-    """Leave Ctrl-C to the parent, which ends the pool in order."""
+    def abandon(self) -> None:
+        """Kill the processes."""
+        if self._executor is not None:
+            for process in multiprocessing.active_children():
+                process.kill()
+
+
+def _begin_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, which ends the pool in order; end with it, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    die_with(parent)
 
 
 class DaskWorkers:
@@ -80,4 +103,13 @@ class DaskWorkers:
 
     def close(self) -> None:
         """Disconnect from the cluster."""
+        self._client.close()
+
+    def require_alive(self) -> None:
+        """Raise WorkersLostError if the scheduler is gone; the client gives up some seconds after it has lost it."""
+        if self._client.status in ("closing", "closed"):
+            raise WorkersLostError("the scheduler of the cluster is gone; all rows are stored, continue with --resume")
+
+    def abandon(self) -> None:
+        """Disconnect from the cluster, which drops the flights that nobody waits for."""
         self._client.close()

@@ -123,6 +123,7 @@ def summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         text = f"{onboard['ticks']} ticks, {onboard['missed']} missed, step p50 {tick['p50']:.0f} us, "
         text += f"p99 {tick['p99']:.0f} us, max {tick['max']:.0f} us, {onboard['rss_mb']:.0f} MB"
         rows.append(("onboard", text))
+    rows.extend(("INCOMPLETE", fault) for fault in summary.get("record_faults", ()))
     return rows
 
 

@@ -16,6 +16,7 @@ DRAWING_PERIOD_S: Final = 0.25
 SILENT_S: Final = 2.0
 """Values of a process that has reported nothing for so long are not shown."""
 EVENTS_SHOWN: Final = 6
+EVENT_KINDS: Final = ("event", "fault")
 
 
 class FlightStatus:
@@ -30,7 +31,7 @@ class FlightStatus:
     def receive(self, entry: dict[str, Any]) -> None:
         """Store one line that a process reported."""
         process = str(entry.get("process", ""))
-        if entry.get("kind") == "event":
+        if entry.get("kind") in EVENT_KINDS:
             self.events.append(f"{process}: {entry.get('text', '')}")
         elif entry.get("kind") == "status":
             self._values[process] = entry
@@ -99,7 +100,7 @@ class LiveStatus:
         self.status.receive(entry)
         if self._live is not None:
             self._redraw()
-        elif entry.get("kind") == "event":
+        elif entry.get("kind") in EVENT_KINDS:
             self._print(f"{entry.get('process')}: {entry.get('text')}")
         elif time.monotonic() >= self._next_plain and self.status.of("sim"):
             self._next_plain = time.monotonic() + PLAIN_PERIOD_S

@@ -58,6 +58,8 @@ class LockstepOutcome:
     """How many of the recorded deliveries, if any, were used."""
     learnt: bytes = b""
     """Experience for another flight (experiments.flights.carried_experience)."""
+    log_faults: list[str] = field(default_factory=list)
+    """Why the flight's logs are incomplete, one line each."""
 
 
 def build(

@@ -79,6 +79,11 @@ class LockstepLog:
         """Log an event."""
         self._logs[process].event(time_ns, text)
 
+    @property
+    def faults(self) -> list[str]:
+        """Why the logs are incomplete, one line each."""
+        return [f"{process}: {log.failure}" for process, log in self._logs.items() if log.failure]
+
     def __enter__(self) -> Self:
         return self
 
@@ -115,4 +120,5 @@ def fly_and_log(
         outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded, core=core, train=train)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
+    outcome.log_faults = log.faults
     return outcome

@@ -11,6 +11,7 @@ from experiments.flights.scenario import FlightConfig, with_pose_wait
 from experiments.flights.trace import FlightTrace
 from onboard.cores import NUMPY
 from protocol.conventions import Array
+from runtime.files import no_space
 
 
 def fly_logged(
@@ -24,6 +25,8 @@ def fly_logged(
     log: bool = True,
 ) -> dict[str, Any]:
     """Fly once and write the complete record into `folder`; return the content of summary.json.
+
+    A full disk does not end the flight; "record_faults" of the summary then says what the record lacks.
 
     Parameters
     ----------
@@ -39,9 +42,6 @@ def fly_logged(
     ConfigError
         If the configuration does not fit, for example an experience of another controller.
     """
-    from experiments.flights.flight_figure import draw_flight
-    from flight_log.report import write_report
-
     config = config if with_offboard else with_pose_wait(config)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
@@ -51,11 +51,14 @@ def fly_logged(
     else:
         summary, trace = fly_in_real_time(config, folder, console or Console(quiet=True))
     summary["command"] = command
-    write_summary(folder, summary)
-    if trace is not None:
-        title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
-        draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
-        write_report(folder)
+    try:
+        write_summary(folder, summary)
+        if trace is not None:
+            _draw(config, folder, summary, trace)
+    except OSError as error:
+        if not no_space(error):
+            raise
+        summary["record_faults"].append(f"{error.filename or folder}: {error.strerror}")
     return summary
 
 
@@ -70,11 +73,22 @@ def fly_in_lockstep(config: FlightConfig, folder: Path | None, with_offboard: bo
         return fly_and_log(config, folder, with_offboard, core=core, train=train)
 
 
+def _draw(config: FlightConfig, folder: Path, summary: dict[str, Any], trace: FlightTrace) -> None:
+    """Draw the figure and write the report. Raises OSError."""
+    from experiments.flights.flight_figure import draw_flight
+    from flight_log.report import write_report
+
+    title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
+    draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
+    write_report(folder)
+
+
 def lockstep_summary(config: FlightConfig, outcome: LockstepOutcome) -> dict[str, Any]:
     """Return the content of summary.json of a flight in virtual time."""
     sides = outcome.onboard, outcome.offboard, outcome.radio
     summary = build_summary(config, "lockstep", outcome.trace, outcome.crash_reason, *sides)
     summary["trace_sha256"] = outcome.trace_sha256
+    summary["record_faults"] = outcome.log_faults
     return summary
 
 
@@ -102,6 +116,7 @@ def fly_in_real_time(config: FlightConfig, folder: Path, console: Console) -> tu
     )
     summary["interrupted"] = result.interrupted
     summary["notes"] = result.notes
+    summary["record_faults"] = result.faults
     return summary, trace
 
 

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -56,16 +56,22 @@ class RealtimeResult:
     interrupted: bool = False
     notes: list[str] = field(default_factory=list)
     """Unexpected events, one line each."""
+    faults: list[str] = field(default_factory=list)
+    """Why the record is incomplete, one line each."""
+
+
+def process_command(name: str, config_path: Path, out: Path) -> list[str]:
+    """Return the command that starts a process of the flight."""
+    return [sys.executable, "-m", MODULES[name], "--config", str(config_path.resolve()), "--out", str(out.resolve())]
 
 
 class Child:
-    """One process of the flight."""
+    """One process of the flight. Its status goes through a pipe, its standard error into a file in `out`."""
 
-    def __init__(self, name: str, config_path: Path, out: Path) -> None:
+    def __init__(self, name: str, command: Sequence[str], out: Path) -> None:
         self.name = name
         self.ready = False
-        self.command = [sys.executable, "-m", MODULES[name], "--config", str(config_path.resolve())]
-        self.command += ["--out", str(out.resolve())]
+        self.command = list(command)
         self._errors = out / f"{name}_errors.txt"
         self._rest = b""
         with self._errors.open("ab") as errors:
@@ -167,7 +173,7 @@ class Supervisor:
             self._end_all()
 
     def _start(self, name: str) -> None:
-        child = Child(name, self._config_path, self._out)
+        child = Child(name, process_command(name, self._config_path, self._out), self._out)
         self.children[name] = child
         self._selector.register(child.pipe, selectors.EVENT_READ, child)
 
@@ -244,6 +250,8 @@ class Supervisor:
         for key, _ in self._selector.select(0.1):
             child: Child = key.data
             for entry in child.lines():
+                if entry.get("kind") == "fault":
+                    self.result.faults.append(f"{child.name}: {entry.get('text', '')}")
                 self._on_status(entry)
             if not child.running:
                 self._selector.unregister(child.pipe)

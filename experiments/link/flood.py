@@ -107,12 +107,8 @@ class _Flooder:
         flies = entry.get("process") == "onboard" and entry.get("mode") == "FLYING"
         if not flies or self._process is not None or not self._port:
             return
-        target, peer = PORTS[self._port]
-        network = self._config.network
-        there: str = getattr(network, peer)
-        here: str = getattr(network, target) if target else port_towards(there)
-        words = ("-m", "experiments.link.flood_sender", here, there, str(self._rate_hz), str(self._config.duration_s))
-        self._process = subprocess.Popen((sys.executable, *words), stdout=subprocess.PIPE, text=True)
+        command = flood_command(self._config, self._port, self._rate_hz, self._config.duration_s)
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
     def end(self) -> float:
         """The rate that was sent, Hz. Raises StartError if the sender failed."""
@@ -122,6 +118,14 @@ class _Flooder:
         if self._process.returncode:
             raise StartError("the flood needs root: it writes the peer's address into the datagrams")
         return int(output) / self._config.duration_s
+
+
+def flood_command(config: FlightConfig, port: str, rate_hz: int, seconds: float) -> list[str]:
+    """Return the command that floods a port, one of PORTS, of a flight that is under way. Raises StartError."""
+    target, peer = PORTS[port]
+    there: str = getattr(config.network, peer)
+    here: str = getattr(config.network, target) if target else port_towards(there)
+    return [sys.executable, "-m", "experiments.link.flood_sender", here, there, str(rate_hz), str(seconds)]
 
 
 def port_towards(peer: str) -> str:

@@ -57,10 +57,13 @@ class SameBits:
     verdict = "equal bit for bit"
     motor_difference = 0.0
 
+    def __init__(self, log: LogFile) -> None:
+        self._kind = _kind(log)
+
     def compare(self, tick: LoggedTick, row: Row | None, output: OnboardOutput) -> Finding | None:
-        """Tick record and datagrams."""
+        """Tick record, in the bits that the log has of it, and datagrams."""
         if row is not None:
-            found = _first_field(row, output.tick)
+            found = _first_field(row, _as_logged(output.tick, self._kind))
             if found is not None:
                 return found
         for kind, name, attribute in OUTPUTS:
@@ -79,6 +82,7 @@ class SameDecisions:
 
     def __init__(self, log: LogFile, motor_difference_max: float) -> None:
         self._logged = _events(log)
+        self._kind = _kind(log)
         self._allowed = motor_difference_max
         self.motor_difference = 0.0
 
@@ -98,7 +102,7 @@ class SameDecisions:
             numbers = len(tick.of(kind)), len(getattr(output, attribute))
             if numbers[0] != numbers[1]:
                 return Finding(f"number of {name}s", *map(str, numbers))
-        return None if row is None else self._compare_rows(row, output.tick)
+        return None if row is None else self._compare_rows(row, _as_logged(output.tick, self._kind))
 
     def _compare_rows(self, logged: Row, replayed: Row) -> Finding | None:
         for name in DECISIONS:
@@ -117,6 +121,17 @@ class SameDecisions:
         """An event that was logged, and did not happen."""
         left = next(self._logged, None)
         return None if left is None else Finding("event", _shown(left), _shown(None))
+
+
+def _kind(log: LogFile) -> str:
+    """In which numbers a log has its tick records."""
+    topic = log.vectors.get(TICK.topic)
+    return TICK.kind if topic is None else topic.record_type.kind
+
+
+def _as_logged(row: Row, kind: str) -> Row:
+    """A row as the log gives it back."""
+    return row.astype(kind).astype(np.float64)
 
 
 def _events(log: LogFile) -> Iterator[tuple[int, str]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from configs.loader import ConfigError, parse_mapping
+from configs.named_class import UntrustedClassError, classes_for
 from experiments.flights.lockstep_flight import Deliveries
 from experiments.flights.lockstep_log import EXPERIENCE
 from experiments.flights.scenario import FlightConfig, fill_flight
@@ -39,13 +40,15 @@ class RecordedFlight:
     """Name of the onboard core, of onboard.cores.CORES."""
 
 
-def read_recorded(path: Path) -> RecordedFlight:
+def read_recorded(path: Path, trust: bool = False) -> RecordedFlight:
     """Read a flight's folder.
+
+    trust: whether classes that its configuration names are imported if they are not part of this project.
 
     Raises
     ------
     ConfigError
-        If it is not a flight of this project, or its configuration belongs to another version.
+        If it is not a flight of this project, or its configuration belongs to another version, or names such a class.
     """
     try:
         flight = open_flight(path)
@@ -56,7 +59,7 @@ def read_recorded(path: Path) -> RecordedFlight:
     about = onboard[-1].metadata if onboard else {}
     return RecordedFlight(
         path=path,
-        config=_config(flight, path),
+        config=_config(flight, path, trust),
         deliveries=read_deliveries(flight),
         trace=trace_of(flight),
         summary=summary,
@@ -79,9 +82,16 @@ def read_deliveries(flight: Flight) -> dict[Direction, list[Delivery]]:
     return deliveries
 
 
-def _config(flight: Flight, path: Path) -> FlightConfig:
+def _config(flight: Flight, path: Path, trust: bool) -> FlightConfig:
     for attachments in flight.attachments.values():
         if CONFIG_NAME in attachments:
             source = f"{path}: {CONFIG_NAME}"
-            return fill_flight(parse_mapping(attachments[CONFIG_NAME].decode(), source), source)
+            tree = parse_mapping(attachments[CONFIG_NAME].decode(), source)
+            try:
+                with classes_for(trust):
+                    config = fill_flight(tree, source)
+                    config.onboard.controller.controller_class(source)
+            except UntrustedClassError as error:
+                raise UntrustedClassError(f"{source}: {error}") from None
+            return config
     raise ConfigError(f"{path}: its logs have no {CONFIG_NAME}, so its configuration is unknown")

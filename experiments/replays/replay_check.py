@@ -109,7 +109,7 @@ def check_log(
     flew = log.metadata.get("core", "numpy")
     name = core or flew
     same = name == flew and precision == "double"
-    judge = SameBits() if same else SameDecisions(log, MOTOR_DIFFERENCE_MAX[precision])
+    judge = SameBits(log) if same else SameDecisions(log, MOTOR_DIFFERENCE_MAX[precision])
     return _Check(log, _fresh_core(flight, log, key_file, name, precision), judge).run()
 
 

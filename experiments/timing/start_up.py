@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from experiments.flights.realtime_flight import Child
+from experiments.flights.realtime_flight import Child, process_command
 from experiments.flights.scenario import FlightConfig
 from runtime.errors import StartError
 
@@ -38,7 +38,7 @@ def start_onboard(config: FlightConfig) -> StartUp:
         path = out / "config.yaml"
         path.write_text(config.to_yaml(), encoding="utf-8")
         start = time.monotonic()
-        child = Child("onboard", path, out)
+        child = Child("onboard", process_command("onboard", path, out), out)
         events: list[str] = []
         while not child.ready and child.running and time.monotonic() < start + START_LIMIT_S:
             events += [str(entry["text"]) for entry in child.lines() if entry.get("kind") == "event"]

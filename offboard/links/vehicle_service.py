@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,7 @@ from configs.addresses import Addresses
 from flight_log.writer import FlightLogWriter
 from offboard.background import BackgroundThread, Results
 from offboard.core import OffboardCore, OffboardOutput
+from offboard.links.version_files import VersionFiles
 from offboard.training.job import TrainingResult
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from runtime.files import write_atomically
@@ -76,6 +78,7 @@ class VehicleService:
         self._trained: Results = queue.SimpleQueue()
         self._unwritten: Results = queue.SimpleQueue()
         """Results of writing files. Not those of training: a failed write does not end the training job."""
+        self._versions = VersionFiles(out, core.versions_kept)
         self._checkpoint_lock = threading.Lock()
         self._checkpoint_closed = False
         self._latest_report = ""
@@ -116,7 +119,8 @@ class VehicleService:
             self._report(time.monotonic_ns(), traceback.format_exc(), "there is no last checkpoint")
             return False
         if last is not None:
-            self._write_last_checkpoint(last)
+            self._write_last(partial(self._write_checkpoint, last, last=True))
+        self._write_last(self._versions.write_waiting)
         return True
 
     def close(self) -> None:
@@ -131,7 +135,8 @@ class VehicleService:
             self._core.receive_onboard(datagram, now, now - arrival_ns)
         while isinstance(report := _taken(self._unwritten), str):
             self.failed_writes += 1
-            self._report(now, report, f"a file could not be written ({self.failed_writes} times)")
+            if report != self._latest_report:  # a full disk fails again and again
+                self._report(now, report, "a file could not be written")
         result = _taken(self._trained)
         if isinstance(result, str):
             self.failed_jobs += 1
@@ -153,9 +158,8 @@ class VehicleService:
         if output.checkpoint is not None:
             self._background.submit(partial(self._write_checkpoint, output.checkpoint), self._unwritten)
         if output.version_file is not None:
-            version, content = output.version_file
-            file = self._out / f"features_{version}.npz"
-            self._background.submit(partial(write_atomically, file, content), self._unwritten)
+            self._versions.put(*output.version_file)
+            self._background.submit(self._versions.write_waiting, self._unwritten)
         if self._status.due(now):
             self._status.write({**self._core.status(now), "escapes": self.escapes})
             for text in filter(None, (intake.report(now) for intake in self._intakes)):
@@ -169,12 +173,13 @@ class VehicleService:
                 self._checkpoint_closed = last
                 write_atomically(self._out / "checkpoint.npz", content)
 
-    def _write_last_checkpoint(self, content: bytes) -> None:
-        """Write the last checkpoint; a full disk is reported and does not prevent the summary."""
+    def _write_last(self, write: Callable[[], None]) -> None:
+        """Write what the background thread has not; a full disk is reported and does not prevent the summary."""
         try:
-            self._write_checkpoint(content, last=True)
+            write()
         except OSError as error:
-            print(f"{self._out / 'checkpoint.npz'}: cannot be written: {error.strerror}", file=sys.stderr, flush=True)
+            self.failed_writes += 1
+            print(f"{error.filename}: cannot be written: {error.strerror}", file=sys.stderr, flush=True)
 
     def _note_escape(self, now: int) -> None:
         self.escapes += 1
@@ -192,6 +197,11 @@ class VehicleService:
             print(report, file=sys.stderr, flush=True)
         self._status.report(f"{what}: {report.strip().splitlines()[-1]}")
 
+    @property
+    def unwritten(self) -> bool:
+        """Whether the disk did not take all of the log or a file."""
+        return bool(self._log.failure or self.failed_writes)
+
     def summary(self) -> dict[str, Any]:
         """What the flight summary stores of this vehicle's service."""
         return {
@@ -200,6 +210,7 @@ class VehicleService:
             "escapes": self.escapes,
             "failed_jobs": self.failed_jobs,
             "failed_writes": self.failed_writes,
+            "log_failure": self._log.failure,
             "dropped": {intake.name: intake.summary() for intake in self._intakes},
             "rss_mb": round(resident_mb(), 1),
         }

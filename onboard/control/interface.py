@@ -7,12 +7,12 @@ a controller file, `configs/controllers/<name>.yaml` or any path, and it flies l
     settings: {gain: 2.0}
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from pydantic import BaseModel, Field
 
 from configs.loader import ConfigError, ConfigRecord, fill
+from configs.named_class import named_class
 from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ControlInputs, ControlOutput
 from protocol.feature_config import FeaturesConfig
@@ -91,9 +91,8 @@ class ControllerConfig(ConfigRecord):
 
     def controller_class(self, source: str = "controller") -> Any:
         """The class named by `class_path`. Raises ConfigError."""
-        module_name, _, class_name = self.class_path.partition(":")
         try:
-            controller_class = getattr(import_module(module_name), class_name)
+            controller_class = named_class(self.class_path, "onboard.controller.class")
         except (ImportError, AttributeError) as error:
             raise ConfigError(f"{source}: controller.class: {self.class_path!r} cannot be loaded: {error}") from None
         wanted = ("Settings", "step", "reset")

@@ -61,6 +61,7 @@ TICK: Final = RecordType(
         *_channel_fields("position", ("ned", "ned"), ("m", "m/s", "m/s^2")),
         *_channel_fields("attitude", ("xyz", "pqr"), ("rad", "rad/s", "rad/s^2")),
     ),
+    "float32",
 )
 
 OFFSET: Final = {name: index for index, name in enumerate(TICK.names)}

@@ -344,6 +344,12 @@ class Radio:
         """The delivery of each datagram, in the order sent."""
         return {direction: path.deliveries for direction, path in self._paths.items()}
 
+    def take_deliveries(self, direction: Direction) -> list[Delivery]:
+        """The deliveries since the last call, which are then forgotten: for a process that runs for hours."""
+        path = self._paths[direction]
+        taken, path.deliveries = path.deliveries, []
+        return taken
+
     def recording(self, direction: Direction) -> RecordedDeliveries:
         """How many of the recorded deliveries were used."""
         return self._paths[direction].recording

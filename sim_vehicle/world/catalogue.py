@@ -3,7 +3,6 @@
 import pkgutil
 from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib import import_module
 from inspect import signature
 from typing import Annotated, Any
 
@@ -11,6 +10,7 @@ from pydantic import BeforeValidator, SerializeAsAny, ValidationError
 from pydantic_core import PydanticCustomError
 
 import sim_vehicle.disturbances
+from configs.named_class import named_class
 from sim_vehicle.world.interface import Disturbance
 
 
@@ -26,9 +26,9 @@ def disturbance_class(kind: str) -> type[Disturbance]:
     if not own and kind not in kinds():
         raise ValueError(f"unknown kind; allowed are {', '.join(kinds())}, or module:Class for one of your own")
     camel_case = kind.title().replace("_", "")
-    module_name, _, class_name = (kind if own else f"sim_vehicle.disturbances.{kind}:{camel_case}").partition(":")
+    path = kind if own else f"sim_vehicle.disturbances.{kind}:{camel_case}"
     try:
-        found: Any = getattr(import_module(module_name), class_name)
+        found: Any = named_class(path, "vehicle.disturbances: kind")
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(
             f"cannot be loaded: {error}; expected module:Class, with the module on the Python path"

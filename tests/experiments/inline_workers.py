@@ -36,3 +36,9 @@ class InlineWorkers:
 
     def close(self) -> None:
         pass
+
+    def abandon(self) -> None:
+        pass
+
+    def require_alive(self) -> None:
+        pass

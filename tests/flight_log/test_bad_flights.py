@@ -59,7 +59,7 @@ FOLDERS = {
     cut_to_nothing: "the flight log contains no records",
     no_log: "not an MCAP file",
     foreign: "an MCAP file, but not a flight log of this project",
-    newer: "written in format 99, this version reads up to 1",
+    newer: "written in format 99, this version reads up to 2",
 }
 COMMANDS = (
     *("log info", "log check", "log merge", "log export --csv --npz --ulog", "report"),

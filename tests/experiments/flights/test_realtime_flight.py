@@ -11,7 +11,7 @@ import pytest
 
 from configs.addresses import ADDRESSES, Addresses
 from experiments.flights import realtime_flight
-from experiments.flights.realtime_flight import Child, FlightStartError, RealtimeResult, run
+from experiments.flights.realtime_flight import Child, FlightStartError, RealtimeResult, process_command, run
 from runtime.sockets import AddressInUseError, DatagramSocket
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -182,8 +182,9 @@ def test_a_taken_port_is_named_and_nothing_is_started(stand_ins, tmp_path: Path)
 def test_no_process_outlives_a_killed_parent(stand_ins, tmp_path: Path) -> None:
     script = (
         "import sys, time; from pathlib import Path; from experiments.flights import realtime_flight as r\n"
-        "r.MODULES = {'onboard': 'stand_in_onboard'}\n"
-        "child = r.Child('onboard', Path('x'), Path(sys.argv[1])); print(child.process.pid, flush=True); time.sleep(60)"
+        "r.MODULES = {'onboard': 'stand_in_onboard'}; out = Path(sys.argv[1])\n"
+        "child = r.Child('onboard', r.process_command('onboard', Path('x'), out), out)\n"
+        "print(child.process.pid, flush=True); time.sleep(60)"
     )
     parent = subprocess.Popen(
         [sys.executable, "-c", script, str(tmp_path)],
@@ -204,7 +205,7 @@ def test_no_process_outlives_a_killed_parent(stand_ins, tmp_path: Path) -> None:
 
 def test_other_output_between_the_lines_is_ignored(stand_ins, tmp_path: Path) -> None:
     stand_ins(sim="print('warning: something'); print('[1]'); say(kind='event', text='ready'); finish()")
-    child = Child("sim", tmp_path / "config.yaml", tmp_path)
+    child = Child("sim", process_command("sim", tmp_path / "config.yaml", tmp_path), tmp_path)
     child.process.wait()
     assert child.lines() == [{"process": "sim", "kind": "event", "text": "ready"}]
     assert child.ready

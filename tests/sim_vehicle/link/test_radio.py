@@ -1,5 +1,6 @@
 import hashlib
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from sim_vehicle.link.radio import (
     delivery_from_vector,
     delivery_vector,
 )
+from sim_vehicle.process import SimProcess
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -266,3 +268,23 @@ def test_bad_settings_are_named(settings: dict[str, Any], path: str) -> None:
 def test_defaults_are_perfect() -> None:
     assert shipped("perfect") == RadioConfig()
     assert DirectionConfig() == RadioConfig().down
+
+
+def test_the_process_forgets_what_it_has_logged() -> None:
+    """It would grow by 1.3 MB a minute."""
+    radio, logged = radio_of(), []
+    process = SimProcess.__new__(SimProcess)
+    process._radio = radio
+    process._log = SimpleNamespace(
+        write=lambda kind, at_ns, vector: logged.append((kind, delivery_from_vector(vector)))
+    )
+    sent = 0
+    for second in range(3):
+        for number in range(50):
+            radio.send("up" if number % 3 else "down", bytes(20), second * S + number * MS)
+        sent += 50
+        process._record_deliveries(second * S)
+        assert len(logged) == sent
+        assert radio.deliveries == {"up": [], "down": []}
+        assert sum(radio.counts(direction).sent for direction in DIRECTIONS) == sent
+    assert {kind for kind, _ in logged} == {DELIVERY}

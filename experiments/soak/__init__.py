@@ -1,0 +1,1 @@
+"""Long real-time flights in which processes are stopped, killed and started again and ports are flooded."""
