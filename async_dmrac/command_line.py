@@ -21,8 +21,12 @@ class Subcommand(NamedTuple):
 
     module: str
     help: str
+    extras: tuple[str, ...] = ()
+    """Parts of the installation that it cannot do without."""
 
 
+TRAINER: Final = ("offboard",)
+RESULTS: Final = ("offboard", "experiments")
 SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "fly": Subcommand("async_dmrac.commands.fly", "fly a scenario: vehicle, onboard and offboard together"),
     "onboard": Subcommand("onboard.command", "the 200 Hz flight process alone"),
@@ -32,24 +36,36 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "replay": Subcommand(
         "async_dmrac.commands.replay", "re-fly a recorded flight with exactly the deliveries its link had"
     ),
-    "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
-    "attack": Subcommand("async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost"),
-    "learn": Subcommand("async_dmrac.commands.learn", "learn a memory from logged flights and from other memories"),
-    "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds"),
+    "dropouts": Subcommand(
+        "async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table", RESULTS
+    ),
+    "attack": Subcommand(
+        "async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost", RESULTS
+    ),
+    "learn": Subcommand(
+        "async_dmrac.commands.learn", "learn a memory from logged flights and from other memories", TRAINER
+    ),
+    "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds", TRAINER),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),
-    "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep"),
+    "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep", TRAINER),
     "margins": Subcommand("async_dmrac.commands.margins", "measure the stability margins of a controller's loops"),
     "keygen": Subcommand("async_dmrac.commands.keygen", "make a key that protects the onboard/offboard link"),
-    "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds"),
-    "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds"),
-    "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare"),
-    "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign"),
-    "reproduce": Subcommand("async_dmrac.commands.reproduce", "fly every campaign and rebuild docs/results.md"),
+    "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds", RESULTS),
+    "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds", RESULTS),
+    "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare", RESULTS),
+    "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign", ("experiments",)),
+    "reproduce": Subcommand(
+        "async_dmrac.commands.reproduce", "fly every campaign and rebuild docs/results.md", RESULTS
+    ),
     "log": Subcommand("async_dmrac.commands.log", "look into, check, merge and export flight logs"),
     "view": Subcommand("async_dmrac.commands.view", "open a flight in the 3-D viewer"),
     "report": Subcommand("async_dmrac.commands.report", "one self-contained page about a flight"),
     "compare": Subcommand("async_dmrac.commands.compare", "overlay flights"),
     "preflight": Subcommand("async_dmrac.commands.preflight", "check a vehicle's link before it may fly"),
+    "modes": Subcommand("async_dmrac.commands.modes", "print the flight modes, also for a ground station"),
+    "demo": Subcommand("async_dmrac.commands.demo", "fly the same wind with two controllers and draw both", RESULTS),
+    "doctor": Subcommand("async_dmrac.commands.doctor", "check installation and machine"),
+    "completion": Subcommand("async_dmrac.commands.completion", "print a shell's completion script", ("completion",)),
 }
 
 
@@ -67,36 +83,56 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
         if key != name:
             subparsers.add_parser(key, help=subcommand.help)
             continue
-        module = import_module(subcommand.module)
-        own = subparsers.add_parser(
-            key,
-            help=subcommand.help,
-            description=getattr(module, "DESCRIPTION", subcommand.help),
-            epilog=getattr(module, "EXAMPLES", None),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(own)
-        own.set_defaults(run=module.run)
+        _add_whole(subparsers, key)
     return parser
+
+
+def build_whole_parser() -> argparse.ArgumentParser:
+    """The parser with the options of every subcommand, for completion scripts. Imports all of them."""
+    parser = argparse.ArgumentParser(prog="dmrac", description="A small quadrotor that learns in flight.")
+    subparsers = parser.add_subparsers(dest="subcommand", metavar="SUBCOMMAND", required=True)
+    for key in SUBCOMMANDS:
+        _add_whole(subparsers, key)
+    return parser
+
+
+def _add_whole(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]", key: str) -> None:
+    """Import a subcommand and add its options."""
+    subcommand = SUBCOMMANDS[key]
+    module = import_module(subcommand.module)
+    own = subparsers.add_parser(
+        key,
+        help=subcommand.help,
+        description=getattr(module, "DESCRIPTION", subcommand.help),
+        epilog=getattr(module, "EXAMPLES", None),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(own)
+    own.set_defaults(run=module.run)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns 0 for success, 1 for a lost vehicle or failed check, 2 for bad usage or config."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((word for word in arguments if not word.startswith("-")), None)
-    parsed = build_parser(name).parse_args(arguments)
     from configs.loader import ConfigError
     from runtime.errors import PlainError
 
     try:
+        if name in SUBCOMMANDS and SUBCOMMANDS[name].extras:
+            from runtime.extras import require_extras
+
+            require_extras(SUBCOMMANDS[name].extras)
+        parsed = build_parser(name).parse_args(arguments)
+        parsed.words = arguments
         status: int = parsed.run(parsed)
     except (ConfigError, PlainError) as error:
-        print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
+        print(f"dmrac {name}: {error}", file=sys.stderr)
         return EXIT_USAGE
     except OSError as error:
         if error.filename is None:
             raise
-        print(f"dmrac {parsed.subcommand}: {error.filename}: {error.strerror}", file=sys.stderr)
+        print(f"dmrac {name}: {error.filename}: {error.strerror}", file=sys.stderr)
         return EXIT_USAGE
     except KeyboardInterrupt:
         return 130

@@ -1,12 +1,13 @@
 """`dmrac attack`: flies a corpus of bad learners in lockstep and prints what they did."""
 
 import argparse
-import json
 
 from rich.table import Table
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_jobs_option, cores, plain_console, positive
 from configs.loader import ConfigError
+from runtime.waiting import waiting
 
 EXAMPLES = """examples:
   dmrac attack                                     every case, one seed
@@ -23,9 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="figure8_wind", help="scenario to fly (default: figure8_wind)")
     parser.add_argument("--controller", default="dmrac", help="controller with learnt features (default: dmrac)")
     parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="change one value")
-    parser.add_argument(
-        "--json", action="store_true", help="print a list of {case, flights, lost, error_ratio_to_bias}"
-    )
+    add_json_option(parser, "a list of {case, flights, lost, error_ratio_to_bias}")
     add_jobs_option(parser)
 
 
@@ -39,11 +38,11 @@ def run(arguments: argparse.Namespace) -> int:
     if unknown:
         raise ConfigError(f"--case: {unknown[0]!r} unknown; allowed are {', '.join(CASES)}")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    rows = fly_corpus(
-        *(cases, seeds, arguments.scenario, arguments.controller, tuple(arguments.set)), arguments.jobs or cores()
-    )
+    given = cases, seeds, arguments.scenario, arguments.controller, tuple(arguments.set)
+    with waiting(f"{len(seeds) * (len(cases) + 1)} flights"):
+        rows = fly_corpus(*given, arguments.jobs or cores())
     if arguments.json:
-        print(json.dumps([row.summary() for row in rows], indent=1))
+        print_json([row.summary() for row in rows])
     else:
         table = Table("case", "flights", "lost", "error / bias", "worst m", "accepted", "refused", title="bad learners")
         for row in rows:

@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
@@ -19,7 +20,7 @@ EXAMPLES: Final = """examples:
   dmrac bench
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench flood --controller mrac --seconds 12
-  dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
+  dmrac bench figure8_wind --controller mrac --seconds 30 --out bench.json
 """
 
 
@@ -35,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value by path")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the numbers to this file")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="also write the numbers to this file as JSON")
+    add_json_option(parser, "the numbers")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -43,8 +45,10 @@ def run(arguments: argparse.Namespace) -> int:
     if not 2.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
     report: Any = {SENSORS: _sensors, FLOOD: _flood}.get(arguments.scenario, _times)(arguments)
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if arguments.json:
+        print_json(report)
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return 0
 
 
@@ -52,14 +56,14 @@ def _times(arguments: argparse.Namespace) -> dict[str, Any]:
     from experiments.timing.benchmark import measure
 
     choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
-    return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console().print)
+    return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console(arguments.json).print)
 
 
 def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     from experiments.link.flood import PORTS, RATES_HZ, as_json, measure, table
 
     choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
-    console = plain_console()
+    console = plain_console(arguments.json)
     flights = measure(resolve(DEFAULT_SCENARIO, choices), tuple(PORTS), RATES_HZ, console.print)
     console.print(table(flights))
     return as_json(flights)
@@ -70,7 +74,7 @@ def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:
 
     choices = Choices(arguments.controller, None, arguments.seconds + NOT_MEASURED_S, tuple(arguments.set))
     config = resolve("hover", choices)
-    comparison, console = compare_noise(choices), plain_console()
+    comparison, console = compare_noise(choices), plain_console(arguments.json)
     console.print(noise_table(config, comparison.rows))
     console.print(nis_table(comparison.nis))
     return as_json(config, comparison)

@@ -3,7 +3,14 @@
 import argparse
 from pathlib import Path
 
-from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
+from async_dmrac.commands.shared import (
+    add_worker_options,
+    continuing_command,
+    open_workers,
+    plain_console,
+    positive,
+    progress_bar,
+)
 from experiments.campaigns.campaign import load_campaign
 from experiments.campaigns.runner import CampaignRun, open_store, prepare_folder, run_campaign
 from experiments.campaigns.store import drop_failed
@@ -39,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         with open_store(folder) as store, progress_bar(path.stem, console) as report:
             result = run_campaign(flights, store, workers, report)
     except KeyboardInterrupt:
-        console.print(f"interrupted, all rows are stored. Continue with: dmrac campaign {arguments.campaign} --resume")
+        console.print(f"interrupted, all rows are stored. Continue with: {continuing_command(arguments)}")
         return 130
     console.print(
         f"{result.flown} flights at {result.flights_per_s:.2f} per second, {result.lost} vehicles lost, "

@@ -5,10 +5,12 @@ import os
 import sys
 from pathlib import Path
 
+from async_dmrac.commands.output import add_json_option, print_json
 from flight_log.export import export_csv, export_npz, merge
 from flight_log.inspect import as_json, check, columns, describe
 from flight_log.reader import Flight, open_flight
 from flight_log.ulog import write_ulog
+from runtime.waiting import waiting
 
 DESCRIPTION = "Show the content of a flight's logs, check them, merge them into one file, or export them."
 EXAMPLES = """examples:
@@ -26,8 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     info = actions.add_parser("info", help="show the content of the logs")
     info.add_argument("--columns", action="store_true", help="list every column with its unit")
-    info.add_argument("--json", action="store_true", help="as JSON, for programs")
     checking = actions.add_parser("check", help="list missing and damaged records")
+    for action in (info, checking):
+        add_json_option(action)
     merging = actions.add_parser("merge", help="write the logs of all processes to one MCAP file, on one time base")
     merging.add_argument("-o", "--out", type=Path, help="file to write (default: FLIGHT/merged.mcap)")
     export = actions.add_parser("export", help="write CSV, NumPy or ULog files")
@@ -42,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
     """Run the action; returns 0, 1 if `check` found faults, or 2 if `export` was given no format."""
     actions = {"info": _info, "check": _check, "merge": _merge, "export": _export}
     try:
-        return actions[args.action](open_flight(args.flight), args)
+        with waiting(f"reading {args.flight}"):
+            flight = open_flight(args.flight)
+        return actions[args.action](flight, args)
     except BrokenPipeError:  # `| head` has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -59,6 +64,9 @@ def _info(flight: Flight, args: argparse.Namespace) -> int:
 def _check(flight: Flight, args: argparse.Namespace) -> int:
     faults = check(flight)
     records = sum(log.record_count for log in flight.logs)
+    if args.json:
+        print_json({"flight": str(flight.path), "records": records, "logs": len(flight.logs), "faults": faults})
+        return 1 if faults else 0
     for fault in faults or [f"{flight.path}: complete, {records} records in {len(flight.logs)} logs, no gaps"]:
         print(fault)
     return 1 if faults else 0
@@ -66,7 +74,8 @@ def _check(flight: Flight, args: argparse.Namespace) -> int:
 
 def _merge(flight: Flight, args: argparse.Namespace) -> int:
     path = args.out or _folder(flight) / "merged.mcap"
-    merge(flight, path)
+    with waiting(f"writing {path}"):
+        merge(flight, path)
     print(path)
     return 0
 

@@ -4,6 +4,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
 
 EXAMPLES = """examples:
@@ -27,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the choice (default: 0)")
     add_worker_options(parser)
+    add_json_option(parser, "the comparison of each campaign")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -35,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     from experiments.campaigns.provenance import openblas_kernels, other_kernels
     from experiments.campaigns.refly import pick, refly
 
-    console = plain_console()
+    console, results = plain_console(arguments.json), []
     campaigns = [read_flown(place) for place in arguments.places]
     picked = [pick(flown, arguments.sample, arguments.seed) for flown in campaigns]
     all_same = True
@@ -45,6 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
             flights = refly(flown, keys, Path(folder), open_workers(arguments), report)
         others = [flight for flight in flights if not flight.same]
         all_same = all_same and not others
+        differences = {flight.recorded["key"]: flight.difference for flight in others}
+        results.append({"campaign": name, "flights": len(flights), "differences": differences})
         console.print(
             f"{name}: {len(flights)} of {len(flown.table)} flights flown again, "
             f"{len(flights) - len(others)} of them the same to the bit"
@@ -53,4 +57,6 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(f"  {flight.recorded['key']}: {flight.difference}")
         if others and (advice := other_kernels(flown.about.flown_on, openblas_kernels())):
             console.print(f"  {advice}")
+    if arguments.json:
+        print_json(results)
     return 0 if all_same else 1

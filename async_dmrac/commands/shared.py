@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -41,9 +42,18 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def plain_console() -> Console:
-    """Return a console that prints text as it is: no wrapping, colours or markup."""
-    return Console(highlight=False, soft_wrap=True, markup=False)
+def plain_console(stderr: bool = False) -> Console:
+    """Return a console that prints text as it is, on standard output or error: no wrapping, colours or markup."""
+    return Console(highlight=False, soft_wrap=True, markup=False, stderr=stderr)
+
+
+def continuing_command(arguments: argparse.Namespace) -> str:
+    """Return the command that continues an interrupted campaign: as it was typed, with --resume.
+
+    Without --retry-errors: the failed flights were dropped already, and those that fail again would be flown again.
+    """
+    words = [word for word in arguments.words if word not in ("--resume", "--retry-errors")]
+    return shlex.join(["dmrac", *words, "--resume"])
 
 
 @contextmanager

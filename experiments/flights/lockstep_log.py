@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import Self
 
 from experiments.flights.carried_experience import read_experience
-from experiments.flights.lockstep_flight import ONBOARD_SESSION, Deliveries, LockstepOutcome, fly_lockstep
+from experiments.flights.lockstep_flight import ONBOARD_SESSION, Deliveries, LockstepOutcome, Observer, fly_lockstep
 from experiments.flights.scenario import FlightConfig
 from flight_log.schema import CLOCK_OFFSET
 from flight_log.writer import FlightLogWriter
@@ -106,10 +106,11 @@ def fly_and_log(
     experience: bytes | None = None,
     recorded: Deliveries | None = None,
     core: str = "numpy",
+    observers: tuple[Observer, ...] = (),
 ) -> LockstepOutcome:
     """Fly in lockstep and write the logs into `folder`. Parameters and errors as of `fly_lockstep`."""
     with LockstepLog(folder, config, with_offboard, experience, core) as log:
-        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded, core=core)
+        outcome = fly_lockstep(config, (log, *observers), with_offboard, experience, recorded, core=core)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
     return outcome

@@ -10,6 +10,7 @@ from experiments.flights.lockstep_flight import LockstepOutcome
 from experiments.flights.scenario import FlightConfig, with_pose_wait
 from experiments.flights.trace import FlightTrace
 from protocol.conventions import Array
+from runtime.waiting import waiting
 
 
 def fly_logged(
@@ -26,7 +27,7 @@ def fly_logged(
     Parameters
     ----------
     command: the command line that repeats this flight, for the record.
-    console: shows the live status of a real-time flight; None: no output.
+    console: shows the live status of the flight; None: no output.
     core: the onboard core of a lockstep flight, one of onboard.cores.CORES.
 
     Raises
@@ -39,22 +40,26 @@ def fly_logged(
     from experiments.flights.flight_figure import draw_flight
     from flight_log.report import write_report
 
+    console = console or Console(quiet=True)
     config = config if with_offboard else with_pose_wait(config)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
     if lockstep:
         from experiments.flights.lockstep_log import fly_and_log
+        from experiments.flights.lockstep_status import LockstepStatus
 
-        outcome = fly_and_log(config, folder, with_offboard, core=core)
+        with LockstepStatus(console, config.duration_s) as status:
+            outcome = fly_and_log(config, folder, with_offboard, core=core, observers=(status,))
         summary, trace = lockstep_summary(config, outcome), outcome.trace
     else:
-        summary, trace = fly_in_real_time(config, folder, console or Console(quiet=True))
+        summary, trace = fly_in_real_time(config, folder, console)
     summary["command"] = command
     write_summary(folder, summary)
     if trace is not None:
         title = f"{config.scenario}, {config.controller}, seed {config.seed}, {summary['mode']}"
-        draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
-        write_report(folder)
+        with waiting("writing figure and report", console):
+            draw_flight(trace, title, folder / "flight.png", lost_datagrams(folder))
+            write_report(folder)
     return summary
 
 

@@ -3,6 +3,8 @@
 SI units, world NED and body FRD on the wire as in this project. HEARTBEAT and SYS_STATUS: status.py.
 """
 
+import struct
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -21,6 +23,20 @@ _NAME_BYTES: Final = 10
 _PARAMETER: Final = b"SYS_ID"
 _FTP_NACK: Final = 129
 _FTP_UNKNOWN_COMMAND: Final = 7
+
+
+class AvailableModes:
+    """AVAILABLE_MODES, which pymavlink's common dialect does not have yet: what a message class of it needs here."""
+
+    id: Final = 435
+    crc_extra: Final = 134
+    unpacker: Final = struct.Struct("<IIBBB35s")
+    """Custom mode, properties, number of modes, index from 1, standard mode, name."""
+
+
+NOT_SELECTABLE: Final = 2
+"""MAV_MODE_PROPERTY_NOT_USER_SELECTABLE."""
+_MODE_NAME_BYTES: Final = 34
 
 
 class CommandLong(NamedTuple):
@@ -66,6 +82,22 @@ def encode_text(text: str, severity: int, text_id: int) -> list[Message]:
     number = text_id if len(chunks) > 1 else 0
     kind = mavlink.MAVLink_statustext_message
     return [Message(kind, (severity, chunk, number, index)) for index, chunk in enumerate(chunks)]
+
+
+def encode_modes(names: Mapping[int, str], only: int = 0) -> list[Message]:
+    """AVAILABLE_MODES for each mode, or for the one with the index `only` (from 1). No mode can be selected.
+
+    names: by the number that HEARTBEAT has as custom mode.
+    """
+    numbered = enumerate(names.items(), start=1)
+    return [
+        Message(
+            AvailableModes,
+            (mode, NOT_SELECTABLE, len(names), index, 0, name.encode("ascii", "replace")[:_MODE_NAME_BYTES]),
+        )
+        for index, (mode, name) in numbered
+        if only in (0, index)
+    ]
 
 
 def encode_acknowledgement(number: int, result: int, system: int, component: int) -> Message:

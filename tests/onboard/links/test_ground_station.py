@@ -5,6 +5,7 @@ first time, which needs a package index.
 """
 
 import contextlib
+import io
 import os
 import selectors
 import socket
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from async_dmrac.command_line import main
 from experiments.flights.scenario import Choices, resolve
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
@@ -44,6 +46,14 @@ def mavproxy(request):
     return folder
 
 
+def mode_file():
+    """What `dmrac modes --mavproxy` prints."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["modes", "--mavproxy"]) == 0
+    return printed.getvalue()
+
+
 class GroundStation:
     """MAVProxy as a child process, with keyboard and screen."""
 
@@ -51,6 +61,8 @@ class GroundStation:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
+        (directory / ".pymavlink").mkdir()
+        (directory / ".pymavlink" / "custom_mode_map.json").write_text(mode_file(), encoding="utf-8")
         self.wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wire.connect(("127.0.0.1", port))
         self.wire.setblocking(False)
@@ -143,6 +155,7 @@ def test_mavproxy_sees_arms_flies_and_lands_the_vehicle(mavproxy, tmp_path):
         flight = PacedFlight(station)
         flight.until(lambda mode, screen: "online system 1" in screen, 30)
         flight.until(lambda mode, screen: mode is FlightMode.READY, 10)
+        flight.until(lambda mode, screen: "Mode READY" in screen, 10)
         station.type("status ATTITUDE_QUATERNION")
         flight.until(lambda mode, screen: "q1" in screen, 10)
         station.type("takeoff 1")  # refused, with a reason
@@ -152,6 +165,7 @@ def test_mavproxy_sees_arms_flies_and_lands_the_vehicle(mavproxy, tmp_path):
         flight.until(lambda mode, screen: "ARMED" in screen and mode is FlightMode.ARMED, 10)
         station.type("takeoff 1")
         flight.until(lambda mode, screen: mode is FlightMode.FLYING, 15)
+        flight.until(lambda mode, screen: "Mode FLYING" in screen, 10)
         station.type("status LOCAL_POSITION_NED")
         flight.until(lambda mode, screen: "LOCAL_POSITION_NED {" in screen, 10)
         station.type("disarm")
