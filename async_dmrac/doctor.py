@@ -42,6 +42,7 @@ PURPOSE: Final = {
     "experiments": "figures, reports, campaigns, tuning",
     "cluster": "campaigns on several machines",
     "viz": "the 3-D viewer",
+    "export": "dmrac log export to Parquet, Foxglove, ROS 2 and TensorBoard",
     "completion": "dmrac completion",
 }
 """What each extra is for."""

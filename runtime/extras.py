@@ -13,6 +13,7 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "experiments": ("matplotlib", "optuna", "pyarrow", "sklearn", "threadpoolctl"),
     "cluster": ("distributed",),
     "viz": ("rerun",),
+    "export": ("foxglove", "pyarrow", "rosbags", "tensorboard"),
     "completion": ("shtab",),
 }
 """The modules of each extra of pyproject.toml that this program imports itself."""

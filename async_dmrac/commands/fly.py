@@ -6,6 +6,8 @@ import shlex
 from contextlib import nullcontext
 from pathlib import Path
 
+from rich.console import Console
+
 from async_dmrac.commands.output import add_json_option, console_for, print_json
 from configs.addresses import LINK_KEYS
 from configs.flight_tree import PORTS_EACH
@@ -65,6 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--view", action="store_true", help="show the flight live in the 3-D viewer (real time only)")
     parser.add_argument("--web", action="store_true", help="with --view: serve it to a browser on this machine")
+    parser.add_argument(
+        "--tensorboard", action="store_true", help="also write the training as a TensorBoard run into the record"
+    )
     add_json_option(parser, "summary.json")
 
 
@@ -86,6 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
         require_viewer(arguments.web)
     learns = not arguments.no_offboard and config.offboard.experience.mode != "frozen"
     require_modules("matplotlib", *(("torch",) if learns else ()))
+    if arguments.tensorboard:
+        require_modules("tensorboard", purpose="--tensorboard")
+        if not learns:
+            raise ConfigError(f"--tensorboard: {config.controller} trains nothing in this flight")
     network = config.network
     if not arguments.lockstep:
         _require_free_ports(arguments, choices)
@@ -104,6 +113,8 @@ def run(arguments: argparse.Namespace) -> int:
                 print_json({**summary, "record": str(folder)})
             else:
                 print_summary(summary, folder, console)
+            if arguments.tensorboard:
+                _write_tensorboard(folder, console)
             if arguments.remember:
                 console.print(f"memory          {remember(arguments.memory, folder)}", soft_wrap=True, highlight=False)
             if wait_for_viewer is not None:
@@ -111,6 +122,20 @@ def run(arguments: argparse.Namespace) -> int:
     except (FlightStartError, ConfigError) as error:
         raise type(error)(f"{error}{clear_folder(folder, earlier)}") from None
     return EXIT_STATUS[summary["outcome"]]
+
+
+def _write_tensorboard(folder: Path, console: Console) -> None:
+    """Write the training of the flight into its record, and print where it is."""
+    from flight_log.reader import FlightError, open_flight
+    from flight_log.tensorboard import write_tensorboard
+
+    run = folder / "tensorboard"
+    try:
+        write_tensorboard(open_flight(folder), run)
+        line = str(run)
+    except FlightError as error:
+        line = str(error)
+    console.print(f"tensorboard     {line}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _require_free_ports(arguments: argparse.Namespace, choices: Choices) -> None:

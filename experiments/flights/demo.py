@@ -15,8 +15,8 @@ from protocol.conventions import Array
 
 PAIR: Final = ("pid", "dmrac")
 DURATION_S: Final = 45.0
-WIND: Final = "vehicle.disturbances.0.speed_m_s=8.0"
-"""The fan's jet of the default scenario, twice as fast."""
+WIND: Final = "vehicle.disturbances.0.speed_m_s=6.0"
+"""The fan's jet of the default scenario, half again as fast."""
 SMOOTHING_S: Final = 0.5
 COLOURS: Final = ("#d55e00", "#0072b2")
 

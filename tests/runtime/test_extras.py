@@ -13,7 +13,7 @@ from runtime.extras import EXTRAS, MissingExtraError, missing_modules, require_e
 DEPENDENCIES = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8"))[
     "project"
 ]["optional-dependencies"]
-DISTRIBUTIONS = {"mujoco": "mujoco-core", "rerun": "rerun-sdk", "sklearn": "scikit-learn"}
+DISTRIBUTIONS = {"foxglove": "foxglove-sdk", "mujoco": "mujoco-core", "rerun": "rerun-sdk", "sklearn": "scikit-learn"}
 """Of modules whose distribution has another name."""
 
 
