@@ -19,7 +19,7 @@ from onboard.estimation.state import VehicleState
 from onboard.flight.modes import SPINNING, Command, FlightMode
 from protocol.conventions import NEVER_NS
 from protocol.mavlink import ground as wire
-from protocol.mavlink.frames import Frame, FrameReader, FrameWriter, Message
+from protocol.mavlink.frames import AvailableModes, Frame, FrameReader, FrameWriter, Message
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import HEARTBEAT, BatteryReading, encode_heartbeat, encode_system_status
 
@@ -153,7 +153,7 @@ class GroundLink:
         if target_system not in (0, self._config.system):
             self.rejected["other_target"] += 1
             return None
-        if number == mavlink.MAV_CMD_REQUEST_MESSAGE and parameters[0] == wire.AvailableModes.id:
+        if number == mavlink.MAV_CMD_REQUEST_MESSAGE and parameters[0] == AvailableModes.id:
             self._send_modes(parameters[1], frame)
             return None
         command = _meaning(number, parameters)

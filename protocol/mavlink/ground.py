@@ -3,13 +3,12 @@
 SI units, world NED and body FRD on the wire as in this project. HEARTBEAT and SYS_STATUS: status.py.
 """
 
-import struct
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink.frames import Fields, Frame, Message
+from protocol.mavlink.frames import AvailableModes, Fields, Frame, Message
 
 COMMAND_LONG: Final[int] = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 FILE_TRANSFER: Final[int] = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
@@ -23,15 +22,6 @@ _NAME_BYTES: Final = 10
 _PARAMETER: Final = b"SYS_ID"
 _FTP_NACK: Final = 129
 _FTP_UNKNOWN_COMMAND: Final = 7
-
-
-class AvailableModes:
-    """AVAILABLE_MODES, which pymavlink's common dialect does not have yet: what a message class of it needs here."""
-
-    id: Final = 435
-    crc_extra: Final = 134
-    unpacker: Final = struct.Struct("<IIBBB35s")
-    """Custom mode, properties, number of modes, index from 1, standard mode, name."""
 
 
 NOT_SELECTABLE: Final = 2

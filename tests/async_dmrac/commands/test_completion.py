@@ -10,7 +10,7 @@ from async_dmrac.command_line import SUBCOMMANDS, main
 from async_dmrac.commands.completion import SHELLS
 
 pytest.importorskip("shtab")
-ASK = """source script
+ASK = """source ./script
 COMP_WORDS=({words})
 COMP_LINE="${{COMP_WORDS[*]}}"
 COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))
