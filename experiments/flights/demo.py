@@ -36,11 +36,12 @@ class DemoFlight:
 
     def line(self) -> str:
         """One line about the flight."""
+        name = f"{self.config.controller}:"
         if self.crash_reason:
-            return f"{self.config.controller:<6} VEHICLE LOST after {self.trace.time_s[-1]:.1f} s: {self.crash_reason}"
+            return f"{name:<7} VEHICLE LOST after {self.trace.time_s[-1]:.1f} s: {self.crash_reason}"
         learnt = f", {self.feature_versions} feature versions learnt in flight" if self.feature_versions else ""
         return (
-            f"{self.config.controller:<6} first lap {1e3 * self.first_lap_rmse_m:5.1f} mm, "
+            f"{name:<7} first lap {1e3 * self.first_lap_rmse_m:5.1f} mm, "
             f"settled {1e3 * self.settled_rmse_m:5.1f} mm{learnt}"
         )
 

@@ -133,7 +133,7 @@ def position(
     for _, traces, panels, colour in columns:
         longest = max(traces, key=lambda trace: trace.time_s.size)
         label = _flown(traces)
-        for panel, axis, sign in zip(panels, "ned", (1.0, 1.0, -1.0), strict=True):
+        for panel, axis, sign in zip(panels[:3], "ned", (1.0, 1.0, -1.0), strict=True):
             target = sign * longest[f"tick_target_{axis}"]
             panel.plot(longest.time_s, target, color="0.45", linewidth=1.0, linestyle="--", label="target")
             _band(panel, traces, [sign * trace[f"truth_position_{axis}"] for trace in traces], colour, "-", label)

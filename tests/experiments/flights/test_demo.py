@@ -25,7 +25,7 @@ def test_both_fly_in_the_same_wind() -> None:
 def test_the_lines_are_those_of_the_flights(flights: tuple[DemoFlight, ...]) -> None:
     known = replace(flights[0], first_lap_rmse_m=0.1, settled_rmse_m=0.08), replace(flights[1], settled_rmse_m=0.02)
     lines = summary(known)
-    assert lines[0] == "pid    first lap 100.0 mm, settled  80.0 mm"
+    assert lines[0] == "pid:    first lap 100.0 mm, settled  80.0 mm"
     assert lines[2].startswith("With dmrac 25% of pid's settled error is left")
     lost = summary((known[0], replace(known[1], crash_reason="floor contact")))
     assert "VEHICLE LOST" in lost[1]
