@@ -10,7 +10,7 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "sim": ("numba",),
     "mujoco": ("mujoco",),
     "offboard": ("torch",),
-    "experiments": ("matplotlib", "optuna", "pyarrow", "sklearn", "threadpoolctl"),
+    "experiments": ("matplotlib", "optuna", "pyarrow", "ruamel.yaml", "sklearn", "threadpoolctl"),
     "cluster": ("distributed",),
     "viz": ("rerun",),
     "export": ("foxglove", "pyarrow", "rosbags", "tensorboard"),
@@ -25,7 +25,7 @@ class MissingExtraError(PlainError):
 
 def missing_modules(extra: str) -> list[str]:
     """The modules of an extra that cannot be imported here."""
-    return [module for module in EXTRAS[extra] if importlib.util.find_spec(module) is None]
+    return [module for module in EXTRAS[extra] if not _installed(module)]
 
 
 def require_extras(extras: Iterable[str]) -> None:
@@ -45,10 +45,17 @@ def require_modules(*modules: str, purpose: str = "") -> None:
     MissingExtraError
         If one is missing.
     """
-    missing = [module for module in modules if importlib.util.find_spec(module) is None]
+    missing = [module for module in modules if not _installed(module)]
     if missing:
         extras = dict.fromkeys(next(extra for extra, own in EXTRAS.items() if module in own) for module in missing)
         before = f"{purpose}: " if purpose else ""
         raise MissingExtraError(
             f"{before}not installed: {', '.join(missing)}. Install with: pip install 'async-dmrac[{','.join(extras)}]'"
         )
+
+
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # the package that it is in
+        return False
