@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from async_dmrac.commands.shared import plain_console
+from runtime.waiting import waiting
 
 EXAMPLES = """examples:
   dmrac figures campaigns/rotor_chip
@@ -23,6 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = plain_console()
     out = arguments.out or arguments.folder / "figures"
-    write_report(arguments.folder, out, console.print)
+    with waiting(f"comparing and drawing {arguments.folder}", console):
+        write_report(arguments.folder, out, console.print)
     console.print(f"written: {out / 'report.html'}")
     return 0

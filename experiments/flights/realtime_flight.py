@@ -29,7 +29,7 @@ MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onbo
 """In the order of their start; onboard's first motor command starts the flight."""
 READY_LIMIT_S: Final = 120.0
 """The first start compiles the simulated vehicle, and a slow machine imports torch slowly."""
-PATIENCE_S: Final = 6.0
+PATIENCE_S: Final = 2.0
 """Time after which the status says which process is not ready."""
 END_LIMIT_S: Final = 5.0
 FALL_LIMIT_S: Final = 3.0
