@@ -21,12 +21,13 @@ class Subcommand(NamedTuple):
 
     module: str
     help: str
-    extras: tuple[str, ...] = ()
-    """Parts of the installation that it cannot do without."""
+    modules: tuple[str, ...] = ()
+    """Of the extras (runtime.extras), that it cannot do without."""
 
 
-TRAINER: Final = ("offboard",)
-RESULTS: Final = ("offboard", "experiments")
+TRAINER: Final = ("torch",)
+ROWS: Final = ("torch", "pyarrow", "threadpoolctl")
+DRAWN: Final = ("matplotlib", "pyarrow", "sklearn", "threadpoolctl")
 SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "fly": Subcommand("async_dmrac.commands.fly", "fly a scenario: vehicle, onboard and offboard together"),
     "onboard": Subcommand("onboard.command", "the 200 Hz flight process alone"),
@@ -37,11 +38,9 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
         "async_dmrac.commands.replay", "re-fly a recorded flight with exactly the deliveries its link had"
     ),
     "dropouts": Subcommand(
-        "async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table", RESULTS
+        "async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table", ROWS
     ),
-    "attack": Subcommand(
-        "async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost", RESULTS
-    ),
+    "attack": Subcommand("async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost", ROWS),
     "learn": Subcommand(
         "async_dmrac.commands.learn", "learn a memory from logged flights and from other memories", TRAINER
     ),
@@ -50,12 +49,14 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep", TRAINER),
     "margins": Subcommand("async_dmrac.commands.margins", "measure the stability margins of a controller's loops"),
     "keygen": Subcommand("async_dmrac.commands.keygen", "make a key that protects the onboard/offboard link"),
-    "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds", RESULTS),
-    "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds", RESULTS),
-    "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare", RESULTS),
-    "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign", ("experiments",)),
+    "tune": Subcommand(
+        "async_dmrac.commands.tune", "search a controller's gains on training seeds", (*ROWS, "optuna", "ruamel.yaml")
+    ),
+    "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds", ROWS),
+    "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare", ROWS),
+    "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign", DRAWN),
     "reproduce": Subcommand(
-        "async_dmrac.commands.reproduce", "fly every campaign and rebuild docs/results.md", RESULTS
+        "async_dmrac.commands.reproduce", "fly every campaign and rebuild docs/results.md", (*TRAINER, *DRAWN)
     ),
     "log": Subcommand("async_dmrac.commands.log", "look into, check, merge and export flight logs"),
     "view": Subcommand("async_dmrac.commands.view", "open a flight in the 3-D viewer"),
@@ -63,9 +64,11 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "compare": Subcommand("async_dmrac.commands.compare", "overlay flights"),
     "preflight": Subcommand("async_dmrac.commands.preflight", "check a vehicle's link before it may fly"),
     "modes": Subcommand("async_dmrac.commands.modes", "print the flight modes, also for a ground station"),
-    "demo": Subcommand("async_dmrac.commands.demo", "fly the same wind with two controllers and draw both", RESULTS),
+    "demo": Subcommand(
+        "async_dmrac.commands.demo", "fly the same wind with two controllers and draw both", (*TRAINER, "matplotlib")
+    ),
     "doctor": Subcommand("async_dmrac.commands.doctor", "check installation and machine"),
-    "completion": Subcommand("async_dmrac.commands.completion", "print a shell's completion script", ("completion",)),
+    "completion": Subcommand("async_dmrac.commands.completion", "print a shell's completion script", ("shtab",)),
 }
 
 
@@ -119,10 +122,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     from runtime.errors import PlainError
 
     try:
-        if name in SUBCOMMANDS and SUBCOMMANDS[name].extras:
-            from runtime.extras import require_extras
+        if name in SUBCOMMANDS and SUBCOMMANDS[name].modules:
+            from runtime.extras import require_modules
 
-            require_extras(SUBCOMMANDS[name].extras)
+            require_modules(*SUBCOMMANDS[name].modules)
         parsed = build_parser(name).parse_args(arguments)
         parsed.words = arguments
         status: int = parsed.run(parsed)

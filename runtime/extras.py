@@ -1,7 +1,6 @@
 """The optional parts of the installation: which modules each needs, and which of them are missing here."""
 
 import importlib.util
-from collections.abc import Iterable
 from typing import Final
 
 from runtime.errors import PlainError
@@ -26,11 +25,6 @@ class MissingExtraError(PlainError):
 def missing_modules(extra: str) -> list[str]:
     """The modules of an extra that cannot be imported here."""
     return [module for module in EXTRAS[extra] if not _installed(module)]
-
-
-def require_extras(extras: Iterable[str]) -> None:
-    """Check that all modules of the extras are installed; imports none of them. Raises MissingExtraError."""
-    require_modules(*(module for extra in extras for module in EXTRAS[extra]))
 
 
 def require_modules(*modules: str, purpose: str = "") -> None:

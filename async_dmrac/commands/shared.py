@@ -5,12 +5,14 @@ import os
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from experiments.campaigns.runner import Progress as CampaignProgress
-from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers
+if TYPE_CHECKING:  # the commands that fly no campaign run without pyarrow
+    from experiments.campaigns.runner import Progress as CampaignProgress
+    from experiments.campaigns.worker_pools import Workers
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
@@ -32,8 +34,10 @@ def positive(text: str) -> int:
     return value
 
 
-def open_workers(arguments: argparse.Namespace) -> Workers:
+def open_workers(arguments: argparse.Namespace) -> "Workers":
     """Return the workers of `add_worker_options`: a Dask cluster, or processes of this machine."""
+    from experiments.campaigns.worker_pools import DaskWorkers, LocalPool
+
     return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
 
 
@@ -57,7 +61,7 @@ def continuing_command(arguments: argparse.Namespace) -> str:
 
 
 @contextmanager
-def progress_bar(name: str, console: Console) -> Iterator[Callable[[CampaignProgress], None]]:
+def progress_bar(name: str, console: Console) -> Iterator["Callable[[CampaignProgress], None]"]:
     """Show a bar with count, rate, elapsed and remaining time; yield the function that updates it."""
     columns = (
         TextColumn("{task.description}"),
@@ -71,7 +75,7 @@ def progress_bar(name: str, console: Console) -> Iterator[Callable[[CampaignProg
     with Progress(*columns, console=console, speed_estimate_period=120.0) as bar:
         task = bar.add_task(name, total=None, rate=0.0, lost=0, errors=0)
 
-        def report(progress: CampaignProgress) -> None:
+        def report(progress: "CampaignProgress") -> None:
             bar.update(
                 task,
                 total=progress.total,

@@ -2,13 +2,15 @@
 
 import importlib.util
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from async_dmrac.command_line import SUBCOMMANDS, main
-from runtime.extras import EXTRAS, MissingExtraError, missing_modules, require_extras, require_modules
+from runtime.extras import EXTRAS, MissingExtraError, missing_modules, require_modules
 
 DEPENDENCIES = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8"))[
     "project"
@@ -29,14 +31,15 @@ def test_the_table_agrees_with_the_installation(extra: str) -> None:
     assert {DISTRIBUTIONS.get(module, module) for module in EXTRAS[extra]} <= declared
 
 
-def test_every_subcommand_needs_known_extras() -> None:
-    assert {extra for one in SUBCOMMANDS.values() for extra in one.extras} <= set(EXTRAS)
+def test_every_subcommand_needs_known_modules() -> None:
+    known = {module for modules in EXTRAS.values() for module in modules}
+    assert {module for one in SUBCOMMANDS.values() for module in one.modules} <= known
 
 
 def test_a_missing_module_is_named_with_the_command_that_installs_it(without_torch: None) -> None:
     assert missing_modules("offboard") == ["torch"]
     with pytest.raises(MissingExtraError, match=r"not installed: torch.*pip install 'async-dmrac\[offboard\]'"):
-        require_extras(("sim", "offboard"))
+        require_modules("numba", "torch")
     with pytest.raises(MissingExtraError, match=r"^--fast: not installed: torch"):
         require_modules("numba", "torch", purpose="--fast")
 
@@ -60,3 +63,30 @@ def test_a_flight_without_a_trainer_needs_no_torch(without_torch: None, capsys: 
     """It gets as far as the folder of the record."""
     assert main(["fly", "hover", "--controller", "pid", "--lockstep", "--out", "/dev/null/x"]) == 2
     assert "--out /dev/null/x: cannot be made" in capsys.readouterr().err
+
+
+BLOCKED = """
+import importlib.util, sys
+blocked = set(sys.argv[1].split(","))
+
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in blocked:
+            raise ModuleNotFoundError(f"No module named {name!r} (blocked)", name=name)
+
+sys.meta_path.insert(0, Block())
+from async_dmrac.command_line import SUBCOMMANDS, build_parser
+
+for name, subcommand in SUBCOMMANDS.items():
+    if not blocked & {module.partition(".")[0] for module in subcommand.modules}:
+        build_parser(name)
+        print(name)
+"""
+
+
+@pytest.mark.parametrize("blocked", ["pyarrow", "torch,optuna,ruamel,shtab", "matplotlib,sklearn,threadpoolctl"])
+def test_a_command_shows_its_options_without_the_modules_that_it_does_not_need(blocked: str) -> None:
+    command = [sys.executable, "-c", BLOCKED, blocked]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert result.returncode == 0, result.stderr
+    assert {"fly", "log", "replay", "config", "doctor"} <= set(result.stdout.split())
