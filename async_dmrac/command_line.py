@@ -49,9 +49,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep", TRAINER),
     "margins": Subcommand("async_dmrac.commands.margins", "measure the stability margins of a controller's loops"),
     "keygen": Subcommand("async_dmrac.commands.keygen", "make a key that protects the onboard/offboard link"),
-    "tune": Subcommand(
-        "async_dmrac.commands.tune", "search a controller's gains on training seeds", (*ROWS, "optuna", "ruamel.yaml")
-    ),
+    "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds", (*ROWS, "optuna")),
     "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds", ROWS),
     "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare", ROWS),
     "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign", DRAWN),

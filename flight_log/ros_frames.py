@@ -17,7 +17,8 @@ def world_enu(ned: Array) -> Array:
 
 def body_flu(frd: Array) -> Array:
     """[n, 3] vectors of the body: FRD to FLU."""
-    return frd * np.array([1.0, -1.0, -1.0])
+    flu: Array = frd * np.array([1.0, -1.0, -1.0])
+    return flu
 
 
 def attitude_enu(wxyz: Array) -> Rotation:

@@ -9,7 +9,7 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "sim": ("numba",),
     "mujoco": ("mujoco",),
     "offboard": ("torch",),
-    "experiments": ("matplotlib", "optuna", "pyarrow", "ruamel.yaml", "sklearn", "threadpoolctl"),
+    "experiments": ("matplotlib", "optuna", "pyarrow", "sklearn", "threadpoolctl"),
     "cluster": ("distributed",),
     "viz": ("rerun",),
     "export": ("foxglove", "pyarrow", "rosbags", "tensorboard"),

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
             text = f"{len(done)} of {len(flights)} flights"
             status.update(text)
             if not progress.is_terminal:
-                print(f"{text}: {row.name}", file=sys.stderr, flush=True)
+                print(f"{text}: {row.trace}", file=sys.stderr, flush=True)
 
         rows = fly_all(flights, arguments.jobs or cores(), report)
     _print(arguments, rows)
