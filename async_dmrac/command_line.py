@@ -22,8 +22,13 @@ class Subcommand(NamedTuple):
 
     module: str
     help: str
+    modules: tuple[str, ...] = ()
+    """Of the extras (runtime.extras), that it cannot do without."""
 
 
+TRAINER: Final = ("torch",)
+ROWS: Final = ("torch", "pyarrow", "threadpoolctl")
+DRAWN: Final = ("matplotlib", "pyarrow", "sklearn", "threadpoolctl")
 SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "fly": Subcommand("async_dmrac.commands.fly", "fly a scenario: vehicle, onboard and offboard together"),
     "onboard": Subcommand("onboard.command", "the 200 Hz flight process alone"),
@@ -33,26 +38,40 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "replay": Subcommand(
         "async_dmrac.commands.replay", "re-fly a recorded flight with exactly the deliveries its link had"
     ),
-    "dropouts": Subcommand("async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table"),
-    "attack": Subcommand("async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost"),
-    "soak": Subcommand("async_dmrac.commands.soak", "fly for long while processes are killed and ports flooded"),
-    "learn": Subcommand("async_dmrac.commands.learn", "learn a memory from logged flights and from other memories"),
-    "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds"),
+    "dropouts": Subcommand(
+        "async_dmrac.commands.dropouts", "fly the shipped dropouts of the link and print a table", ROWS
+    ),
+    "attack": Subcommand("async_dmrac.commands.attack", "fly bad learners and count the vehicles that they cost", ROWS),
+    "soak": Subcommand(
+        "async_dmrac.commands.soak", "fly for long while processes are killed and ports flooded", TRAINER
+    ),
+    "learn": Subcommand(
+        "async_dmrac.commands.learn", "learn a memory from logged flights and from other memories", TRAINER
+    ),
+    "memory": Subcommand("async_dmrac.commands.memory", "check a memory and show what it holds", TRAINER),
     "config": Subcommand("async_dmrac.commands.config", "write the resolved configuration of a scenario"),
-    "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep"),
+    "bench": Subcommand("async_dmrac.commands.bench", "time the onboard step, the loop's pace and lockstep", TRAINER),
     "margins": Subcommand("async_dmrac.commands.margins", "measure the stability margins of a controller's loops"),
     "keygen": Subcommand("async_dmrac.commands.keygen", "make a key that protects the onboard/offboard link"),
-    "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds"),
-    "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds"),
-    "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare"),
-    "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign"),
-    "reproduce": Subcommand("async_dmrac.commands.reproduce", "fly every campaign and rebuild docs/results.md"),
+    "tune": Subcommand("async_dmrac.commands.tune", "search a controller's gains on training seeds", (*ROWS, "optuna")),
+    "campaign": Subcommand("async_dmrac.commands.campaign", "fly scenario x controllers x sweeps x seeds", ROWS),
+    "refly": Subcommand("async_dmrac.commands.refly", "fly some of a campaign's flights again and compare", ROWS),
+    "figures": Subcommand("async_dmrac.commands.figures", "tables and figures of a campaign", DRAWN),
+    "reproduce": Subcommand(
+        "async_dmrac.commands.reproduce", "fly every campaign and rebuild docs/results.md", (*TRAINER, *DRAWN)
+    ),
     "log": Subcommand("async_dmrac.commands.log", "look into, check, merge and export flight logs"),
     "view": Subcommand("async_dmrac.commands.view", "open a flight in the 3-D viewer"),
     "report": Subcommand("async_dmrac.commands.report", "one self-contained page about a flight"),
     "compare": Subcommand("async_dmrac.commands.compare", "overlay flights"),
     "core": Subcommand("async_dmrac.commands.core", "build the onboard core in C"),
     "preflight": Subcommand("async_dmrac.commands.preflight", "check a vehicle's link before it may fly"),
+    "modes": Subcommand("async_dmrac.commands.modes", "print the flight modes, also for a ground station"),
+    "demo": Subcommand(
+        "async_dmrac.commands.demo", "fly the same wind with two controllers and draw both", (*TRAINER, "matplotlib")
+    ),
+    "doctor": Subcommand("async_dmrac.commands.doctor", "check installation and machine"),
+    "completion": Subcommand("async_dmrac.commands.completion", "print a shell's completion script", ("shtab",)),
 }
 
 
@@ -70,37 +89,57 @@ def build_parser(name: str | None) -> argparse.ArgumentParser:
         if key != name:
             subparsers.add_parser(key, help=subcommand.help)
             continue
-        module = import_module(subcommand.module)
-        own = subparsers.add_parser(
-            key,
-            help=subcommand.help,
-            description=getattr(module, "DESCRIPTION", subcommand.help),
-            epilog=getattr(module, "EXAMPLES", None),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(own)
-        own.set_defaults(run=module.run)
+        _add_whole(subparsers, key)
     return parser
+
+
+def build_whole_parser() -> argparse.ArgumentParser:
+    """The parser with the options of every subcommand, for completion scripts. Imports all of them."""
+    parser = argparse.ArgumentParser(prog="dmrac", description="A small quadrotor that learns in flight.")
+    subparsers = parser.add_subparsers(dest="subcommand", metavar="SUBCOMMAND", required=True)
+    for key in SUBCOMMANDS:
+        _add_whole(subparsers, key)
+    return parser
+
+
+def _add_whole(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]", key: str) -> None:
+    """Import a subcommand and add its options."""
+    subcommand = SUBCOMMANDS[key]
+    module = import_module(subcommand.module)
+    own = subparsers.add_parser(
+        key,
+        help=subcommand.help,
+        description=getattr(module, "DESCRIPTION", subcommand.help),
+        epilog=getattr(module, "EXAMPLES", None),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(own)
+    own.set_defaults(run=module.run)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns 0 for success, 1 for a lost vehicle, failed check or full disk, 2 for bad usage."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((word for word in arguments if not word.startswith("-")), None)
-    parsed = build_parser(name).parse_args(arguments)
     from configs.loader import ConfigError
     from runtime.errors import PlainError
     from runtime.files import no_space
 
     try:
+        if name in SUBCOMMANDS and SUBCOMMANDS[name].modules:
+            from runtime.extras import require_modules
+
+            require_modules(*SUBCOMMANDS[name].modules)
+        parsed = build_parser(name).parse_args(arguments)
+        parsed.words = arguments
         status: int = parsed.run(parsed)
     except (ConfigError, PlainError) as error:
-        print(f"dmrac {parsed.subcommand}: {error}", file=sys.stderr)
+        print(f"dmrac {name}: {error}", file=sys.stderr)
         return EXIT_USAGE
     except OSError as error:
         if error.filename is None and not no_space(error):
             raise
-        print(f"dmrac {parsed.subcommand}: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
+        print(f"dmrac {name}: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
         return EXIT_FAILED if no_space(error) else EXIT_USAGE
     except KeyboardInterrupt:
         return 130

@@ -35,7 +35,7 @@ def export_csv(flight: Flight, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for table in flight:
-        path = folder / f"{re.sub(r'[^A-Za-z0-9]+', '_', table.topic)}.csv"
+        path = folder / f"{file_stem(table.topic)}.csv"
         _write_csv(table, flight.start_ns, path)
         written.append(path)
     events = folder / "events.csv"
@@ -45,6 +45,11 @@ def export_csv(flight: Flight, folder: Path) -> list[Path]:
             text = event.text.replace('"', '""')
             file.write(f'{(event.time_ns - flight.start_ns) * 1e-9:.6f},{event.process},"{text}"\n')
     return [*written, events]
+
+
+def file_stem(topic: str) -> str:
+    """The name of a topic's file without its ending: "onboard/tick" -> "onboard_tick"."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", topic)
 
 
 def _write_csv(table: Table, start_ns: int, path: Path) -> None:

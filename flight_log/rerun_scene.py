@@ -7,18 +7,20 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from flight_log.scene import GROUPS, TABS, Curve, Motion, Scene
+from flight_log.scene import (
+    ARROW_COLOURS,
+    ARROW_SCALE,
+    GROUPS,
+    ROTORS,
+    TABS,
+    THRUST_M_PER_N,
+    Curve,
+    Motion,
+    Scene,
+)
 
 APPLICATION: Final = "async-dmrac"
 TIMELINE: Final = "flight"
-ARM_M: Final = 0.0442
-"""Half the distance between neighbouring rotors of a Mambo, which is drawn in its real size."""
-ROTORS: Final = ((ARM_M, ARM_M, 0.0), (-ARM_M, -ARM_M, 0.0), (ARM_M, -ARM_M, 0.0), (-ARM_M, ARM_M, 0.0))
-"""PX4 order: front right, rear left, front left, rear right; body FRD."""
-THRUST_M_PER_N: Final = 1.0
-ARROW_SCALE: Final = {"wind": 0.05, "disturbance": 4.0, "nu_ad": 0.25}
-"""Drawn metres per m/s, per N, per m/s^2 (a Mambo weighs 0.063 kg, so force and nu_ad are drawn alike)."""
-ARROW_COLOURS: Final = {"wind": (120, 170, 255), "disturbance": (235, 90, 60), "nu_ad": (60, 190, 120)}
 CURVE_COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
 REFERENCE_COLOURS: Final = ((150, 150, 150), (180, 180, 180), (120, 120, 120))
 PATH_POINTS_MAX: Final = 5000

@@ -20,6 +20,14 @@ SMOOTHING_ROWS: Final = 20
 FLOOR_EFFECT_M: Final = 0.15
 LOSS_WINDOW_NS: Final = 1_000_000_000
 DEGREES: Final = 180.0 / np.pi
+ARM_M: Final = 0.0442
+"""Half the distance between neighbouring rotors of a Mambo, which is drawn in its real size."""
+ROTORS: Final = ((ARM_M, ARM_M, 0.0), (-ARM_M, -ARM_M, 0.0), (ARM_M, -ARM_M, 0.0), (-ARM_M, ARM_M, 0.0))
+"""PX4 order: front right, rear left, front left, rear right; body FRD."""
+THRUST_M_PER_N: Final = 1.0
+ARROW_SCALE: Final = {"wind": 0.05, "disturbance": 4.0, "nu_ad": 0.25}
+"""Drawn metres per m/s, per N, per m/s^2 (a Mambo weighs 0.063 kg, so force and nu_ad are drawn alike)."""
+ARROW_COLOURS: Final = {"wind": (120, 170, 255), "disturbance": (235, 90, 60), "nu_ad": (60, 190, 120)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ SHORTER: dict[str, list[str]] = {
     "attack": ["--case", "steep", "--seeds", "1"],
     "bench": ["--seconds", "2"],
     "campaign": ["--seeds", "1"],
+    "demo": ["--duration", "6"],
     "dropouts": ["--duration", "6"],
     "preflight": ["--listen-only", "--bind", ADDRESSES["onboard_vehicle"]],
     "reproduce": ["--seeds", "1"],

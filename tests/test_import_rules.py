@@ -20,7 +20,8 @@ PACKAGES = (
     "runtime",
     "experiments",
 )
-HEAVY = {"torch", "numba", "mujoco", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed"}
+HEAVY = {"torch", "numba", "mujoco", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed", "shtab"}
+HEAVY |= {"foxglove", "rosbags", "tensorboard"}
 """What only extras install; the base install (onboard) must live without."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -54,7 +55,7 @@ MAY_NOT_USE: dict[str, set[str]] = {
     "onboard": HEAVY,
     "offboard": HEAVY - {"torch"},
     "sim_vehicle": HEAVY - {"numba", "mujoco"},
-    "flight_log": HEAVY - {"matplotlib", "rerun"},
+    "flight_log": HEAVY - {"matplotlib", "rerun", "pyarrow", "foxglove", "rosbags", "tensorboard"},
     "runtime": HEAVY,
     "experiments": set(),
     "async_dmrac": set(),

@@ -1,15 +1,16 @@
 """`dmrac attack`: flies a corpus of bad learners in lockstep and prints what they did."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.table import Table
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_core_option, add_jobs_option, cores, plain_console, positive
 from configs.loader import ConfigError
+from runtime.waiting import waiting
 
 if TYPE_CHECKING:
     from experiments.attacks.attack_flight import AttackFlight, AttackOutcome
@@ -39,9 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="scenario (default: as it is), calm, jet_4, jet_8, or chip (jet_8, and a rotor loses 25 %%); repeatable",
     )
     parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="change one value")
-    parser.add_argument(
-        "--json", action="store_true", help="print a list of {case, flights, lost, error_ratio_to_bias}"
-    )
+    add_json_option(parser, "a list of {case, flights, lost, error_ratio_to_bias}")
     parser.add_argument("--out", type=Path, metavar="DIR", help="keep each flight there; the same command goes on")
     parser.add_argument(
         "--search", type=positive, metavar="N", help="fly N trials of an optimiser for the worst accepted versions"
@@ -90,9 +89,10 @@ def _fly(arguments: argparse.Namespace) -> int:
         for case in cases
     ]
     check(flights)
-    rows = fly_corpus(flights, Journal(arguments.out, commit()), arguments.jobs or cores(), _report)
+    with waiting(f"{len(flights)} flights, and those of bias for comparison"):
+        rows = fly_corpus(flights, Journal(arguments.out, commit()), arguments.jobs or cores(), _report)
     if arguments.json:
-        print(json.dumps([row.summary() for row in rows], indent=1))
+        print_json([row.summary() for row in rows])
     else:
         _print_table(rows)
     return 1 if any(row.lost for row in rows) else 0
@@ -125,8 +125,9 @@ def _search(arguments: argparse.Namespace) -> int:
         for condition in arguments.condition or ["scenario"]
     )
     search = Search(flights, arguments.search, arguments.out or Path("attack_search"))
-    study = run_search(search, arguments.jobs or cores(), lambda text: print(text, file=sys.stderr))
+    with waiting(f"{arguments.search} trials"):
+        study = run_search(search, arguments.jobs or cores(), lambda text: print(text, file=sys.stderr))
     if arguments.keep:
         keep(study, " ".join(["dmrac", *sys.argv[1:]]), FINDS)
-    print(json.dumps([one.entry() for one in best(study)], indent=1))
+    print_json([one.entry() for one in best(study)])
     return 0

@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import plain_console, positive
 from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
@@ -23,7 +24,7 @@ EXAMPLES: Final = """examples:
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench flood --controller mrac --seconds 12
   dmrac bench core --seconds 20 --vehicles 64
-  dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
+  dmrac bench figure8_wind --controller mrac --seconds 30 --out bench.json
 """
 
 
@@ -45,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value by path")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the numbers to this file")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="also write the numbers to this file as JSON")
+    add_json_option(parser, "the numbers")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,8 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.vehicles is not None and arguments.scenario != CORE:
         raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {CORE}")
     report: Any = {SENSORS: _sensors, FLOOD: _flood, CORE: _core}.get(arguments.scenario, _times)(arguments)
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if arguments.json:
+        print_json(report)
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return 0
 
 
@@ -64,7 +68,7 @@ def _times(arguments: argparse.Namespace) -> dict[str, Any]:
     from experiments.timing.benchmark import measure
 
     choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
-    return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console().print)
+    return measure(resolve(arguments.scenario, choices), arguments.seconds, plain_console(arguments.json).print)
 
 
 def _core(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -75,7 +79,7 @@ def _core(arguments: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(
             f"dmrac bench {CORE}: --controller and --set are not allowed: its flights are always the same"
         )
-    show, place = plain_console().print, here()
+    show, place = plain_console(arguments.json).print, here()
     show(place)
     figures = measure(max(arguments.seconds, 5.0), arguments.vehicles or VEHICLES_MAX, show)
     return {"machine": place, "figures": [one.as_json() for one in figures]}
@@ -85,7 +89,7 @@ def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     from experiments.link.flood import PORTS, RATES_HZ, as_json, measure, table
 
     choices = Choices(arguments.controller, None, max(arguments.seconds, 5.0), tuple(arguments.set))
-    console = plain_console()
+    console = plain_console(arguments.json)
     flights = measure(resolve(DEFAULT_SCENARIO, choices), tuple(PORTS), RATES_HZ, console.print)
     console.print(table(flights))
     return as_json(flights)
@@ -96,7 +100,7 @@ def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:
 
     choices = Choices(arguments.controller, None, arguments.seconds + NOT_MEASURED_S, tuple(arguments.set))
     config = resolve("hover", choices)
-    comparison, console = compare_noise(choices), plain_console()
+    comparison, console = compare_noise(choices), plain_console(arguments.json)
     console.print(noise_table(config, comparison.rows))
     console.print(nis_table(comparison.nis))
     return as_json(config, comparison)

@@ -6,6 +6,7 @@ from pathlib import Path
 from async_dmrac.commands.shared import (
     add_core_option,
     add_worker_options,
+    continuing_command,
     open_workers,
     plain_console,
     positive,
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         with open_store(folder) as store, progress_bar(path.stem, console) as report:
             result = run_campaign(flights, store, workers, report)
     except KeyboardInterrupt:
-        console.print("interrupted, all rows are stored. Continue with the same command and --resume")
+        console.print(f"interrupted, all rows are stored. Continue with: {continuing_command(arguments)}")
         return 130
     finally:
         workers.close()

@@ -2,14 +2,20 @@
 
 import argparse
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_jobs_option, cores
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices
+
+if TYPE_CHECKING:
+    from experiments.link.dropout_flights import DropoutRow
 
 EXAMPLES = """examples:
   dmrac dropouts                                   every trace of configs/dropouts, figure8_wind, dmrac
@@ -30,25 +36,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, default=DURATION_S, metavar="S", help="of a flight, s (default: 30)")
     add_jobs_option(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="also write the rows as JSON")
+    add_json_option(parser, "the rows")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly and print the table; return 0 (every vehicle survived) or 1 (one crashed)."""
-    from experiments.link.dropout_flights import HEADINGS, DropoutRow, flights_with, fly_all
+    from experiments.link.dropout_flights import flights_with, fly_all
 
     choices = Choices(arguments.controller, arguments.seed, arguments.duration)
     flights = flights_with(arguments.traces, arguments.scenario, choices)
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=FILE_WIDTH)
     done: list[DropoutRow] = []
-    with console.status(f"{len(flights)} flights") as status:
+    progress = Console(stderr=True)
+    with progress.status(f"{len(flights)} flights") as status:
 
         def report(row: DropoutRow) -> None:
             done.append(row)
-            status.update(f"{len(done)} of {len(flights)} flights")
+            text = f"{len(done)} of {len(flights)} flights"
+            status.update(text)
+            if not progress.is_terminal:
+                print(f"{text}: {row.trace}", file=sys.stderr, flush=True)
 
         rows = fly_all(flights, arguments.jobs or cores(), report)
+    _print(arguments, rows)
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+    return 0 if all(row.survived for row in rows) else 1
+
+
+def _print(arguments: argparse.Namespace, rows: "list[DropoutRow]") -> None:
+    """Print the rows as a table, or as JSON."""
+    from experiments.link.dropout_flights import HEADINGS
+
+    if arguments.json:
+        print_json(rows)
+        return
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=FILE_WIDTH)
     controller = f"controller {arguments.controller}" if arguments.controller else "the scenario's controller"
     table = Table(title=f"{arguments.scenario}, {arguments.duration:g} s, {controller}", title_justify="left")
     for index, heading in enumerate(HEADINGS):
@@ -57,6 +81,3 @@ def run(arguments: argparse.Namespace) -> int:
     for row in rows:
         table.add_row(*row.cells(), style=None if row.survived else "bold red")
     console.print(table)
-    if arguments.out is not None:
-        arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
-    return 0 if all(row.survived for row in rows) else 1

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from async_dmrac.commands.shared import add_trust_option, plain_console
 from configs.named_class import classes_for
+from runtime.waiting import waiting
 
 EXAMPLES = """examples:
   dmrac figures campaigns/rotor_chip
@@ -25,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = plain_console()
     out = arguments.out or arguments.folder / "figures"
-    with classes_for(arguments.trust):
+    with classes_for(arguments.trust), waiting(f"comparing and drawing {arguments.folder}", console):
         write_report(arguments.folder, out, console.print)
     console.print(f"written: {out / 'report.html'}")
     return 0

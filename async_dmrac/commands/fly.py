@@ -8,18 +8,23 @@ from pathlib import Path
 
 from rich.console import Console
 
+from async_dmrac.commands.output import add_json_option, console_for, print_json
 from configs.addresses import LINK_KEYS
+from configs.flight_tree import PORTS_EACH
 from configs.loader import ConfigError
 from experiments.flights.flight_folder import clear_folder, make_folder
 from experiments.flights.flight_summary import print_summary
 from experiments.flights.live_view import live_view, require_viewer
 from experiments.flights.logged_flight import fly_logged
-from experiments.flights.realtime_flight import FlightStartError, require_free_ports
+from experiments.flights.realtime_flight import FlightStartError, free_vehicle_number, require_free_ports
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.memory.learning import remember
+from flight_log.viewer import WEB_PORT
 from offboard.memory.folder import memory_file
 from onboard.cores import CORES, NUMPY, core_option
 from protocol.keys import load_key
+from runtime.extras import require_modules
+from runtime.sockets import AddressInUseError
 
 EXAMPLES = """examples:
   dmrac fly                                   the default scenario, figure8_wind, in real time
@@ -28,6 +33,8 @@ EXAMPLES = """examples:
   dmrac fly figure8_wind --lockstep --core c  the same with the onboard core in C
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
   dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
+  dmrac fly --vehicle 2                       a second flight at the same time, with other ports
+  dmrac fly hover --lockstep --json           the summary for a program; the live line goes to standard error
 
 exit status: 0 vehicle alive, 1 vehicle lost or the disk was full, 2 bad usage, 3 invalid flight (the simulator stood
 still)
@@ -50,18 +57,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
     parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
+    parser.add_argument(
+        "--vehicle",
+        type=int,
+        default=1,
+        metavar="N",
+        help=f"its number where several fly at once (default: 1): its id, and ports that are {PORTS_EACH} (N - 1) "
+        "higher",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="assignments", help="change a value by path"
     )
     parser.add_argument("--view", action="store_true", help="show the flight live in the 3-D viewer (real time only)")
     parser.add_argument("--web", action="store_true", help="with --view: serve it to a browser on this machine")
+    parser.add_argument(
+        "--tensorboard", action="store_true", help="also write the training as a TensorBoard run into the record"
+    )
+    add_json_option(parser, "summary.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly; return the exit status of the outcome. Raises ConfigError before anything is started."""
     memory = _memory_assignments(arguments)
-    choices = Choices(arguments.controller, arguments.seed, arguments.duration, [*arguments.assignments, *memory])
+    assignments = [*arguments.assignments, *memory]
+    choices = Choices(arguments.controller, arguments.seed, arguments.duration, assignments, vehicle=arguments.vehicle)
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
@@ -77,20 +97,34 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--web: only with --view")
     if arguments.view:
         require_viewer(arguments.web)
+    learns = not arguments.no_offboard and config.offboard.experience.mode != "frozen"
+    require_modules(*(() if arguments.no_log else ("matplotlib",)), *(("torch",) if learns else ()))
+    if arguments.tensorboard:
+        if arguments.no_log:
+            raise ConfigError("--no-log: not with --tensorboard, which reads the log")
+        require_modules("tensorboard", purpose="--tensorboard")
+        if not learns:
+            raise ConfigError(f"--tensorboard: {config.controller} trains nothing in this flight")
     network = config.network
     if not arguments.lockstep:
-        require_free_ports(network)
+        _require_free_ports(arguments, choices)
     for key in LINK_KEYS.values():  # reports bad ones before the start
         load_key(getattr(network, key.setting))
     folder = make_folder(arguments.out, config.scenario)
     earlier = tuple(folder.iterdir())
-    console = Console()
+    console = console_for(arguments)
+    port = WEB_PORT + arguments.vehicle - 1 if arguments.web else None
     try:
-        with live_view(folder, arguments.web) if arguments.view else nullcontext() as wait_for_viewer:
+        with live_view(folder, arguments.web, port) if arguments.view else nullcontext() as wait_for_viewer:
             command = repeat_command(arguments, config)
             with_offboard, core, log = not arguments.no_offboard, arguments.core, not arguments.no_log
             summary = fly_logged(config, folder, arguments.lockstep, with_offboard, command, console, core, log)
-            print_summary(summary, folder, console)
+            if arguments.json:
+                print_json({**summary, "record": str(folder)})
+            else:
+                print_summary(summary, folder, console)
+            if arguments.tensorboard:
+                _write_tensorboard(folder, console)
             if arguments.remember:
                 console.print(f"memory          {remember(arguments.memory, folder)}", soft_wrap=True, highlight=False)
             if wait_for_viewer is not None:
@@ -98,6 +132,30 @@ def run(arguments: argparse.Namespace) -> int:
     except (FlightStartError, ConfigError) as error:
         raise type(error)(f"{error}{clear_folder(folder, earlier)}") from None
     return EXIT_STATUS[summary["outcome"]] or int(bool(summary["record_faults"]))
+
+
+def _write_tensorboard(folder: Path, console: Console) -> None:
+    """Write the training of the flight into its record, and print where it is."""
+    from flight_log.reader import FlightError, open_flight
+    from flight_log.tensorboard import write_tensorboard
+
+    run = folder / "tensorboard"
+    try:
+        write_tensorboard(open_flight(folder), run)
+        line = str(run)
+    except FlightError as error:
+        line = str(error)
+    console.print(f"tensorboard     {line}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _require_free_ports(arguments: argparse.Namespace, choices: Choices) -> None:
+    """Raise AddressInUseError if an address is in use; names the number of a vehicle whose addresses are free."""
+    try:
+        require_free_ports(resolve(arguments.scenario, choices).network)
+    except AddressInUseError as error:
+        free = free_vehicle_number(arguments.scenario, choices)
+        hint = "" if free is None else f"; or fly beside it with --vehicle {free}"
+        raise AddressInUseError(f"{error}{hint}") from None
 
 
 def _memory_assignments(arguments: argparse.Namespace) -> list[str]:
@@ -124,6 +182,7 @@ def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
     words += [flag for flag, on in _flags(arguments) if on]
     words += core_option(arguments.core)
+    words += ["--vehicle", str(arguments.vehicle)] if arguments.vehicle != 1 else []
     for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]
     return shlex.join(words)

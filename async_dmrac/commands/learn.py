@@ -3,11 +3,13 @@
 import argparse
 from pathlib import Path
 
+from async_dmrac.commands.output import add_json_option, print_json
 from configs.loader import ConfigError
-from experiments.memory.description import describe
+from experiments.memory.description import as_json, describe
 from experiments.memory.learning import learn_from, read_source
 from offboard.memory.config import MemoryConfig
 from offboard.memory.folder import write_memory
+from runtime.waiting import waiting
 
 DESCRIPTION = "Learn a memory from logged flights, of any controller, and from other memories (docs/memory.md)."
 EXAMPLES = """examples:
@@ -26,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--steps", type=int, help="of the inner layers; 0: they stay (default: %(default)s)")
     parser.add_argument("--seed", type=int, help="of initial weights and of the draws (default: %(default)s)")
+    add_json_option(parser, "what the memory holds")
     defaults = MemoryConfig()
     parser.set_defaults(steps=defaults.steps, seed=defaults.seed)
 
@@ -39,8 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(
             f"--steps {arguments.steps} --seed {arguments.seed}: allowed are 0 to 100000, and 0 or more"
         ) from None
-    sources = [read_source(path) for path in arguments.sources]
-    memory = learn_from(sources, config)
+    with waiting(f"learning from {len(arguments.sources)} sources"):
+        sources = [read_source(path) for path in arguments.sources]
+        memory = learn_from(sources, config)
     write_memory(arguments.out, memory)
-    print("\n".join(describe(arguments.out, memory)))
+    if arguments.json:
+        print_json(as_json(arguments.out, memory))
+    else:
+        print("\n".join(describe(arguments.out, memory)))
     return 0

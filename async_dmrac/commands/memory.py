@@ -3,7 +3,8 @@
 import argparse
 from pathlib import Path
 
-from experiments.memory.description import describe
+from async_dmrac.commands.output import add_json_option, print_json
+from experiments.memory.description import as_json, describe
 from offboard.memory.folder import open_memory
 
 DESCRIPTION = "Check a memory and show what it holds: networks, prior and conditions (docs/memory.md)."
@@ -17,9 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     show = actions.add_parser("show", help="check a memory and show what it holds")
     show.add_argument("folder", type=Path, metavar="FOLDER", help="of the memory")
+    add_json_option(show, "what the memory holds")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Show the memory; returns 0. Raises ConfigError if there is none, or it is damaged."""
-    print("\n".join(describe(arguments.folder, open_memory(arguments.folder))))
+    memory = open_memory(arguments.folder)
+    if arguments.json:
+        print_json(as_json(arguments.folder, memory))
+    else:
+        print("\n".join(describe(arguments.folder, memory)))
     return 0

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from async_dmrac.commands.output import add_json_option, console_for, print_json
 from configs.addresses import (
     ONBOARD_VEHICLE_PORT,
     LinkName,
@@ -75,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="file for the results (default: named by the vehicle, in this folder)",
     )
     parser.add_argument("--no-motors", action="store_true", help="do not turn the motors")
+    add_json_option(parser, "the checks")
     parser.add_argument("--listen-only", action="store_true", help="check the stream only: no motion, no motors")
 
 
@@ -96,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     keyed = {link for link, one in (("vehicle", key), ("motion_capture", capture_key)) if one is not None}
     wire = UdpOrSerialWire(arguments.vehicle, arguments.bind, arguments.pose, keyed | {*insecure}, capture_key)
     request_realtime(PRIORITY)  # or the delay of this process would count as the vehicle's
-    console = Console()
+    console = console_for(arguments)
     recorder = StepRecorder(link, key, SigningClock(utc_at_first_use_ns=time.time_ns()))
     session = PreflightSession(wire, PersonAtTerminal(console), recorder, config, arguments.pose is not None)
     ended = False
@@ -106,7 +108,10 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         wire.close()
         checks = session.checks if ended else [*session.checks, skipped("the rest", "ended early")]
-        console.print(table_of(checks))
+        if arguments.json:
+            print_json([{**check._asdict(), "result": check.result.value} for check in checks])
+        else:
+            console.print(table_of(checks))
         path = file or Path(certificate_name(wire.vehicle))
         partly = arguments.listen_only or arguments.no_motors
         console.print(

@@ -4,6 +4,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import (
     add_trust_option,
     add_worker_options,
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the choice (default: 0)")
     add_trust_option(parser)
     add_worker_options(parser)
+    add_json_option(parser, "the comparison of each campaign")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     from experiments.campaigns.provenance import openblas_kernels, other_kernels
     from experiments.campaigns.refly import pick, refly
 
-    console = plain_console()
+    console, results = plain_console(arguments.json), []
     campaigns = [read_flown(place) for place in arguments.places]
     with classes_for(arguments.trust):
         picked = [pick(flown, arguments.sample, arguments.seed) for flown in campaigns]
@@ -55,6 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
             flights = refly(flown, keys, Path(folder), open_workers(arguments), report)
         others = [flight for flight in flights if not flight.same]
         all_same = all_same and not others
+        differences = {flight.recorded["key"]: flight.difference for flight in others}
+        results.append({"campaign": name, "flights": len(flights), "differences": differences})
         console.print(
             f"{name}: {len(flights)} of {len(flown.table)} flights flown again, "
             f"{len(flights) - len(others)} of them the same to the bit"
@@ -63,4 +67,6 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(f"  {flight.recorded['key']}: {flight.difference}")
         if others and (advice := other_kernels(flown.about.flown_on, openblas_kernels())):
             console.print(f"  {advice}")
+    if arguments.json:
+        print_json(results)
     return 0 if all_same else 1

@@ -1,14 +1,15 @@
 """`dmrac replay`: repeats a flight in lockstep with the deliveries of its link, or in a new core."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-
+from async_dmrac.commands.output import add_json_option, console_for, print_json
 from async_dmrac.commands.shared import add_trust_option, plain_console
 from configs.loader import ConfigError
 from onboard.cores import CORES, PRECISIONS
+from runtime.waiting import waiting
 
 if TYPE_CHECKING:
     from experiments.replays.recorded_flight import RecordedFlight
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_trust_option(parser)
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="with --check: the key of the recorded link")
+    add_json_option(parser, "the comparison")
     parser.add_argument(
         "--save-trace", type=Path, metavar="FILE", help="only write the link's deliveries to a .csv file"
     )
@@ -66,15 +68,20 @@ def run(arguments: argparse.Namespace) -> int:
 def replay(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
     """Fly with the recorded deliveries and print both flights side by side."""
     from experiments.flights.flight_folder import make_folder
+    from experiments.flights.lockstep_status import LockstepStatus
     from experiments.replays.replay import comparison, figures, figures_of_recorded, refly, verdict, with_choices
 
     original = figures_of_recorded(flight)
     config = with_choices(flight.config, arguments.controller, arguments.seed)
     folder = make_folder(arguments.out, f"{config.scenario}_replay")
-    outcome = refly(flight, config, folder)
+    with LockstepStatus(console_for(arguments), config.duration_s) as status:
+        outcome = refly(flight, config, folder, (status,))
     again = figures(config, outcome.trace, outcome.crash_reason, outcome.deliveries)
     title = f"{config.scenario}, {config.controller}, seed {config.seed}, with the deliveries of {flight.path}"
-    Console().print(comparison(original, again, title))
+    if arguments.json:
+        print_json({"recorded": original, "replayed": again, "record": str(folder)})
+        return 0 if again.survived else 1
+    console_for(arguments).print(comparison(original, again, title))
     for line in (*verdict(flight, config, outcome), f"record: {folder}"):
         plain_console().print(line)
     return 0 if again.survived else 1
@@ -84,9 +91,13 @@ def check(flight: "RecordedFlight", arguments: argparse.Namespace) -> int:
     """Compare with the logged outputs; print the result of each onboard log."""
     from experiments.replays.replay_check import check_flight
 
-    results = check_flight(flight, arguments.key_file, arguments.core, arguments.precision)
-    for result in results:
-        plain_console().print(str(result))
+    with waiting("giving the logged inputs to a new core"):
+        results = check_flight(flight, arguments.key_file, arguments.core, arguments.precision)
+    if arguments.json:
+        print_json([{**asdict(result), "equal": result.equal} for result in results])
+    else:
+        for result in results:
+            plain_console().print(str(result))
     return 0 if all(result.equal for result in results) else 1
 
 

@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 
 from flight_log.report import write_report
+from runtime.extras import require_modules
+from runtime.waiting import waiting
 
 DESCRIPTION = "Write one self-contained HTML page about a flight: summary, figures, training, events, configuration."
 EXAMPLES = """examples:
@@ -20,5 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page and print its path; returns 0."""
-    print(write_report(args.flight, args.out))
+    require_modules("matplotlib")
+    with waiting("writing the report"):
+        path = write_report(args.flight, args.out)
+    print(path)
     return 0

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
 from configs.loader import ConfigError
+from runtime.waiting import waiting
 
 EXAMPLES = """examples:
   dmrac reproduce --quick          every campaign with few seeds, minutes; page and figures in campaigns/quick
@@ -55,8 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
             if flying:
                 with progress_bar(name, console) as report:
                     failed += fly(plan, name, lambda: open_workers(arguments), report).errors
-            reports.append(draw(plan, name, lambda text: console.print(f"  {text}")))
-            write_results(plan, reports)
+            with waiting(f"comparing and drawing {name}", console):
+                reports.append(draw(plan, name, lambda text: console.print(f"  {text}")))
+                write_results(plan, reports)
     except KeyboardInterrupt:
         console.print("interrupted; all flown flights are stored, the same command continues")
         return 130

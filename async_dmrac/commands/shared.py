@@ -2,15 +2,19 @@
 
 import argparse
 import os
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from experiments.campaigns.runner import Progress as CampaignProgress
-from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers
 from onboard.cores import CORES, NUMPY
+
+if TYPE_CHECKING:  # the commands that fly no campaign run without pyarrow
+    from experiments.campaigns.runner import Progress as CampaignProgress
+    from experiments.campaigns.worker_pools import Workers
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
@@ -44,8 +48,10 @@ def positive(text: str) -> int:
     return value
 
 
-def open_workers(arguments: argparse.Namespace) -> Workers:
+def open_workers(arguments: argparse.Namespace) -> "Workers":
     """Return the workers of `add_worker_options`: a Dask cluster, or processes of this machine."""
+    from experiments.campaigns.worker_pools import DaskWorkers, LocalPool
+
     return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
 
 
@@ -54,13 +60,22 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def plain_console() -> Console:
-    """Return a console that prints text as it is: no wrapping, colours or markup."""
-    return Console(highlight=False, soft_wrap=True, markup=False)
+def plain_console(stderr: bool = False) -> Console:
+    """Return a console that prints text as it is, on standard output or error: no wrapping, colours or markup."""
+    return Console(highlight=False, soft_wrap=True, markup=False, stderr=stderr)
+
+
+def continuing_command(arguments: argparse.Namespace) -> str:
+    """Return the command that continues an interrupted campaign: as it was typed, with --resume.
+
+    Without --retry-errors: the failed flights were dropped already, and those that fail again would be flown again.
+    """
+    words = [word for word in arguments.words if word not in ("--resume", "--retry-errors")]
+    return shlex.join(["dmrac", *words, "--resume"])
 
 
 @contextmanager
-def progress_bar(name: str, console: Console) -> Iterator[Callable[[CampaignProgress], None]]:
+def progress_bar(name: str, console: Console) -> Iterator["Callable[[CampaignProgress], None]"]:
     """Show a bar with count, rate, elapsed and remaining time; yield the function that updates it."""
     columns = (
         TextColumn("{task.description}"),
@@ -74,7 +89,7 @@ def progress_bar(name: str, console: Console) -> Iterator[Callable[[CampaignProg
     with Progress(*columns, console=console, speed_estimate_period=120.0) as bar:
         task = bar.add_task(name, total=None, rate=0.0, lost=0, errors=0)
 
-        def report(progress: CampaignProgress) -> None:
+        def report(progress: "CampaignProgress") -> None:
             bar.update(
                 task,
                 total=progress.total,

@@ -1,11 +1,11 @@
 """`dmrac soak`: flies for a long time while processes are stopped, killed and restarted and ports are flooded."""
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import plain_console
 from configs.loader import ConfigError
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenario", default="figure8_wind", help="to fly (default: %(default)s)")
     parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="change one value")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    add_json_option(parser, "the numbers")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -41,16 +41,16 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--minutes {arguments.minutes:g}: allowed are {MINUTES_MIN:g} to {MINUTES_MAX:g}")
     if not 0 <= arguments.seed < 2**31:
         raise ConfigError(f"--seed {arguments.seed}: allowed are 0 to {2**31 - 1}")
-    console = plain_console()
+    console = plain_console(arguments.json)
     folder = make_folder(arguments.out, "soak")
     config = configuration(arguments.scenario, arguments.minutes, arguments.seed, tuple(arguments.set), folder)
     if os.geteuid() != 0:
         print("soak: without root no port is flooded", file=sys.stderr)
-    done = soak(config, folder, arguments.seed, (lambda text: None) if arguments.json else console.print)
+    done = soak(config, folder, arguments.seed, console.print)
     verdict = judge(done, folder)
     file = write(done, verdict, folder)
     if arguments.json:
-        print(json.dumps(numbers(done, verdict), indent=1))
+        print_json(numbers(done, verdict))
     else:
         for name, text in result_rows(done, verdict):
             console.print(f"{name:27} {text}")

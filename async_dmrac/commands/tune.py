@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_core_option, add_jobs_option, cores, plain_console, positive
 from configs.parts import named_file
 
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_core_option(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of the sampler (default 0)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the search (default: campaigns/NAME)")
+    add_json_option(parser, "the best values")
     parser.add_argument("--dry-run", action="store_true", help="do not write the controller file")
 
 
@@ -55,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     search = Search(config, path.stem, arguments.controller, arguments.trials, arguments.seed, arguments.core)
     target = named_file("controllers", arguments.controller)
     study = open_study(search, arguments.out or Path("campaigns") / path.stem)
-    console, pool = plain_console(), LocalPool(arguments.jobs or cores(), recycle=False)
+    console, pool = plain_console(arguments.json), LocalPool(arguments.jobs or cores(), recycle=False)
     try:
         run_search(search, study, pool.open(), _Report(console, search.trials))
     except KeyboardInterrupt:
@@ -68,6 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(line)
     if ends := near_an_end(config.space(search.controller), study.best_params):
         console.print(f"near an end of their ranges in {path}: {', '.join(ends)}")
+    if arguments.json:
+        print_json({"controller": arguments.controller, "values": values, "search": list(record)})
     if not arguments.dry_run:
         write_tuned(target, values, record)
         console.print(f"written: {target}")

@@ -14,6 +14,7 @@ from flight_log.live import follow
 from flight_log.reader import FlightError, open_flight
 from flight_log.scene import build_scene
 from flight_log.viewer import OPENED, WEB_PORT, ViewerError, WebViewer, live_viewer, show_window, viewer_binary
+from runtime.waiting import waiting
 
 DESCRIPTION = "Show a flight: path, vehicle, thrust, wind and disturbance in 3-D, with curves and events."
 EXAMPLES = """examples:
@@ -56,15 +57,18 @@ def _show(args: argparse.Namespace) -> int:
 
     if args.live:
         return _follow(args)
-    flight = open_flight(args.flight)
+    with waiting(f"reading {args.flight}"):
+        flight = open_flight(args.flight)
     name = flight.path.resolve().name
     if args.save is not None:
-        save_recording(build_scene(flight), args.save, name)
+        with waiting(f"writing {args.save}"):
+            save_recording(build_scene(flight), args.save, name)
         print(args.save)
         return 0
     with tempfile.TemporaryDirectory(prefix="dmrac_view_") as folder:
         file = Path(folder) / f"{name}.rrd"
-        save_recording(build_scene(flight), file, name)
+        with waiting("preparing the viewer"):
+            save_recording(build_scene(flight), file, name)
         return _serve(file, args) if args.web else show_window(file)
 
 

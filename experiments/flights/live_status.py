@@ -45,15 +45,16 @@ class FlightStatus:
     def rows(self) -> list[tuple[str, str]]:
         """Return (name, value) of everything that is shown."""
         onboard, offboard, sim = (self.of(name) for name in ("onboard", "offboard", "sim"))
-        return [
-            ("time", _number(sim.get("time_s"), "s", 1)),
+        rows = [
+            ("time", sim.get("progress") or _number(sim.get("time_s"), "s", 1)),
             ("mode", _mode(onboard)),
             ("tracking error", _number(onboard.get("tracking_error_m"), "m", 3)),
             ("features", _features(onboard)),
             ("link loss", f"up {_loss(sim, 'up')}, down {_loss(sim, 'down')}"),
-            ("missed ticks", str(onboard.get("missed_ticks", "-"))),
-            ("held-out loss", _losses(offboard)),
         ]
+        if "progress" in sim:  # lockstep: no tick can be missed, and the trainer is no process that reports
+            return rows
+        return [*rows, ("missed ticks", str(onboard.get("missed_ticks", "-"))), ("held-out loss", _losses(offboard))]
 
     def line(self) -> str:
         """Return everything in one line."""
@@ -73,11 +74,13 @@ class LiveStatus:
     Parameters
     ----------
     console: a terminal gets a table that is redrawn, any other output a line every two seconds.
+    with_events: whether to show events.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, with_events: bool = True) -> None:
         self.status = FlightStatus()
         self._console = console
+        self._with_events = with_events
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._next_plain = 0.0
         self._next_drawing = 0.0
@@ -97,6 +100,8 @@ class LiveStatus:
 
     def __call__(self, entry: dict[str, Any]) -> None:
         """Receive one reported line and update the display."""
+        if entry.get("kind") == "event" and not self._with_events:
+            return
         self.status.receive(entry)
         if self._live is not None:
             self._redraw()

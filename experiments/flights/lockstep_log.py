@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import Self
 
 from experiments.flights.carried_experience import read_experience
-from experiments.flights.lockstep_flight import ONBOARD_SESSION, Deliveries, LockstepOutcome, fly_lockstep
+from experiments.flights.lockstep_flight import ONBOARD_SESSION, Deliveries, LockstepOutcome, Observer, fly_lockstep
 from experiments.flights.scenario import FlightConfig
 from flight_log.schema import CLOCK_OFFSET
 from flight_log.writer import FlightLogWriter
@@ -114,10 +114,12 @@ def fly_and_log(
     recorded: Deliveries | None = None,
     core: str = NUMPY,
     train: Training[TrainingResult] = train_at_once,
+    observers: tuple[Observer, ...] = (),
 ) -> LockstepOutcome:
     """Fly in lockstep and write the logs into `folder`. Parameters and errors as of `fly_lockstep`."""
     with LockstepLog(folder, config, with_offboard, experience, core) as log:
-        outcome = fly_lockstep(config, (log,), with_offboard, experience, recorded, core=core, train=train)
+        flown_by = (log, *observers)
+        outcome = fly_lockstep(config, flown_by, with_offboard, experience, recorded, core=core, train=train)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
     outcome.log_faults = log.faults

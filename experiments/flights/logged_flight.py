@@ -12,6 +12,7 @@ from experiments.flights.trace import FlightTrace
 from onboard.cores import NUMPY
 from protocol.conventions import Array
 from runtime.files import no_space
+from runtime.waiting import waiting
 
 
 def fly_logged(
@@ -31,7 +32,7 @@ def fly_logged(
     Parameters
     ----------
     command: the command line that repeats this flight, for the record.
-    console: shows the live status of a real-time flight; None: no output.
+    console: shows the live status of the flight; None: no output.
     core: the onboard core of a lockstep flight, one of onboard.cores.CORES.
     log: whether a lockstep flight writes logs, figure and report; without them config.yaml and summary.json are left.
 
@@ -42,19 +43,21 @@ def fly_logged(
     ConfigError
         If the configuration does not fit, for example an experience of another controller.
     """
+    console = console or Console(quiet=True)
     config = config if with_offboard else with_pose_wait(config)
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     trace: FlightTrace | None
     if lockstep:
-        outcome = fly_in_lockstep(config, folder if log else None, with_offboard, core)
+        outcome = fly_in_lockstep(config, folder if log else None, with_offboard, core, console)
         summary, trace = lockstep_summary(config, outcome), outcome.trace if log else None
     else:
-        summary, trace = fly_in_real_time(config, folder, console or Console(quiet=True))
+        summary, trace = fly_in_real_time(config, folder, console)
     summary["command"] = command
     try:
         write_summary(folder, summary)
         if trace is not None:
-            _draw(config, folder, summary, trace)
+            with waiting("writing figure and report", console):
+                _draw(config, folder, summary, trace)
     except OSError as error:
         if not no_space(error):
             raise
@@ -62,15 +65,18 @@ def fly_logged(
     return summary
 
 
-def fly_in_lockstep(config: FlightConfig, folder: Path | None, with_offboard: bool, core: str) -> LockstepOutcome:
+def fly_in_lockstep(
+    config: FlightConfig, folder: Path | None, with_offboard: bool, core: str, console: Console
+) -> LockstepOutcome:
     """Fly in virtual time, the trainer in a process of its own; the logs into `folder`, if there is one."""
     from experiments.flights.lockstep_log import fly_and_log
+    from experiments.flights.lockstep_status import LockstepStatus
     from experiments.flights.training_worker import training_for
 
-    with training_for(config if with_offboard else None) as train:
+    with training_for(config if with_offboard else None) as train, LockstepStatus(console, config.duration_s) as status:
         if folder is None:
-            return fly_lockstep(config, with_offboard=with_offboard, core=core, train=train)
-        return fly_and_log(config, folder, with_offboard, core=core, train=train)
+            return fly_lockstep(config, (status,), with_offboard, core=core, train=train)
+        return fly_and_log(config, folder, with_offboard, core=core, train=train, observers=(status,))
 
 
 def _draw(config: FlightConfig, folder: Path, summary: dict[str, Any], trace: FlightTrace) -> None:

@@ -14,25 +14,28 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from configs.addresses import Addresses
+from configs.flight_tree import Choices
+from experiments.flights.scenario import resolve
 from runtime.errors import StartError
 from runtime.signals import StopRequest, die_with_parent
-from runtime.sockets import require_free
+from runtime.sockets import AddressInUseError, require_free
 
 MODULES: Final = {"sim": "sim_vehicle", "offboard": "offboard", "onboard": "onboard"}
 """In the order of their start; onboard's first motor command starts the flight."""
 READY_LIMIT_S: Final = 120.0
 """The first start compiles the simulated vehicle, and a slow machine imports torch slowly."""
-PATIENCE_S: Final = 6.0
+PATIENCE_S: Final = 2.0
 """Time after which the status says which process is not ready."""
 END_LIMIT_S: Final = 5.0
 FALL_LIMIT_S: Final = 3.0
 OVERTIME_S: Final = 30.0
 """A flight that exceeds its duration by this time is ended."""
+VEHICLES_TRIED: Final = 8
 LINE_MAX_BYTES: Final = 65_536
 BAD_USAGE: Final = 2
 """Exit status of a process that cannot use its configuration or an address."""
@@ -279,6 +282,19 @@ class Supervisor:
 def require_free_ports(network: Addresses) -> None:
     """Check that all addresses of the flight are free. Raises AddressInUseError for the first that is not."""
     require_free(network.bound_by_sim() | network.bound_by_onboard() | network.bound_by_offboard())
+
+
+def free_vehicle_number(scenario: str, choices: Choices) -> int | None:
+    """The lowest other number of a vehicle whose addresses are all free; None if there is none."""
+    for number in range(1, VEHICLES_TRIED + 1):
+        if number == choices.vehicle:
+            continue
+        try:
+            require_free_ports(resolve(scenario, replace(choices, vehicle=number)).network)
+        except AddressInUseError:
+            continue
+        return number
+    return None
 
 
 def run(

@@ -1,6 +1,7 @@
 """What a memory holds, as text."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,16 +37,36 @@ def describe(folder: Path, memory: Memory) -> list[str]:
     return lines + [_condition_row(memory, one, own) for one, own in zip(memory.conditions, layers, strict=True)]
 
 
+def as_json(folder: Path, memory: Memory) -> dict[str, Any]:
+    """The content of `describe` for programs; one entry per condition."""
+    names = channel_names(memory.features)
+    layers = last_layers(memory.prior, memory.features, memory.conditions)
+    conditions = []
+    for condition, own in zip(memory.conditions, layers, strict=True):
+        shares = {
+            name: dict(zip(("labels_rms", "left_with_own", "left_with_theta"), values, strict=True))
+            for name, values in zip(names, _shares(memory, condition, own), strict=True)
+        }
+        about = {"name": condition.name, "vehicle": condition.vehicle, "duration_s": condition.duration_s}
+        conditions.append({**about, "channels": shares})
+    return {"folder": str(folder), "format": FORMAT, "samples": memory.samples, "conditions": conditions}
+
+
 def _condition_row(memory: Memory, condition: Condition, own: Array) -> str:
+    values = [f"{value:.2f}" for shares in _shares(memory, condition, own) for value in shares]
+    return _row(condition.name, str(condition.vehicle), f"{condition.duration_s:.0f} s", *values)
+
+
+def _shares(memory: Memory, condition: Condition, own: Array) -> list[tuple[float, float, float]]:
     """RMS of the labels of each channel, and what is left of it with the own last layer and with theta."""
-    plan, values = InputPlan.of(memory.features), list[str]()
+    plan, found = InputPlan.of(memory.features), []
     channels = feature_set(memory.prior.network, plan, 1, 0, 0).channels
     for row, (at, channel) in enumerate(zip(plan.channels, channels, strict=True)):
         Phi, Delta = phi(channel, condition.samples.signals), condition.samples.labels[:, at].astype(np.float64)
         power = _rms(Delta)
-        left = (_rms(Delta - Phi @ W) / max(power, 1e-12) for W in (own[row], channel.last_layer))
-        values += [f"{power:.2f}", *(f"{share:.2f}" for share in left)]
-    return _row(condition.name, str(condition.vehicle), f"{condition.duration_s:.0f} s", *values)
+        with_own, with_theta = (_rms(Delta - Phi @ W) / max(power, 1e-12) for W in (own[row], channel.last_layer))
+        found.append((power, with_own, with_theta))
+    return found
 
 
 def _row(name: str, vehicle: str, time: str, *values: str) -> str:

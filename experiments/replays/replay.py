@@ -11,7 +11,7 @@ from configs.loader import CONFIG_DIRECTORY, ConfigError, merge, read_tree
 from configs.parts import named_file, read_part
 from experiments.flights.carried_experience import learns
 from experiments.flights.flight_summary import write_summary
-from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome
+from experiments.flights.lockstep_flight import Deliveries, LockstepOutcome, Observer
 from experiments.flights.lockstep_log import fly_and_log
 from experiments.flights.logged_flight import lockstep_summary
 from experiments.flights.metrics import flight_metrics, known_ages, lost_target, median
@@ -103,7 +103,9 @@ def _former_leads(config: FlightConfig) -> dict[str, Any]:
     return {key: usual[key] for key in brought if key in usual}
 
 
-def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> LockstepOutcome:
+def refly(
+    flight: RecordedFlight, config: FlightConfig, folder: Path, observers: tuple[Observer, ...] = ()
+) -> LockstepOutcome:
     """Fly `config` in lockstep with the recorded deliveries; write configuration, logs and summary into `folder`.
 
     Raises
@@ -114,7 +116,8 @@ def refly(flight: RecordedFlight, config: FlightConfig, folder: Path) -> Lockste
     if not any(flight.deliveries.values()):
         raise ConfigError(f"{flight.path}: holds no radio/delivery records, so there are no deliveries to fly again")
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
-    outcome = fly_and_log(config, folder, flight.with_offboard, flight.experience, flight.deliveries, flight.core)
+    recorded = flight.with_offboard, flight.experience, flight.deliveries, flight.core
+    outcome = fly_and_log(config, folder, *recorded, observers)
     write_summary(folder, lockstep_summary(config, outcome) | {"replay_of": str(flight.path.resolve())})
     return outcome
 

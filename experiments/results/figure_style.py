@@ -14,6 +14,8 @@ ASKED: Final = "Description"
 """Keyword of the PNG metadata that holds the entry a picture was drawn for."""
 LABEL_CHARACTERS: Final = 36
 """Longer labels of a vertical axis take two lines."""
+OUTLIER_RATIO: Final = 5.0
+"""A value this much larger than the next smaller one is cut off by `cut_outliers`."""
 LOGARITHMIC_FROM: Final = 8.0
 """Ratio of the largest to the smallest value from which `upward_axis` is logarithmic."""
 
@@ -99,6 +101,36 @@ def upward_axis(panel: Any, values: Sequence[float]) -> None:
         return
     panel.set_yscale("log")
     plain_ticks(panel.yaxis, (1.0, 2.0, 5.0))
+
+
+def cut_outliers(panel: Any, points: Sequence[tuple[float, float]]) -> bool:
+    """End the vertical axis below values that would squeeze all others, and write these at its end with an arrow.
+
+    Parameters
+    ----------
+    points: place along the horizontal axis and value of each point.
+
+    Returns
+    -------
+    Whether a value was cut off.
+    """
+    values = sorted(value for _, value in points)
+    kept = next((count for count in range(1, len(values)) if values[count] > OUTLIER_RATIO * values[count - 1]), None)
+    if kept is None or 2 * kept < len(values) or values[0] <= 0.0:
+        return False
+    top = values[kept - 1]
+    panel.set_ylim(0.0, 1.3 * top)
+    for place, value in points:
+        if value > top:
+            panel.annotate(
+                f"{value:.2g}",
+                (place, 1.28 * top),
+                (place, 1.13 * top),
+                arrowprops={"arrowstyle": "->"},
+                ha="center",
+                fontsize=8,
+            )
+    return True
 
 
 def plain_ticks(axis: Any, of_a_decade: tuple[float, ...]) -> None:

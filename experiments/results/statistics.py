@@ -4,21 +4,19 @@ Every resampling gets its generator as an argument, so that a report is repeatab
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binomtest
+from scipy.stats import binomtest, bootstrap
 
 from protocol.conventions import Array
 
 CONFIDENCE: Final = 0.95
 SIGNIFICANT: Final = 0.05
 """A verdict needs a corrected p value below this."""
-Z_95: Final = 1.959963984540054
-"""Normal quantile at 0.975."""
 RESAMPLES: Final = 4000
 INTERVAL_COUNT: Final = 6
 """Fewest values for an interval of the median: the range of five values covers it in only 94 % of the cases.
@@ -39,7 +37,7 @@ class Estimate:
     """Number of flights, or of pairs."""
 
 
-def wilson(successes: int, trials: int, z: float = Z_95) -> Estimate:
+def wilson(successes: int, trials: int) -> Estimate:
     """Return the share of successes with the Wilson score interval (Wilson 1927).
 
     Raises
@@ -47,23 +45,26 @@ def wilson(successes: int, trials: int, z: float = Z_95) -> Estimate:
     ValueError
         If the counts are not 0 <= successes <= trials.
     """
-    if not 0 <= successes <= trials:
-        raise ValueError(f"{successes} successes in {trials} trials")
-    if trials == 0:
+    if trials == 0 == successes:
         return Estimate(math.nan, 0.0, 1.0, 0)
-    share, z2 = successes / trials, z * z
-    denominator = 1.0 + z2 / trials
-    centre = (share + z2 / (2 * trials)) / denominator
-    half = z * math.sqrt(share * (1.0 - share) / trials + z2 / (4.0 * trials * trials)) / denominator
-    low = 0.0 if successes == 0 else centre - half
-    high = 1.0 if successes == trials else centre + half
-    return Estimate(share, low, high, trials)
+    found = binomtest(successes, trials)
+    interval = found.proportion_ci(CONFIDENCE, method="wilson")
+    return Estimate(found.statistic, float(interval.low), float(interval.high), trials)
 
 
 def median(values: Sequence[float], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:
     """Return the median of the finite values with its percentile bootstrap interval."""
-    known = _finite(values)
-    return _bootstrap(known, lambda rows: np.median(rows, axis=1), rng, resamples)
+    known: Array = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    if known.size == 0:
+        return Estimate(math.nan, math.nan, math.nan, 0)
+    value = float(np.median(known))
+    if known.size < INTERVAL_COUNT:
+        return Estimate(value, math.nan, math.nan, known.size)
+    drawn = bootstrap(
+        (known,), np.median, n_resamples=resamples, confidence_level=CONFIDENCE, method="percentile", rng=rng
+    )
+    return Estimate(value, float(drawn.confidence_interval.low), float(drawn.confidence_interval.high), known.size)
 
 
 def paired_ratio(
@@ -104,25 +105,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
         largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[index]))
         corrected[index] = largest
     return corrected
-
-
-def _finite(values: Sequence[float]) -> Array:
-    array: Array = np.asarray(values, dtype=np.float64)
-    return array[np.isfinite(array)]
-
-
-def _bootstrap(
-    values: Array, statistic: Callable[[Array], Array], rng: np.random.Generator, resamples: int
-) -> Estimate:
-    count = values.size
-    if count == 0:
-        return Estimate(math.nan, math.nan, math.nan, 0)
-    value = float(statistic(values[None, :])[0])
-    if count < INTERVAL_COUNT:
-        return Estimate(value, math.nan, math.nan, count)
-    drawn = statistic(values[rng.integers(0, count, (resamples, count))])
-    low, high = np.quantile(drawn, ((1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0))
-    return Estimate(value, float(low), float(high), count)
 
 
 @dataclass(frozen=True)

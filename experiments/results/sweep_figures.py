@@ -5,7 +5,15 @@ from typing import Any
 import numpy as np
 
 from experiments.results.campaign_data import CampaignData, Group
-from experiments.results.figure_style import draw_intervals, finish, legend_below, new_figure, style, upward_axis
+from experiments.results.figure_style import (
+    cut_outliers,
+    draw_intervals,
+    finish,
+    legend_below,
+    new_figure,
+    style,
+    upward_axis,
+)
 from experiments.results.statistics import SEPARATION_RIDGE, logistic_fit
 from experiments.results.wording import metric_name
 
@@ -89,17 +97,20 @@ def sweep_metric(data: CampaignData, sweep: str, metric: str, controllers: list[
     figure, panels = _panels(data, 4.2)
     for case, panel in panels.items():
         shown: list[float] = []
+        points: list[tuple[float, float]] = []
         for controller in chosen:
             groups = [group for group in data.select(case, controller) if group.values(metric)]
             estimates = [group.estimate(metric) for group in groups]
             draw_intervals(panel, axis.places(groups), estimates, controller, joined=axis.numeric)
             shown += [estimate.value for estimate in estimates]
+            points += zip(axis.places(groups), (estimate.value for estimate in estimates), strict=True)
         for group in data.flown_once(case):
             if group.controller in chosen and group.values(metric):
                 shown.append(group.median(metric))
                 look = style(group.controller)
                 panel.axhline(shown[-1], color=look.colour, linestyle="--", label=group.controller)
-        upward_axis(panel, shown)
+        if axis.numeric or not cut_outliers(panel, points):
+            upward_axis(panel, shown)
         axis.finish(panel, metric_name(metric), f"{data.label(case)}: survivors only")
     legend_below(figure, list(panels.values()))
     return figure

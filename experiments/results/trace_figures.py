@@ -102,9 +102,22 @@ def _flown(traces: list[Trace]) -> str:
     return FLOWN if len(traces) > 1 else FLOWN_ONCE
 
 
-def _within(columns: list[Column], limit: float) -> None:
-    """Limit the vertical axes to +-limit, which crashed vehicles exceed. Call it when all columns are drawn."""
-    for panel in columns[0].panels:
+def _distance(trace: Trace) -> Array:
+    """Distance to the target, m; NaN where the vehicle does not follow one."""
+    error: Array = np.linalg.norm(trace.vector("truth_position", "ned") - trace.vector("tick_target", "ned"), axis=1)
+    return np.where(np.isin(trace["tick_mode"], FLYING_MODES), error, np.nan)
+
+
+def _most(columns: list[Array]) -> float:
+    """Upper end of an axis that shows all but the largest hundredth of the values, such as those before a crash."""
+    values = np.concatenate(columns)
+    values = values[np.isfinite(values)]
+    return 1.25 * float(np.quantile(values, 0.99)) if values.size else 1.0
+
+
+def _within(columns: list[Column], limit: float, rows: int | None = None) -> None:
+    """Limit the vertical axes (of the first `rows`) to +-limit, which crashed vehicles exceed. Call it last."""
+    for panel in columns[0].panels[:rows]:
         low, high = panel.get_ylim()
         panel.set_ylim(max(low, -limit), min(high, limit))
 
@@ -112,18 +125,25 @@ def _within(columns: list[Column], limit: float) -> None:
 def position(
     data: CampaignData, case: str, controllers: Sequence[str] | None = None, point: dict[str, Any] | None = None
 ) -> Any:
-    """Draw north, east and height against time: target, mean and standard deviation over the seeds."""
-    figure, columns = _columns(data, 3, 6.2, _groups(data, case, controllers, point))
+    """Draw north, east and height against time: target, mean and standard deviation over the seeds; below, the error.
+
+    The axes of a position span metres, so millimetres of error only show in the panel of their own.
+    """
+    figure, columns = _columns(data, 4, 8.0, _groups(data, case, controllers, point))
     for _, traces, panels, colour in columns:
         longest = max(traces, key=lambda trace: trace.time_s.size)
         label = _flown(traces)
-        for panel, axis, sign in zip(panels, "ned", (1.0, 1.0, -1.0), strict=True):
+        for panel, axis, sign in zip(panels[:3], "ned", (1.0, 1.0, -1.0), strict=True):
             target = sign * longest[f"tick_target_{axis}"]
             panel.plot(longest.time_s, target, color="0.45", linewidth=1.0, linestyle="--", label="target")
             _band(panel, traces, [sign * trace[f"truth_position_{axis}"] for trace in traces], colour, "-", label)
             _mark(panel, traces)
-    _finish_columns(columns, ("north [m]", "east [m]", "height [m]"), _titles(columns))
-    _within(columns, 2.6)
+        _band(panels[3], traces, [1e3 * _distance(trace) for trace in traces], colour, "-", label)
+        _mark(panels[3], traces)
+    _finish_columns(columns, ("north [m]", "east [m]", "height [m]", "distance to\ntarget [mm]"), _titles(columns))
+    _within(columns, 2.6, rows=3)
+    errors = [1e3 * _distance(trace) for one in columns for trace in one.traces]
+    columns[0].panels[3].set_ylim(0.0, _most(errors))
     legend_below(figure, columns[0].panels[:1], neutral=_flown(columns[0].traces))
     return figure
 
@@ -220,7 +240,7 @@ def path(
         panel.set_zlim(0.6, 1.4)
         for axis, values in ((panel.xaxis, flown[:, 1]), (panel.yaxis, flown[:, 0])):
             most = np.ceil(2.0 * np.abs(values).max()) / 2.0
-            axis.set_ticks([-most, 0.0, most])
+            axis.set_ticks([-most, 0.0] if axis is panel.xaxis else [0.0, most])  # their ends meet in one corner
         panel.zaxis.set_ticks([0.6, 1.0, 1.4])
         panel.tick_params(labelsize=8, pad=1)
         panel.set_box_aspect((1.0, 1.6, 0.8), zoom=0.82)
@@ -260,13 +280,7 @@ def position_cases(data: CampaignData, cases: Sequence[str], controllers: Sequen
     for (colour, line), case in zip(looks, cases, strict=False):
         for group in _groups(data, case, controllers, None):
             traces = data.traces(group)
-            distance = []
-            for trace in traces:
-                error = np.linalg.norm(
-                    trace.vector("truth_position", "ned") - trace.vector("tick_target", "ned"), axis=1
-                )
-                distance.append(np.where(np.isin(trace["tick_mode"], FLYING_MODES), error, np.nan))
-            _band(panel, traces, distance, colour, line, data.label(case))
+            _band(panel, traces, [_distance(trace) for trace in traces], colour, line, data.label(case))
     panel.set_ylim(bottom=0.0)
     finish(panel, "flight time [s]", "distance to the target [m]", "mean and standard deviation over the seeds")
     legend_below(figure, [panel])

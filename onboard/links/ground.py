@@ -19,7 +19,7 @@ from onboard.estimation.state import VehicleState
 from onboard.flight.modes import SPINNING, Command, FlightMode
 from protocol.conventions import NEVER_NS
 from protocol.mavlink import ground as wire
-from protocol.mavlink.frames import Frame, FrameReader, FrameWriter, Message
+from protocol.mavlink.frames import AvailableModes, Frame, FrameReader, FrameWriter, Message
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import HEARTBEAT, BatteryReading, encode_heartbeat, encode_system_status
 
@@ -33,6 +33,8 @@ QUEUE_MAX: Final = 32
 REPEAT_NS: Final = 5 * 10**9
 FLOAT32_MAX: Final = 3.4e38
 STAGGER_NS: Final = 5_000_000
+MODE_NAMES: Final = {int(mode): mode.name for mode in FlightMode}
+"""By the custom mode of HEARTBEAT."""
 
 _INERTIAL: Final[int] = mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
 _ALWAYS: Final[int] = (
@@ -151,6 +153,9 @@ class GroundLink:
         if target_system not in (0, self._config.system):
             self.rejected["other_target"] += 1
             return None
+        if number == mavlink.MAV_CMD_REQUEST_MESSAGE and parameters[0] == AvailableModes.id:
+            self._send_modes(parameters[1], frame)
+            return None
         command = _meaning(number, parameters)
         if command is None:
             self.rejected["command_unsupported"] += 1
@@ -161,6 +166,14 @@ class GroundLink:
             self._answer(number, result, frame.system, frame.component)
             return None
         return GroundCommand(command, number, frame.system, frame.component)
+
+    def _send_modes(self, index: float, frame: Frame) -> None:
+        """Answer a request for the names of all modes (index 0), or of one."""
+        known = 0.0 <= index <= len(MODE_NAMES)
+        result = ACCEPTED if known else mavlink.MAV_RESULT_DENIED
+        self._answer(mavlink.MAV_CMD_REQUEST_MESSAGE, result, frame.system, frame.component)
+        if known:
+            self._waiting += wire.encode_modes(MODE_NAMES, int(index))
 
     def _answer(self, number: int, result: int, system: int, component: int) -> None:
         self._waiting.append(wire.encode_acknowledgement(number, result, system, component))

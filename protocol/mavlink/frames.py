@@ -76,10 +76,22 @@ class Layout(NamedTuple):
     field_count: int
 
 
+class AvailableModes:
+    """AVAILABLE_MODES, which pymavlink's common dialect does not have yet: what a message class of it needs here."""
+
+    id: Final = 435
+    crc_extra: Final = 134
+    unpacker: Final = struct.Struct("<IIBBB35s")
+    """Custom mode, properties, number of modes, index from 1, standard mode, name."""
+
+
+_KINDS: Final[dict[int, Any]] = {**mavlink.mavlink_map, AvailableModes.id: AvailableModes}
+
+
 @cache
 def layout_of(message_id: int) -> Layout:
     """The layout of a message type. Raises KeyError if the dialect does not have it."""
-    kind = mavlink.mavlink_map[message_id]
+    kind = _KINDS[message_id]
     payload: struct.Struct = kind.unpacker
     count = len(payload.unpack(bytes(payload.size)))
     return Layout(message_id, payload, bytes((kind.crc_extra,)), count)

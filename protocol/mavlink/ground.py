@@ -3,11 +3,12 @@
 SI units, world NED and body FRD on the wire as in this project. HEARTBEAT and SYS_STATUS: status.py.
 """
 
+from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink.frames import Fields, Frame, Message
+from protocol.mavlink.frames import AvailableModes, Fields, Frame, Message
 
 COMMAND_LONG: Final[int] = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 FILE_TRANSFER: Final[int] = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
@@ -21,6 +22,11 @@ _NAME_BYTES: Final = 10
 _PARAMETER: Final = b"SYS_ID"
 _FTP_NACK: Final = 129
 _FTP_UNKNOWN_COMMAND: Final = 7
+
+
+NOT_SELECTABLE: Final = 2
+"""MAV_MODE_PROPERTY_NOT_USER_SELECTABLE."""
+_MODE_NAME_BYTES: Final = 34
 
 
 class CommandLong(NamedTuple):
@@ -66,6 +72,22 @@ def encode_text(text: str, severity: int, text_id: int) -> list[Message]:
     number = text_id if len(chunks) > 1 else 0
     kind = mavlink.MAVLink_statustext_message
     return [Message(kind, (severity, chunk, number, index)) for index, chunk in enumerate(chunks)]
+
+
+def encode_modes(names: Mapping[int, str], only: int = 0) -> list[Message]:
+    """AVAILABLE_MODES for each mode, or for the one with the index `only` (from 1). No mode can be selected.
+
+    names: by the number that HEARTBEAT has as custom mode.
+    """
+    numbered = enumerate(names.items(), start=1)
+    return [
+        Message(
+            AvailableModes,
+            (mode, NOT_SELECTABLE, len(names), index, 0, name.encode("ascii", "replace")[:_MODE_NAME_BYTES]),
+        )
+        for index, (mode, name) in numbered
+        if only in (0, index)
+    ]
 
 
 def encode_acknowledgement(number: int, result: int, system: int, component: int) -> Message:

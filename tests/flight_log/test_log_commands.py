@@ -29,7 +29,7 @@ def test_log_faults_have_one_line_and_a_status(flight_folder: Path, capsys: pyte
     assert run("log", "info", "nothing/there") == 2
     assert capsys.readouterr().err == "dmrac log: nothing/there: no such flight\n"
     assert run("log", "export", flight_folder) == 2
-    assert "--csv, --npz or --ulog" in capsys.readouterr().err
+    assert "give a format: --csv, --parquet, " in capsys.readouterr().err
     assert run("log", "merge", flight_folder) == 0
     assert run("log", "merge", flight_folder) == 2
     assert "exists already" in capsys.readouterr().err

@@ -10,8 +10,16 @@ from pathlib import Path
 import pytest
 
 from configs.addresses import ADDRESSES, Addresses
+from configs.flight_tree import Choices
 from experiments.flights import realtime_flight
-from experiments.flights.realtime_flight import Child, FlightStartError, RealtimeResult, process_command, run
+from experiments.flights.realtime_flight import (
+    Child,
+    FlightStartError,
+    RealtimeResult,
+    free_vehicle_number,
+    process_command,
+    run,
+)
 from runtime.sockets import AddressInUseError, DatagramSocket
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -217,3 +225,14 @@ def _state(pid: int) -> str:
         return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
     except OSError:
         return "Z"
+
+
+def test_the_lowest_number_of_a_vehicle_with_free_ports_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def two_fly(network: Addresses) -> None:
+        if network.vehicle in ("127.0.0.1:14560", "127.0.0.1:14660"):
+            raise AddressInUseError(network.vehicle)
+
+    monkeypatch.setattr(realtime_flight, "require_free_ports", two_fly)
+    assert free_vehicle_number("hover", Choices()) == 3
+    given = Choices(assignments=("network.vehicle=127.0.0.1:14560",))
+    assert free_vehicle_number("hover", given) is None

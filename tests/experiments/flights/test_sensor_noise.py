@@ -11,7 +11,7 @@ from experiments.flights.sensor_noise import LOGGED, NIS, SCENARIOS, band_varian
 
 def test_hover_shows_the_logged_noise_and_the_sigmas_fit(tmp_path, capsys):
     file = tmp_path / "noise.json"
-    assert main(["bench", "sensors", "--seconds", "8", "--json", str(file)]) == 0
+    assert main(["bench", "sensors", "--seconds", "8", "--out", str(file)]) == 0
     report = json.loads(file.read_text(encoding="utf-8"))
     assert report["noise"] == "measured"
     assert [row["quantity"] for row in report["rows"]] == list(LOGGED)

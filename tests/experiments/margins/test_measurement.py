@@ -100,7 +100,7 @@ def test_shipped_gains_have_their_margins_in_flight(controller: str) -> None:
 @pytest.mark.full
 def test_the_command_writes_table_json_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, picture = tmp_path / "m.json", tmp_path / "m.png"
-    assert main(["margins", "pid", "--json", str(out), "--bode", str(picture)]) == 0
+    assert main(["margins", "pid", "--out", str(out), "--bode", str(picture)]) == 0
     entries = json.loads(out.read_text(encoding="utf-8"))
     assert [entry["loop"] for entry in entries] == ["roll", "pitch", "yaw", "north", "east", "down"]
     assert set(entries[0]) == {"controller", "loop", "gain_margin_db", "phase_margin_deg", "delay_margin_ms"}

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import development
 
 from onboard.estimation.state import VehicleState
 from onboard.flight.modes import Command, FlightMode
@@ -297,3 +298,34 @@ def test_cost(station):
         station.link.poll(station.now_ns, station.mode, station.state, BATTERY)
         costs.append(time.perf_counter_ns() - start)
     assert sorted(costs)[1000] < 20_000
+
+
+def ask_for_modes(station, index):
+    assert (
+        station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, float(development.MAVLINK_MSG_ID_AVAILABLE_MODES), index) == []
+    )
+    datagrams = []
+    for _ in range(40):
+        station.now_ns += STEP_NS
+        datagrams += station.link.poll(station.now_ns, station.mode, station.state, BATTERY)
+    decoder = development.MAVLink(None)  # the common dialect does not have the message
+    messages = [decoder.decode(bytearray(datagram)) for datagram in datagrams]
+    [answer] = [one for one in messages if one.get_type() == "COMMAND_ACK"]
+    return answer.result, [one for one in messages if one.get_type() == "AVAILABLE_MODES"]
+
+
+def test_a_station_gets_the_name_of_every_mode():
+    result, modes = ask_for_modes(Station(GroundLink(GroundLinkConfig())), 0.0)
+    assert result == mavlink.MAV_RESULT_ACCEPTED
+    assert {mode.custom_mode: mode.mode_name for mode in modes} == {int(mode): mode.name for mode in FlightMode}
+    assert [mode.mode_index for mode in modes] == list(range(1, len(FlightMode) + 1))
+    assert {mode.number_modes for mode in modes} == {len(FlightMode)}
+    assert {mode.properties for mode in modes} == {development.MAV_MODE_PROPERTY_NOT_USER_SELECTABLE}
+
+
+@pytest.mark.parametrize(
+    ("index", "result", "names"), [(5.0, 0, ["FLYING"]), (12.0, 2, []), (-1.0, 2, []), (math.nan, 2, [])]
+)
+def test_a_station_may_ask_for_one_mode(index, result, names):
+    found, modes = ask_for_modes(Station(GroundLink(GroundLinkConfig())), index)
+    assert (found, [mode.mode_name for mode in modes]) == (result, names)

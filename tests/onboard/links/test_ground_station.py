@@ -5,6 +5,7 @@ first time, which needs a package index.
 """
 
 import contextlib
+import io
 import os
 import selectors
 import socket
@@ -16,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.flights.scenario import Choices, resolve
+from async_dmrac.command_line import main
+from experiments.flights.scenario import Choices, resolve, with_pose_wait
 from onboard.core import OnboardCore
 from onboard.flight.supervisor import FlightMode
 from sim_vehicle.link.radio import Radio
@@ -24,6 +26,8 @@ from sim_vehicle.lockstep import Lockstep
 from sim_vehicle.vehicle import SimVehicle
 
 PACKAGES = ("MAVProxy==1.8.75", "pyserial==3.5", "setuptools==80.9.0")
+PATIENCE = 8
+"""Factor of the time limits: on a machine with other work the simulation is slower than real time."""
 BY_HAND = (
     "onboard.supervisor.auto_arm=false",
     "onboard.supervisor.armed_max_s=60",
@@ -44,6 +48,14 @@ def mavproxy(request):
     return folder
 
 
+def mode_file():
+    """What `dmrac modes --mavproxy` prints."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["modes", "--mavproxy"]) == 0
+    return printed.getvalue()
+
+
 class GroundStation:
     """MAVProxy as a child process, with keyboard and screen."""
 
@@ -51,6 +63,8 @@ class GroundStation:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
+        (directory / ".pymavlink").mkdir()
+        (directory / ".pymavlink" / "custom_mode_map.json").write_text(mode_file(), encoding="utf-8")
         self.wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wire.connect(("127.0.0.1", port))
         self.wire.setblocking(False)
@@ -104,7 +118,7 @@ class PacedFlight:
     """The lockstep simulation without offboard, in real time."""
 
     def __init__(self, station):
-        config = resolve("hover", Choices(controller="pid", seed=1, assignments=BY_HAND))
+        config = with_pose_wait(resolve("hover", Choices(controller="pid", seed=1, assignments=BY_HAND)))
         self.core = OnboardCore(config.onboard, 1, None)
         radio = Radio(config.radio, np.random.default_rng(1))
         vehicle = SimVehicle(config.vehicle, 1)
@@ -117,7 +131,7 @@ class PacedFlight:
 
     def until(self, condition, seconds):
         """Fly until the condition is true; fails with MAVProxy's screen after the time limit."""
-        end_s = time.monotonic() + seconds
+        end_s = time.monotonic() + PATIENCE * seconds
         while time.monotonic() < end_s:
             result = self.lockstep.step()
             self.from_ground.clear()
@@ -143,6 +157,7 @@ def test_mavproxy_sees_arms_flies_and_lands_the_vehicle(mavproxy, tmp_path):
         flight = PacedFlight(station)
         flight.until(lambda mode, screen: "online system 1" in screen, 30)
         flight.until(lambda mode, screen: mode is FlightMode.READY, 10)
+        flight.until(lambda mode, screen: "Mode READY" in screen, 10)
         station.type("status ATTITUDE_QUATERNION")
         flight.until(lambda mode, screen: "q1" in screen, 10)
         station.type("takeoff 1")  # refused, with a reason
@@ -152,6 +167,7 @@ def test_mavproxy_sees_arms_flies_and_lands_the_vehicle(mavproxy, tmp_path):
         flight.until(lambda mode, screen: "ARMED" in screen and mode is FlightMode.ARMED, 10)
         station.type("takeoff 1")
         flight.until(lambda mode, screen: mode is FlightMode.FLYING, 15)
+        flight.until(lambda mode, screen: "Mode FLYING" in screen, 10)
         station.type("status LOCAL_POSITION_NED")
         flight.until(lambda mode, screen: "LOCAL_POSITION_NED {" in screen, 10)
         station.type("disarm")

@@ -1,0 +1,55 @@
+"""The optional parts of the installation: which modules each needs, and which of them are missing here."""
+
+import importlib.util
+from typing import Final
+
+from runtime.errors import PlainError
+
+EXTRAS: Final[dict[str, tuple[str, ...]]] = {
+    "sim": ("numba",),
+    "mujoco": ("mujoco",),
+    "offboard": ("torch",),
+    "experiments": ("matplotlib", "optuna", "pyarrow", "sklearn", "threadpoolctl"),
+    "cluster": ("distributed",),
+    "viz": ("rerun",),
+    "export": ("foxglove", "pyarrow", "rosbags", "tensorboard"),
+    "completion": ("shtab",),
+}
+"""The modules of each extra of pyproject.toml that this program imports itself."""
+
+
+class MissingExtraError(PlainError):
+    """A part of the installation is missing. The message names the modules and the command that installs them."""
+
+
+def missing_modules(extra: str) -> list[str]:
+    """The modules of an extra that cannot be imported here."""
+    return [module for module in EXTRAS[extra] if not _installed(module)]
+
+
+def require_modules(*modules: str, purpose: str = "") -> None:
+    """Check that modules of EXTRAS are installed; imports none of them.
+
+    Parameters
+    ----------
+    purpose: what needs them, for the message, such as "--tensorboard"; "" if it is the whole command.
+
+    Raises
+    ------
+    MissingExtraError
+        If one is missing.
+    """
+    missing = [module for module in modules if not _installed(module)]
+    if missing:
+        extras = dict.fromkeys(next(extra for extra, own in EXTRAS.items() if module in own) for module in missing)
+        before = f"{purpose}: " if purpose else ""
+        raise MissingExtraError(
+            f"{before}not installed: {', '.join(missing)}. Install with: pip install 'async-dmrac[{','.join(extras)}]'"
+        )
+
+
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # the package that it is in
+        return False
