@@ -1,7 +1,6 @@
 """Shared by the commands: options of the workers, the console, and a progress bar."""
 
 import argparse
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -9,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from experiments.campaigns.runner import Progress as CampaignProgress
-from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers
+from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, Workers, cores
 
 
 def add_jobs_option(parser: argparse.ArgumentParser) -> None:
@@ -34,11 +33,6 @@ def positive(text: str) -> int:
 def open_workers(arguments: argparse.Namespace) -> Workers:
     """Return the workers of `add_worker_options`: a Dask cluster, or processes of this machine."""
     return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def plain_console() -> Console:

@@ -1,6 +1,7 @@
 """Where flights are flown: processes of this machine, or a Dask cluster. Both are `concurrent.futures` executors."""
 
 import multiprocessing
+import os
 import signal
 from concurrent.futures import Executor, ProcessPoolExecutor
 from typing import Any, Final, Protocol
@@ -12,6 +13,11 @@ TRIES: Final = 2
 """Number of times that a flight is tried if its worker dies."""
 FLIGHTS_PER_PROCESS: Final = 200
 """After so many flights a worker process is replaced, so that memory stays flat even if a library leaks."""
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Workers(Protocol):

@@ -5,14 +5,16 @@ a controller file, `configs/controllers/<name>.yaml` or any path, and it flies l
 
     class: my_package.my_module:MyController
     settings: {gain: 2.0}
+
+A class in any file is named `class: path/to/my_file.py:MyController` (configs.user_class).
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from pydantic import BaseModel, Field
 
 from configs.loader import ConfigError, ConfigRecord, fill
+from configs.user_class import PATTERN, find_class
 from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ControlInputs, ControlOutput
 from protocol.feature_config import FeaturesConfig
@@ -60,7 +62,7 @@ class GuardedController(Protocol):
 class ControllerConfig(ConfigRecord):
     """A controller: the import path of its class, and the settings of that class."""
 
-    class_path: str = Field(alias="class", pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class")
+    class_path: str = Field(alias="class", pattern=PATTERN, description="module:Class or file.py:Class")
     settings: dict[str, Any]
 
     def build(
@@ -91,10 +93,9 @@ class ControllerConfig(ConfigRecord):
 
     def controller_class(self, source: str = "controller") -> Any:
         """The class named by `class_path`. Raises ConfigError."""
-        module_name, _, class_name = self.class_path.partition(":")
         try:
-            controller_class = getattr(import_module(module_name), class_name)
-        except (ImportError, AttributeError) as error:
+            controller_class = find_class(self.class_path)
+        except ImportError as error:
             raise ConfigError(f"{source}: controller.class: {self.class_path!r} cannot be loaded: {error}") from None
         wanted = ("Settings", "step", "reset")
         missing = [name for name in wanted if not hasattr(controller_class, name)]
