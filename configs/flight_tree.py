@@ -176,7 +176,9 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "features": features,
         "onboard": _onboard(onboard, file, choices.real),
         "offboard": merge({"seed": seed}, file.offboard),
-        "vehicle": merge(merge(vehicle.simulated, {"disturbances": [*file.disturbances, *choices.disturbances]}), file.vehicle_values),
+        "vehicle": merge(
+            merge(vehicle.simulated, {"disturbances": [*file.disturbances, *choices.disturbances]}), file.vehicle_values
+        ),
         "radio": merge(read_part("radio", file.radio), file.radio_values),
         "network": Addresses().model_dump(mode="json", exclude_none=True),
     }

@@ -1,4 +1,4 @@
-"""Finds the class of a disturbance by its `kind`: a file of sim_vehicle/disturbances, or module:Class or file.py:Class."""
+"""Finds the class of a disturbance by its `kind`: a file of sim_vehicle/disturbances, module:Class or file.py:Class."""
 
 import pkgutil
 from collections.abc import Iterable, Mapping
