@@ -52,7 +52,7 @@ TARGET_SIZE: Final = 9
 
 @compiled
 def mix(thrust_n: float, torque: tuple[float, float, float], S: Array, wanted: Array) -> None:
-    """Write the motor thrusts, N: roll and pitch before thrust before yaw at the limits."""
+    """Write the motor thrusts, N: the same as onboard.control.mixer.Mixer, to rounding."""
     high = S[MAX_THRUST]
     low = S[MIN_SHARE] * high
     roll = 0.25 * torque[0] / S[ARM_Y]
@@ -63,10 +63,14 @@ def mix(thrust_n: float, torque: tuple[float, float, float], S: Array, wanted: A
         roll *= (high - low) / spread
         pitch *= (high - low) / spread
     first, second = pitch - roll, pitch + roll
-    widest = max(abs(first), abs(second))
-    base = min(max(0.25 * thrust_n, low + widest), high - widest)
-    turn = min(abs(yaw), high - base - abs(first), base - abs(first) - low)
-    turn = max(min(turn, high - base - abs(second), base - abs(second) - low), 0.0)
+    raised, lowered = abs(first), abs(second)
+    if yaw < 0.0:
+        raised, lowered = lowered, raised
+    turn, middle = abs(yaw), 0.5 * (raised + lowered)
+    lowest = max(low + lowered, low + raised - turn, low + middle)
+    highest = min(high - raised, high - lowered + turn, high - middle)
+    base = min(max(0.25 * thrust_n, lowest), highest)
+    turn = max(min(turn, high - base - raised, base - lowered - low), 0.0)
     if yaw < 0.0:
         turn = -turn
     wanted[0], wanted[1] = base + first + turn, base - first + turn
