@@ -293,8 +293,10 @@ class Learner:
         if signals is None:
             if not self._collected:
                 raise ValueError("fit: update has collected no samples yet; expected signals and labels")
-            x, y = zip(*self._collected, strict=True)
-            return np.array(x), np.array(y)
+            return (
+                np.array([seen for seen, _ in self._collected]),
+                np.array([measured for _, measured in self._collected]),
+            )
         x, y = matrix(signals, self.inputs, "signals"), matrix(labels, self.outputs, "labels")
         if x.shape[0] != y.shape[0]:
             raise ValueError(f"labels: {y.shape[0]} rows, but signals have {x.shape[0]}")

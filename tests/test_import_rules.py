@@ -20,7 +20,19 @@ PACKAGES = (
     "runtime",
     "experiments",
 )
-HEAVY = {"torch", "numba", "mujoco", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed"}
+HEAVY = {
+    "torch",
+    "numba",
+    "mujoco",
+    "matplotlib",
+    "rerun",
+    "pyarrow",
+    "optuna",
+    "sklearn",
+    "distributed",
+    "gymnasium",
+    "pandas",
+}
 """What only extras install; the base install (onboard) must live without."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {

@@ -5,8 +5,9 @@ import json
 
 from rich.table import Table
 
-from async_dmrac.commands.shared import add_jobs_option, cores, plain_console, positive
+from async_dmrac.commands.shared import add_jobs_option, plain_console, positive
 from configs.loader import ConfigError
+from experiments.campaigns.worker_pools import cores
 
 EXAMPLES = """examples:
   dmrac attack                                     every case, one seed

@@ -8,7 +8,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from async_dmrac.commands.shared import add_jobs_option, cores
+from async_dmrac.commands.shared import add_jobs_option
+from experiments.campaigns.worker_pools import cores
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices
 
 EXAMPLES = """examples:

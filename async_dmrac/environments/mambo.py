@@ -1,6 +1,6 @@
 """The Mambo as a Gymnasium environment: one vehicle, or many in one compiled batch."""
 
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -25,14 +25,14 @@ class MamboEnv(gymnasium.Env[Observation, Action]):
         that is added to the position loop of `controller`). All parts from -1 to 1.
     observation: names of sim_vehicle.physics.observe.OBSERVATIONS.
     rate_hz: control steps per second. episode_s: until an episode is truncated.
-    controller: whose poles the inner loop has (no law of it flies).
+    controller: whose position gains and rate gain the inner loop has (no law of it flies).
     set: values by path. disturbances: added to those of the scenario. draws: as in a campaign file, per episode.
     start_spread: of the start about the path, as a multiple of 0.2 m, 0.2 m/s, 0.1 rad and 0.2 rad/s; 0: none.
 
     An episode ends (terminated) with a crash, or more than 2.5 m from the target.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 as Gymnasium declares it
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         """Raise ConfigError that names the option, its value and what is allowed."""
@@ -71,7 +71,10 @@ class MamboVectorEnv(VectorEnv[Observation, Action, NDArray[Any]]):
     A vehicle whose episode has ended starts again in the next step (AutoresetMode.NEXT_STEP).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata: dict[str, Any] = {  # noqa: RUF012 as Gymnasium declares it
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(self, num_envs: int = 1, render_mode: str | None = None, **options: Any) -> None:
         """Raise ConfigError that names the option, its value and what is allowed."""
@@ -115,6 +118,7 @@ class MamboVectorEnv(VectorEnv[Observation, Action, NDArray[Any]]):
         return task.observations(), rewards, terminated, truncated, {}
 
 
-def _spaces(task: Task) -> tuple[Box, Box]:
+def _spaces(task: Task) -> tuple[Any, Any]:
+    """Of what is seen, and of actions."""
     seen = Box(-np.inf, np.inf, (len(task.observation_names),), dtype=np.float32)
     return seen, Box(-1.0, 1.0, (task.action_width,), dtype=np.float32)

@@ -1,6 +1,7 @@
 """The task of the environments: vehicles of a scenario that follow its path, each with draws of its own."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import numpy as np
@@ -83,7 +84,8 @@ class Task:
             for name, (_, width, _) in zip(observation, _places(observation), strict=True)
             for part in range(width)
         )
-        self.batch = VehicleBatch(self._start, [0] * vehicles, threads)
+        run = map if threads == 1 else ThreadPoolExecutor(threads).map
+        self.batch = VehicleBatch(self._start, [0] * vehicles, threads, run)
         self.steps: NDArray[np.int64] = np.zeros(vehicles, dtype=np.int64)
         self._table: Array = np.zeros((vehicles, COLUMNS))
         self._commands: Array = np.zeros((vehicles, 4))
@@ -196,7 +198,7 @@ def _on_path(target: Array) -> dict[str, Any]:
 
 
 def _loop_settings(flight: FlightConfig, controller: str) -> Array:
-    """[SETTINGS_SIZE] of the inner loop: the nominal airframe, and the poles of a controller."""
+    """[SETTINGS_SIZE] of the inner loop: the nominal airframe, position gains and rate gain of a controller."""
     airframe, S = flight.onboard.airframe, np.zeros(loop.SETTINGS_SIZE)
     settings = read_law(controller).get("settings", {})
     try:
@@ -216,6 +218,8 @@ def _loop_settings(flight: FlightConfig, controller: str) -> Array:
     S[loop.LEAD_DOWN] = max(airframe.motor_lag_down_s / airframe.motor_response_s, 1.0)
     for first, gains in ((loop.POSITION_K1, position), (loop.ATTITUDE_K1, attitude)):
         S[first : first + 3], S[first + 3 : first + 6] = gains.stiffness(), gains.rate_gain()
+    # Critically damped: without the feed-forward of the cascade, the controller's own stiffness would be too slow.
+    S[loop.ATTITUDE_K1 : loop.ATTITUDE_K1 + 3] = 0.25 * attitude.rate_gain() ** 2
     S[loop.RATES_MAX], S[loop.ACCELERATION_MAX] = RATES_MAX_RAD_S, ACCELERATION_MAX_M_S2
     S[loop.RESIDUAL_MAX] = RESIDUAL_MAX_M_S2
     return S

@@ -87,7 +87,8 @@ def sample_table(signals: Array, labels: Array, period_s: float, block_s: float,
     groups = config.blocks_per_group, config.groups_per_test
     split_of = [split_of_block(block, seed, *groups) for block in range(int(blocks[-1]) + 1 if rows.size else 0)]
     split = np.array([split_of[block] for block in blocks.tolist()], dtype=np.int8)
-    known = np.where(np.isnan(labels).any(axis=1)[:, None], np.nan, labels)
+    known = labels.copy()
+    known[np.isnan(labels).any(axis=1)] = np.nan
     return SampleTable(
         time_ns=np.round(rows * period_s * 1e9).astype(np.int64),
         signals=signals.astype(np.float32),

@@ -5,9 +5,8 @@ the same seed and commands; a test compares the two. Each vehicle has its own fl
 the others fly on.
 """
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,21 +26,23 @@ from sim_vehicle.world.world import World
 NOISE_BLOCK: Final = SUBSTEPS_MAX
 """Sub-steps whose random draws are stored ahead."""
 Integers = NDArray[np.int64]
+Map: TypeAlias = Callable[[Callable[[tuple[Any, ...]], int], Iterable[tuple[Any, ...]]], Iterable[int]]
+"""`map`, or one that works side by side, such as that of a pool of threads: compiled code lets other threads run."""
 
 
 class VehicleBatch:
     """One vehicle per seed."""
 
-    def __init__(self, config: SimVehicleConfig, seeds: Sequence[int], threads: int = 1) -> None:
-        """threads: that step parts of the batch side by side; the result does not depend on it.
+    def __init__(self, config: SimVehicleConfig, seeds: Sequence[int], parts: int = 1, run: Map = map) -> None:
+        """parts: of the batch, which `run` steps; the result depends on neither.
 
         Raises
         ------
         ValueError
-            For another physics than the own one, or more threads than vehicles.
+            For another physics than the own one, or more parts than vehicles.
         """
-        if not 1 <= threads <= len(seeds):
-            raise ValueError(f"{threads} threads: allowed are 1 to {len(seeds)}, the vehicles")
+        if not 1 <= parts <= len(seeds):
+            raise ValueError(f"{parts} parts: allowed are 1 to {len(seeds)}, the vehicles")
         if config.physics != "own":
             raise ValueError(f"vehicle.physics: {config.physics!r}: a batch has 'own' only")
         self._bare = config, pack_parameters(config)
@@ -60,10 +61,11 @@ class VehicleBatch:
         self.crashed = np.zeros(n, dtype=np.bool_)
         """[vehicles] whether it has crashed; its motors are off from then on."""
         self._clock: Integers = np.zeros((4, n), dtype=np.int64)
-        self._now_ns, self._event_ns, self._left, self._drawn = self._clock
+        self._now_ns: Integers = self._clock[0]
+        self._event_ns, self._left, self._drawn = self._clock[1:]
         self._commands: Array = np.zeros((n, 4))
-        self._parts = [self._part(slice(part[0], part[-1] + 1)) for part in np.array_split(np.arange(n), threads)]
-        self._others = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._parts = [self._part(slice(part[0], part[-1] + 1)) for part in np.array_split(np.arange(n), parts)]
+        self._run = run
         for vehicle, seed in enumerate(seeds):
             self.reset(vehicle, config, seed)
 
@@ -123,20 +125,17 @@ class VehicleBatch:
         if still is not None:
             self._left[still] = 0
         self._commands[:] = commands
-        while self._advance():
+        while sum(self._run(self._advance, self._parts)):
             for vehicle in np.flatnonzero(self._now_ns >= self._event_ns).tolist():
                 self._apply(vehicle)
             for vehicle in np.flatnonzero(self._drawn >= NOISE_BLOCK).tolist():
                 self._noise[vehicle] = self._worlds[vehicle].normals.take(NOISE_BLOCK)
                 self._drawn[vehicle] = 0
 
-    def _advance(self) -> int:
-        """Advance every vehicle to its next wait; return how many wait."""
-        if self._others is None:
-            waiting: int = self._advance_all(*self._parts[0])
-            return waiting
-        rest = [self._others.submit(self._advance_all, *part) for part in self._parts[1:]]
-        return int(self._advance_all(*self._parts[0])) + sum(int(one.result()) for one in rest)
+    def _advance(self, part: tuple[Any, ...]) -> int:
+        """Advance the vehicles of a part to their next wait; return how many wait."""
+        waiting: int = self._advance_all(*part)
+        return waiting
 
     def _apply(self, vehicle: int) -> None:
         """Begin and end the disturbances that are due."""

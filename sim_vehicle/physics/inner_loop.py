@@ -1,7 +1,8 @@
 """From an agent's action to motor commands, for a batch: an inner loop that knows the true state. Compiled.
 
-The agents of async_dmrac/environments act by it. It has the vehicle's nominal mass, inertia and motors, the poles of a
-controller of configs/controllers, and no law: what it does not know is left to the agent.
+The agents of async_dmrac/environments act by it. It has the vehicle's nominal mass, inertia and motors, the position
+gains and the rate gain K_2 of a controller of configs/controllers, K_1 = K_2^2 / 4 (critically damped), and no law:
+what it does not know is left to the agent.
 
     acceleration:  u = K_1 (p_d - p) + K_2 (v_d - v) + a_d + action       residual mode; else u = action
     attitude:      force = g e_3 - u per mass; the body's down axis turns to it, yaw to 0
@@ -11,12 +12,17 @@ controller of configs/controllers, and no law: what it does not know is left to 
 """
 
 from math import sqrt
-from typing import Final
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import Array
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.dynamics import rotation
+
+Integers: TypeAlias = NDArray[np.int64]
 
 MOTORS: Final = 0  # [4] fractions of full thrust, -1: none, 1: full
 RATES: Final = 1  # [4] collective thrust, -1: none, 1: full, and body rates
@@ -127,7 +133,7 @@ def demand(mode: int, action: Array, state: Array, target: Array, S: Array) -> t
 
 @compiled
 def command_all(
-    mode: int, actions: Array, states: Array, path: Array, steps: Array, S: Array, work: Array, commands: Array
+    mode: int, actions: Array, states: Array, path: Array, steps: Integers, S: Array, work: Array, commands: Array
 ) -> None:
     """Write the motor commands [vehicles, 4], shares of full thrust, of each vehicle's action.
 

@@ -3,6 +3,9 @@
 from math import exp, sqrt
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 import sim_vehicle.physics.layout as at
 from protocol.conventions import Array
 from sim_vehicle.physics.compiled import compiled
@@ -39,13 +42,13 @@ REWARD_OF_CHANGE: Final = 0.05
 def observe_all(
     states: Array,
     path: Array,
-    steps: Array,
+    steps: NDArray[np.int64],
     actions: Array,
     full_thrust_n: float,
     distance_max_m: float,
     table: Array,
     rewards: Array,
-    lost: Array,
+    lost: NDArray[np.bool_],
 ) -> None:
     """Write the observations [vehicles, COLUMNS], the rewards [vehicles], and who is too far from the target.
 

@@ -18,10 +18,10 @@ OVER = {
 }
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_batch_equals_single_vehicles(motors, threads):
+@pytest.mark.parametrize("parts", [1, 2])
+def test_batch_equals_single_vehicles(motors, parts):
     config, seeds = load_vehicle("mambo", OVER), (3, 9, 27)
-    batch, singles = VehicleBatch(config, seeds, threads), [SimVehicle(config, seed) for seed in seeds]
+    batch, singles = VehicleBatch(config, seeds, parts), [SimVehicle(config, seed) for seed in seeds]
     commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.52, 0.5, 0.5, 0.5], [0.5, 0.5, 0.53, 0.5]], dtype=np.float32)
     for k in range(60):
         batch.step(commands.astype(np.float64))
@@ -47,8 +47,8 @@ def test_a_batch_refuses_bad_commands():
     batch = VehicleBatch(load_vehicle("mambo"), range(2))
     with pytest.raises(ValueError, match="shape"):
         batch.step(np.zeros((3, 4)))
-    with pytest.raises(ValueError, match="5 threads: allowed are 1 to 2"):
-        VehicleBatch(load_vehicle("mambo"), range(2), threads=5)
+    with pytest.raises(ValueError, match="5 parts: allowed are 1 to 2"):
+        VehicleBatch(load_vehicle("mambo"), range(2), parts=5)
     with pytest.raises(ValueError, match="sub-steps"):
         batch.step(np.zeros((2, 4)), substeps=1000)
 
