@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError
 from configs.addresses import Addresses
 from configs.loader import CONFIG_DIRECTORY, ConfigError, ConfigRecord, fill, merge, read_tree, set_path
 from configs.parts import named_file, read_part
+from configs.user_class import with_absolute_file
 from configs.vehicle import read_vehicle, value_at
 
 DEFAULT_SCENARIO: Final = "figure8_wind"
@@ -63,7 +64,7 @@ class ScenarioFile(ConfigRecord):
 
 @dataclass(frozen=True)
 class Choices:
-    """What the command line may change of a scenario."""
+    """What the command line or a Python program may change of a scenario."""
 
     controller: str | None = None
     seed: int | None = None
@@ -76,6 +77,10 @@ class Choices:
     """Its number where several fly at once: its id on the link, and which ports it has."""
     vehicle_file: str | None = None
     """Name in configs/vehicles, or a file: another vehicle than the scenario's."""
+    law: Mapping[str, Any] | None = None
+    """What a controller file holds, for a controller that has none; `controller` is its name then."""
+    disturbances: Sequence[Mapping[str, Any]] = ()
+    """After those of the scenario."""
 
 
 def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
@@ -103,7 +108,16 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
 
 def read_scenario(name: str) -> ScenarioFile:
     """A scenario by its name in configs/scenarios, or by its file. Raises ConfigError."""
-    return fill(ScenarioFile, read_part("scenarios", name), str(named_file("scenarios", name)))
+    path = named_file("scenarios", name)
+    file = fill(ScenarioFile, read_part("scenarios", name), str(path))
+    disturbances = tuple(with_absolute_file(one, "kind", path.parent) for one in file.disturbances)
+    return file.model_copy(update={"disturbances": disturbances})
+
+
+def read_law(controller: str) -> dict[str, Any]:
+    """The content of a controller file, by its name in configs/controllers or its path. Raises ConfigError."""
+    folder = named_file("controllers", controller).parent
+    return with_absolute_file(read_part("controllers", controller), "class", folder)
 
 
 def _present_path(assignment: str) -> str:
@@ -147,7 +161,7 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
     duration = file.duration_s if choices.duration_s is None else choices.duration_s
     controller = choices.controller or file.controller
     vehicle = read_vehicle(file.vehicle)
-    law = read_part("controllers", controller)
+    law = read_law(controller) if choices.law is None else dict(choices.law)
     features = merge(read_tree(FEATURES_FILE), law.pop("features", {}))
     guidance = merge(_guidance(file, duration, seed), law.pop("guidance", {}))  # leads tuned with the controller
     onboard = {"seed": seed, "airframe": vehicle.airframe, "controller": law, "guidance": guidance}
@@ -162,7 +176,9 @@ def compose(file: ScenarioFile, name: str, choices: Choices) -> dict[str, Any]:
         "features": features,
         "onboard": _onboard(onboard, file, choices.real),
         "offboard": merge({"seed": seed}, file.offboard),
-        "vehicle": merge(merge(vehicle.simulated, {"disturbances": list(file.disturbances)}), file.vehicle_values),
+        "vehicle": merge(
+            merge(vehicle.simulated, {"disturbances": [*file.disturbances, *choices.disturbances]}), file.vehicle_values
+        ),
         "radio": merge(read_part("radio", file.radio), file.radio_values),
         "network": Addresses().model_dump(mode="json", exclude_none=True),
     }

@@ -1,4 +1,4 @@
-"""Classes that a configuration names as module:Class. To import one is to run its code.
+"""Which classes a configuration may name (`configs.user_class` finds them). To import one is to run its code.
 
 A configuration that somebody writes or chooses may name any class. A recorded one may be a stranger's: while
 `shipped_classes_only` holds, only the controllers of configs/controllers and the built-in disturbances can be named.
@@ -7,10 +7,10 @@ A configuration that somebody writes or chooses may name any class. A recorded o
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
-from importlib import import_module
 from typing import Any
 
 from configs.loader import CONFIG_DIRECTORY, ConfigError, read_tree
+from configs.user_class import find_class
 
 _holds = 0
 """How many `shipped_classes_only` are open, in all threads: the safe side."""
@@ -37,7 +37,7 @@ def classes_for(trust: bool) -> AbstractContextManager[None]:
 
 
 def named_class(path: str, key: str) -> Any:
-    """The class of a path, module:Class.
+    """The class of a path, as of `configs.user_class.find_class`.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def named_class(path: str, key: str) -> Any:
     ------
     UntrustedClassError
         If the class is none of this project's while `shipped_classes_only` holds.
-    ImportError, AttributeError, ValueError
+    ImportError
         If there is no such class.
     """
     if _holds and path not in shipped_controllers() and not _is_disturbance(path):
@@ -55,8 +55,7 @@ def named_class(path: str, key: str) -> Any:
             f"{key}: {path!r} is not part of this project, and to import it runs its code; "
             "if you know and trust it, add --trust"
         )
-    module, _, name = path.partition(":")
-    return getattr(import_module(module), name)
+    return find_class(path)
 
 
 @cache
@@ -68,7 +67,7 @@ def shipped_controllers() -> frozenset[str]:
 
 def _is_disturbance(path: str) -> bool:
     """Whether the class is in a file of sim_vehicle/disturbances."""
-    module, _, _ = path.partition(":")
+    module, _, _ = path.rpartition(":")
     package, _, file = module.rpartition(".")
     folder = CONFIG_DIRECTORY.parent / "sim_vehicle" / "disturbances"
     return package == "sim_vehicle.disturbances" and file.isidentifier() and (folder / f"{file}.py").is_file()

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from dataclasses import fields
 from hashlib import blake2b
 from operator import itemgetter
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from configs.loader import ConfigRecord, RecordT, fill_section
 from protocol.conventions import Array
-from protocol.feature_set import LAYERS_MAX, WIDTH_MAX
+from protocol.feature_set import AXES, LAYERS_MAX, WIDTH_MAX
 from protocol.messages import LAYOUT_BYTES, SampleBatch
 from protocol.signals import CHANNELS, SIGNAL_NAMES, SIGNALS, input_indices
 
@@ -27,6 +27,10 @@ class SignalScale(ConfigRecord):
 
 class FeatureInputs(ConfigRecord):
     """What the features of both channels see, and their widths."""
+
+    signals: ClassVar[tuple[str, ...]] = SIGNAL_NAMES
+    all_channels: ClassVar[tuple[str, ...]] = CHANNELS
+    outputs: ClassVar[int] = AXES
 
     position_inputs: tuple[str, ...] = Field(min_length=1, description="signals the position features see")
     attitude_inputs: tuple[str, ...] = Field(min_length=1, description="signals the attitude features see")

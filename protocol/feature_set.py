@@ -11,21 +11,25 @@ import numpy as np
 
 from protocol.conventions import Array
 from protocol.messages import VERSION_MAX
-from protocol.signals import input_indices
+from protocol.signals import SIGNAL_NAMES, input_indices
 
 LAYERS_MAX: Final = 4
 WIDTH_MAX: Final = 128
+AXES: Final = 3
+"""Outputs of a channel of the vehicle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelFeatures:
-    """Features of one adaptive channel: m inputs, k features (the constant included), 3 outputs.
+    """Features of one adaptive channel: m inputs, k features (the constant included), q outputs.
+
+    A channel of the vehicle has 3 outputs, and inputs among the signals of the vehicle; other learners may have others.
 
     Raises ValueError on construction if shapes do not fit, a name is unknown or a value is not finite.
     """
 
     inputs: tuple[str, ...]
-    """Signal names of the inputs (protocol.signals)."""
+    """Signal names of the inputs."""
     offset: Array
     """[m], in the inputs' units."""
     scale: Array
@@ -35,10 +39,12 @@ class ChannelFeatures:
     biases: tuple[Array, ...]
     """b_i, [out] each."""
     last_layer: Array
-    """[k, 3]: the trained last layer theta_n, in units of the channel's u."""
+    """[k, q]: the trained last layer theta_n, in units of the channel's u."""
+    signals: tuple[str, ...] = SIGNAL_NAMES
+    """Names of the elements of a signal vector."""
 
     def __post_init__(self) -> None:
-        input_indices(self.inputs)
+        input_indices(self.inputs, self.signals)
         m = len(self.inputs)
         if not 1 <= len(self.weights) == len(self.biases) <= LAYERS_MAX:
             raise ValueError(f"{len(self.weights)} layers with {len(self.biases)} biases, allowed 1 to {LAYERS_MAX}")
@@ -49,8 +55,8 @@ class ChannelFeatures:
             if W.ndim != 2 or W.shape[1] != width or b.shape != W.shape[:1] or not 1 <= W.shape[0] <= WIDTH_MAX:
                 raise ValueError(f"layer of shape {W.shape} with bias {b.shape} after width {width}")
             width = W.shape[0]
-        if self.last_layer.shape != (width + 1, 3):
-            raise ValueError(f"last_layer of shape {self.last_layer.shape}, expected {(width + 1, 3)}")
+        if self.last_layer.ndim != 2 or self.last_layer.shape[0] != width + 1 or self.last_layer.shape[1] < 1:
+            raise ValueError(f"last_layer of shape {self.last_layer.shape}, expected {width + 1} rows")
         if not all(bool(np.isfinite(array).all()) for array in (self.offset, self.scale, *self.parameters)):
             raise ValueError("a value is not finite")
         if not bool((self.scale > 0).all()):
@@ -97,6 +103,9 @@ class FeatureSet:
             raise ValueError("version, parent or samples out of range")
         if self.position is None and self.attitude is None:
             raise ValueError("a feature set without any channel")
+        for channel in self.channels:
+            if channel.last_layer.shape[1] != AXES or channel.signals != SIGNAL_NAMES:
+                raise ValueError(f"last_layer of shape {channel.last_layer.shape}, expected {AXES} columns")
 
     @property
     def by_channel(self) -> tuple[ChannelFeatures | None, ChannelFeatures | None]:

@@ -42,17 +42,18 @@ position: u is an acceleration, world NED, m/s^2. attitude: u is an angular acce
 """
 
 
-def input_indices(names: tuple[str, ...]) -> list[int]:
-    """Indices of the named signals in a signal vector.
+def input_indices(names: tuple[str, ...], signals: tuple[str, ...] = SIGNAL_NAMES) -> list[int]:
+    """Indices of the named signals in a signal vector; `signals` are the names of its elements.
 
     Raises
     ------
     ValueError
         If a name is unknown or occurs twice; the message lists the allowed names.
     """
-    unknown = [name for name in names if name not in SIGNAL_INDEX]
+    index = SIGNAL_INDEX if signals is SIGNAL_NAMES else {name: at for at, name in enumerate(signals)}
+    unknown = [name for name in names if name not in index]
     if unknown:
-        raise ValueError(f"unknown signal {unknown[0]!r}; allowed are {', '.join(SIGNAL_NAMES)}")
+        raise ValueError(f"unknown signal {unknown[0]!r}; allowed are {', '.join(signals)}")
     if len(set(names)) != len(names):
         raise ValueError(f"a signal occurs twice in {names}")
-    return [SIGNAL_INDEX[name] for name in names]
+    return [index[name] for name in names]

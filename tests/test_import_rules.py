@@ -21,7 +21,7 @@ PACKAGES = (
     "experiments",
 )
 HEAVY = {"torch", "numba", "mujoco", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed", "shtab"}
-HEAVY |= {"foxglove", "rosbags", "tensorboard"}
+HEAVY |= {"foxglove", "rosbags", "tensorboard", "gymnasium", "pandas"}
 """What only extras install; the base install (onboard) must live without."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from async_dmrac.commands.output import add_json_option, print_json
-from async_dmrac.commands.shared import add_jobs_option, cores
+from async_dmrac.commands.shared import add_jobs_option
+from experiments.campaigns.worker_pools import cores
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices
 
 if TYPE_CHECKING:

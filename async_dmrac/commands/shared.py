@@ -1,7 +1,6 @@
 """Shared by the commands: options of the workers, the console, and a progress bar."""
 
 import argparse
-import os
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -50,14 +49,9 @@ def positive(text: str) -> int:
 
 def open_workers(arguments: argparse.Namespace) -> "Workers":
     """Return the workers of `add_worker_options`: a Dask cluster, or processes of this machine."""
-    from experiments.campaigns.worker_pools import DaskWorkers, LocalPool
+    from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, cores
 
     return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def plain_console(stderr: bool = False) -> Console:

@@ -18,7 +18,12 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73")
 
 
 def draw_flight(trace: FlightTrace, title: str, path: Path, lost_s: Mapping[str, Array] | None = None) -> None:
-    """Write the figure; the file's ending gives the format.
+    """Write the figure; the file's ending gives the format. lost_s: as for `flight_figure`."""
+    flight_figure(trace, title, lost_s).savefig(path, dpi=110)
+
+
+def flight_figure(trace: FlightTrace, title: str, lost_s: Mapping[str, Array] | None = None) -> Any:
+    """Return the figure, a matplotlib.figure.Figure.
 
     lost_s: times of the lost datagrams, by direction, on the trace's clock.
     """
@@ -45,7 +50,7 @@ def draw_flight(trace: FlightTrace, title: str, path: Path, lost_s: Mapping[str,
         _mark_swaps(panel, trace)
     panels[-1].set_xlabel("time [s]")
     figure.suptitle(title)
-    figure.savefig(path, dpi=110)
+    return figure
 
 
 def _swap_times(trace: FlightTrace) -> Array:

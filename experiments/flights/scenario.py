@@ -71,11 +71,14 @@ def resolve(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) ->
     ConfigError
         Naming file, path, value and what is allowed.
     """
-    return complete(*flight_tree(scenario, choices))
+    has_file = choices is None or choices.law is None
+    return complete(*flight_tree(scenario, choices), has_file)
 
 
-def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
+def complete(tree: Mapping[str, Any], source: str, has_file: bool = True) -> FlightConfig:
     """The resolved record of a flight's plain tree. If the controller cannot use features, offboard learns nothing.
+
+    has_file: whether the controller has a file, which a message then names.
 
     Raises
     ------
@@ -84,7 +87,7 @@ def complete(tree: Mapping[str, Any], source: str) -> FlightConfig:
     """
     flight = fill_flight(tree, source)
     _, and_set, assignments = source.partition(" --set ")
-    law = f"{named_file('controllers', flight.controller)}{and_set}{assignments}"
+    law = f"{named_file('controllers', flight.controller) if has_file else flight.controller}{and_set}{assignments}"
     completed = flight.onboard.controller.completed(flight.features, law)
     flight = flight.model_copy(update={"onboard": flight.onboard.model_copy(update={"controller": completed})})
     controller = completed.build(flight.onboard.airframe, flight.features, flight.seed, law)

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
+from configs.flight_tree import read_law
 from configs.loader import CONFIG_DIRECTORY, ConfigError, merge, read_tree
 from configs.parts import named_file, read_part
 from experiments.flights.carried_experience import learns
@@ -81,7 +82,7 @@ def with_choices(config: FlightConfig, controller: str | None, seed: int | None)
         tree["seed"] = tree["onboard"]["seed"] = tree["offboard"]["seed"] = seed
     if controller is None:
         return fill_flight(tree, f"--seed {seed}")
-    law = read_part("controllers", controller)
+    law = read_law(controller)
     leads = law.pop("guidance", {})
     untrained = read_tree(CONFIG_DIRECTORY / "features.yaml")["untrained"]
     tree["features"] = merge({**tree["features"], "untrained": untrained}, law.pop("features", {}))

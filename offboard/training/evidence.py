@@ -13,7 +13,7 @@ from protocol.feature_set import FeatureSet
 from protocol.signals import CHANNELS
 
 if TYPE_CHECKING:
-    from offboard.training.job import TrainingJob
+    from offboard.training.job import RoundJob, TrainingJob
 
 
 def evidence_of(job: "TrainingJob", candidate: FeatureSet, numpy_difference: float) -> Evidence:
@@ -37,7 +37,7 @@ def as_sent(job: "TrainingJob", features: FeatureSet) -> FeatureSet:
     return decode_feature_set(encode_for_wire(features, job.wire_dtype))
 
 
-def held_out(job: "TrainingJob", split: int) -> SampleTable:
+def held_out(job: "RoundJob", split: int) -> SampleTable:
     """Samples of a split, each once; a newest sample may also be in the buffer."""
     table = job.buffer.take(job.buffer.split == split).joined(job.newest.take(job.newest.split == split))
     _, first = np.unique(table.time_ns, return_index=True)

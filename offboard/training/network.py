@@ -7,15 +7,15 @@ layer widths, so that one batched product computes them all; a channel with fewe
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.conventions import Array
 from protocol.feature_config import TrainedFeatures
-from protocol.feature_set import ChannelFeatures, FeatureSet
-from protocol.signals import CHANNELS, input_indices
+from protocol.feature_set import AXES, ChannelFeatures, FeatureSet
+from protocol.signals import CHANNELS, SIGNAL_NAMES, input_indices
 
 Array32 = NDArray[np.float32]
 
@@ -39,9 +39,9 @@ class NetworkState:
     biases: tuple[Array32, ...]
     """b_i, [C, 1, out]."""
     last_layer: Array32
-    """theta, [C, k - 1, 3], in units of u."""
+    """theta, [C, k - 1, q], in units of u; q outputs, 3 in a channel of the vehicle."""
     last_bias: Array32
-    """theta_0, the row of theta for the constant feature, [C, 1, 3]."""
+    """theta_0, the row of theta for the constant feature, [C, 1, q]."""
 
     def named_arrays(self) -> dict[str, Array32]:
         """All arrays by name, for a file; those of a layer have its number in their name."""
@@ -58,20 +58,76 @@ class NetworkState:
         return NetworkState(weights=weights, biases=biases, **single)
 
 
+class NetworkConfig(Protocol):
+    """What a round of training must know of the networks: TrainedFeatures for a vehicle, or another learner's own."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the elements of a signal vector."""
+
+    @property
+    def all_channels(self) -> tuple[str, ...]:
+        """Names of the channels that the labels have."""
+
+    @property
+    def outputs(self) -> int:
+        """q, of each channel."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that are trained."""
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+
+    @property
+    def count(self) -> int:
+        """k, features of a channel, the constant included."""
+
+    @property
+    def spectral_norm_max(self) -> float:
+        """Bound on the largest singular value of each inner layer."""
+
+    @property
+    def first_layer_gain(self) -> float:
+        """Spread of the random first layer."""
+
+    @property
+    def dropout(self) -> float:
+        """Share of the features that is dropped in a training step."""
+
+    @property
+    def scaling(self) -> str:
+        """fixed or data: `offset_and_scale`, or mean and spread of the first training set."""
+
+    def inputs(self, channel: str) -> tuple[str, ...]:
+        """Names of a channel's inputs."""
+
+    def offset_and_scale(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """Offset and scale [m] of the named signals."""
+
+
 @dataclass(frozen=True, slots=True)
 class InputPlan:
-    """The inputs of each channel's features."""
+    """The inputs and outputs of each channel's features."""
 
     channels: tuple[int, ...]
-    """Indices into protocol.signals.CHANNELS, [C]."""
+    """Indices of the channels that are trained among those of the labels, [C]."""
     names: tuple[tuple[str, ...], ...]
     """Signal names of each channel's inputs."""
+    signals: tuple[str, ...] = SIGNAL_NAMES
+    """Names of the elements of a signal vector."""
+    outputs: int = AXES
+    """q, of each channel."""
 
     @staticmethod
-    def of(config: TrainedFeatures) -> "InputPlan":
+    def of(config: NetworkConfig) -> "InputPlan":
         """The plan of a configuration."""
-        channels = tuple(index for index, name in enumerate(CHANNELS) if name in config.channels)
-        return InputPlan(channels, tuple(config.inputs(CHANNELS[index]) for index in channels))
+        every = config.all_channels
+        channels = tuple(index for index, name in enumerate(every) if name in config.channels)
+        names = tuple(config.inputs(every[index]) for index in channels)
+        return InputPlan(channels, names, config.signals, config.outputs)
 
     @property
     def width(self) -> int:
@@ -83,11 +139,13 @@ class InputPlan:
         z = np.zeros((len(self.channels), self.width, signals.shape[0]), dtype=np.float32)
         for row, names in enumerate(self.names):
             used = len(names)
-            z[row, :used] = ((signals[:, input_indices(names)] - offset[row, :used]) / scale[row, :used]).T
+            z[row, :used] = (
+                (signals[:, input_indices(names, self.signals)] - offset[row, :used]) / scale[row, :used]
+            ).T
         return z
 
 
-def initial_state(config: TrainedFeatures, rng: np.random.Generator) -> NetworkState:
+def initial_state(config: NetworkConfig, rng: np.random.Generator) -> NetworkState:
     """Random inner layers within the spectral bound, last layer zero."""
     plan = InputPlan.of(config)
     C, m = len(plan.channels), plan.width
@@ -104,17 +162,17 @@ def initial_state(config: TrainedFeatures, rng: np.random.Generator) -> NetworkS
     offset, scale = np.zeros((C, m), dtype=np.float32), np.ones((C, m), dtype=np.float32)
     for row, names in enumerate(plan.names):
         offset[row, : len(names)], scale[row, : len(names)] = config.offset_and_scale(names)
-    theta, theta_0 = np.zeros((C, config.count - 1, 3), dtype=np.float32), np.zeros((C, 1, 3), dtype=np.float32)
+    theta, theta_0 = (np.zeros((C, rows, plan.outputs), dtype=np.float32) for rows in (config.count - 1, 1))
     return NetworkState(offset, scale, tuple(weights), tuple(biases), theta, theta_0)
 
 
-def scales_from_data(config: TrainedFeatures, signals: Array32) -> tuple[Array32, Array32]:
+def scales_from_data(config: NetworkConfig, signals: Array32) -> tuple[Array32, Array32]:
     """Mean, and standard deviation but at least half the fixed scale, of signals [n, SIGNAL_COUNT]; [C, m] each."""
     plan = InputPlan.of(config)
     offset = np.zeros((len(plan.channels), plan.width), dtype=np.float32)
     scale = np.ones_like(offset)
     for row, names in enumerate(plan.names):
-        columns = signals[:, input_indices(names)]
+        columns = signals[:, input_indices(names, plan.signals)]
         floor = 0.5 * config.offset_and_scale(names)[1]
         offset[row, : len(names)] = columns.mean(axis=0)
         scale[row, : len(names)] = np.maximum(columns.std(axis=0), floor)
@@ -152,6 +210,7 @@ def channel_features(state: NetworkState, plan: InputPlan, row: int) -> ChannelF
         weights=tuple(weights),
         biases=tuple(b[row, 0].astype(np.float64) for b in state.biases),
         last_layer=np.vstack([state.last_layer[row], state.last_bias[row]]).astype(np.float64),
+        signals=plan.signals,
     )
 
 
@@ -189,7 +248,9 @@ def state_of(features: FeatureSet, config: TrainedFeatures) -> NetworkState:
 
 def phi(features: ChannelFeatures, signals: NDArray[np.floating]) -> Array:
     """Phi [n, k] of signals [n, SIGNAL_COUNT], in numpy and float64. The gate compares torch's features with it."""
-    h = (signals[:, input_indices(features.inputs)].astype(np.float64) - features.offset) / features.scale
+    h = (
+        signals[:, input_indices(features.inputs, features.signals)].astype(np.float64) - features.offset
+    ) / features.scale
     for W, b in zip(features.weights, features.biases, strict=True):
         h = np.tanh(h @ W.T + b)
     return np.hstack([h, np.ones((h.shape[0], 1))])

@@ -16,7 +16,7 @@ import torch
 
 from offboard.data.buffer import TRAINING, SampleTable
 from offboard.training.gradient import FLOAT, LossGradient, Optimiser, Views, parameters_of
-from offboard.training.job import TrainerState, TrainingJob, TrainingResult
+from offboard.training.job import RoundJob, TrainerState, TrainingJob, TrainingResult
 from offboard.training.mixture import of_split
 from offboard.training.network import InputPlan, NetworkState, scales_from_data
 from offboard.training.slope_prior import slope_gram
@@ -47,20 +47,52 @@ def train_together(jobs: Sequence[TrainingJob], state: TrainerState) -> tuple[li
     The result of each vehicle, with its own last layer and without moments; and the shared state after the round.
     """
     with torch.inference_mode():  # no autograd: the gradient is computed in offboard.training.gradient
-        return _Round(jobs, state).run()
+        return _of_vehicles(jobs, _Round(jobs, state))
+
+
+def train_networks(job: RoundJob) -> tuple[TrainerState, Array]:
+    """Run one round on samples of any origin, without gate or version; bit for bit like `train`.
+
+    Returns
+    -------
+    The state after the round, and the training, validation and test loss per channel after each epoch
+    [epochs, 3, channels]. If the parameters are not finite, the state is that from before the round, without moments.
+    """
+    with torch.inference_mode():
+        one = _Round([job], job.state)
+        losses, finite = one.train()
+        return one.state_after() if finite else one.state_undone(), losses[0]
+
+
+def _of_vehicles(jobs: Sequence[TrainingJob], one: "_Round") -> tuple[list[TrainingResult], TrainerState]:
+    """Train, and return what `train_together` does."""
+    losses, finite = one.train()
+    if not finite:
+        state = one.state_undone()
+        before, results = parameters_of(state.network), list[TrainingResult]()
+        for vehicle, (job, part, loss) in enumerate(zip(jobs, one.parts, losses, strict=True)):
+            own = before.of_vehicle(vehicle)
+            network = replace(state.network, last_layer=own.last_layer.numpy(), last_bias=own.last_bias.numpy())
+            results.append(part.undone(job, TrainerState(network, (), 0, job.state.rounds + 1), own, loss))
+        return results, state
+    results = [
+        part.result(job, TrainerState(part.network(), (), 0, job.state.rounds + 1), loss)
+        for job, part, loss in zip(jobs, one.parts, losses, strict=True)
+    ]
+    return results, one.state_after()
 
 
 class _Round:
     """The tensors of one round."""
 
-    def __init__(self, jobs: Sequence[TrainingJob], state: TrainerState) -> None:
+    def __init__(self, jobs: Sequence[RoundJob], state: TrainerState) -> None:
         self._job, self._state = jobs[0], state
         self._plan = InputPlan.of(self._job.network_config)
         self._generator = torch.Generator().manual_seed((self._job.seed * 1_000_003 + state.rounds) % 2**63)
         self._network = self._scaled_to(jobs)
         self._parameters = parameters_of(self._network)
         own = [self._parameters.of_vehicle(vehicle) for vehicle in range(len(jobs))]
-        self._parts = [VehiclePart(job, self._network, one) for job, one in zip(jobs, own, strict=True)]
+        self.parts = [VehiclePart(job, self._network, one) for job, one in zip(jobs, own, strict=True)]
         self._gradient = Views.of(torch.zeros_like(self._parameters.flat), self._network)
         config = self._job.config
         self._rows = config.batch_size if len(jobs) == 1 else max(ROWS_MINIMUM, config.batch_size // len(jobs))
@@ -69,35 +101,30 @@ class _Round:
         self._optimiser = Optimiser(config, self._parameters.flat.numel(), state.moments, state.steps)
         self._spectral = SpectralBound(self._parameters.weights, self._job.network_config.spectral_norm_max)
 
-    def run(self) -> tuple[list[TrainingResult], TrainerState]:
+    def train(self) -> tuple[list[Array], bool]:
+        """Train; return the losses of each vehicle, [epochs, 3, 2], and whether all parameters are finite."""
         by_epoch = np.array([self._epoch(indices) for indices in self._batches()])
         losses = list(by_epoch.swapaxes(0, 1))
         if not bool(torch.isfinite(self._parameters.flat).all()):
-            return self._diverged(losses)
+            return losses, False
         self._spectral.exact()
         if self._job.config.refit_last_layer:
             self._refit()
-            for part, loss in zip(self._parts, losses, strict=True):
+            for part, loss in zip(self.parts, losses, strict=True):
                 part.refitted(loss)
-        networks = [part.network() for part in self._parts]
-        results = [
-            part.result(TrainerState(network, (), 0, part.job.state.rounds + 1), loss)
-            for part, network, loss in zip(self._parts, networks, losses, strict=True)
-        ]
+        return losses, True
+
+    def state_after(self) -> TrainerState:
+        """The state that the round leaves."""
+        networks = [part.network() for part in self.parts]
         joined = with_last_layers(networks[0], networks)
-        return results, TrainerState(joined, self._optimiser.moments, self._optimiser.steps, self._state.rounds + 1)
+        return TrainerState(joined, self._optimiser.moments, self._optimiser.steps, self._state.rounds + 1)
 
-    def _diverged(self, losses: Sequence[Array]) -> tuple[list[TrainingResult], TrainerState]:
-        """The parameters are not finite: restore those from before the round, drop the momentum and send nothing."""
-        start = self._state.network
-        before, results = parameters_of(start), list[TrainingResult]()
-        for vehicle, (part, loss) in enumerate(zip(self._parts, losses, strict=True)):
-            own = before.of_vehicle(vehicle)
-            network = replace(start, last_layer=own.last_layer.numpy(), last_bias=own.last_bias.numpy())
-            results.append(part.undone(TrainerState(network, (), 0, part.job.state.rounds + 1), own, loss))
-        return results, TrainerState(start, (), 0, self._state.rounds + 1)
+    def state_undone(self) -> TrainerState:
+        """The state after a round that diverged: the parameters from before it, without momentum."""
+        return TrainerState(self._state.network, (), 0, self._state.rounds + 1)
 
-    def _scaled_to(self, jobs: Sequence[TrainingJob]) -> NetworkState:
+    def _scaled_to(self, jobs: Sequence[RoundJob]) -> NetworkState:
         """The network, in the first round with scales from the data if so configured."""
         network, config = self._state.network, self._job.network_config
         if self._state.rounds or config.scaling != "data":
@@ -109,16 +136,16 @@ class _Round:
     def _batches(self) -> Iterator[torch.Tensor]:
         """Row numbers of the mini-batches of each epoch, [V, batches per epoch, rows]."""
         config = self._job.config
-        drawn = [part.drawn(config.batches, self._rows, self._generator) for part in self._parts]
+        drawn = [part.drawn(config.batches, self._rows, self._generator) for part in self.parts]
         rows = torch.stack(drawn)
         for numbers in np.array_split(np.arange(config.batches), config.epochs):
             yield rows[:, torch.from_numpy(numbers)]
 
     def _epoch(self, indices: torch.Tensor) -> Array:
         """Train on these mini-batches; returns training, validation and test loss of each vehicle, [V, 3, 2]."""
-        C, V = len(self._plan.channels), len(self._parts)
-        squares = torch.zeros(C * V, 3, self._rows, dtype=FLOAT)
-        every, tables = self._job.config.projection_every, [part.training for part in self._parts]
+        C, V = len(self._plan.channels), len(self.parts)
+        squares = torch.zeros(C * V, self._plan.outputs, self._rows, dtype=FLOAT)
+        every, tables = self._job.config.projection_every, [part.training for part in self.parts]
         complete = all(bool(table.known.all()) for table in tables)
         inputs = torch.stack([_drawn(table.z, rows) for table, rows in zip(tables, indices, strict=True)], 3)
         labels = _mini_batches([_drawn(table.y, rows) for table, rows in zip(tables, indices, strict=True)])
@@ -132,7 +159,7 @@ class _Round:
             if number % every == every - 1:
                 self._spectral.approximate()
         sums = squares.sum(dim=2, keepdim=True).unflatten(0, (C, V)).unbind(1)
-        return np.array([part.losses(*own) for part, *own in zip(self._parts, sums, indices, strict=True)])
+        return np.array([part.losses(*own) for part, *own in zip(self.parts, sums, indices, strict=True)])
 
     def _dropout(self, rows: int) -> torch.Tensor | None:
         share = self._job.network_config.dropout
@@ -147,7 +174,7 @@ class _Round:
         That mean is of the regressions towards zero, in the units of u. Which of the two a channel takes is decided by
         the vehicle's own held-out samples, as its ridge is: a jet of the others is taken where it is found here too.
         """
-        slope, parts = self._slope(), self._parts
+        slope, parts = self._slope(), self.parts
         regressions = [part.regression() for part in parts]
         alone = [part.fits(one, slope, [None]) for part, one in zip(parts, regressions, strict=True)]
         if len(parts) > 1:

@@ -14,7 +14,7 @@ from typing import Final
 
 import torch
 
-from offboard.training.gradient import Views, layer_outputs
+from offboard.training.gradient import FLOAT, Views, layer_outputs
 
 BOX_POINTS: Final = 128
 
@@ -28,11 +28,11 @@ def slope_gram(parameters: Views, inputs: tuple[int, ...], generator: torch.Gene
     generator: draws the points in the box.
     """
     C, m = parameters.weights[0].shape[:2]
-    z = 2.0 * torch.rand(C, m, BOX_POINTS, generator=generator) - 1.0
+    z = 2.0 * torch.rand(C, m, BOX_POINTS, generator=generator, dtype=FLOAT) - 1.0
     for row, used in enumerate(inputs):
         z[row, used:] = 0.0
     outputs = layer_outputs(z, parameters)
-    J = torch.eye(m).expand(C, BOX_POINTS, m, m)
+    J = torch.eye(m, dtype=FLOAT).expand(C, BOX_POINTS, m, m)
     for W, h in zip(parameters.weights, outputs[1:], strict=True):
         J = (1.0 - h.mT.square()).unsqueeze(3) * (W.mT.unsqueeze(1) @ J)
     for row, used in enumerate(inputs):

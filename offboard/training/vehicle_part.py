@@ -10,13 +10,12 @@ import torch
 from offboard.data.buffer import TEST, TRAINING, VALIDATION, SampleTable
 from offboard.training.evidence import as_sent, evidence_of, held_out
 from offboard.training.gradient import FLOAT, Views, layer_outputs, predictions
-from offboard.training.job import TrainerState, TrainingJob, TrainingResult
+from offboard.training.job import RoundJob, TrainerState, TrainingJob, TrainingResult
 from offboard.training.mixture import draw_probability, of_split
 from offboard.training.network import InputPlan, NetworkState, feature_set, phi
 from offboard.training.refit import ridge_fits, scatter
 from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
-from protocol.signals import CHANNELS
 
 HELD_OUT_MINIMUM: Final = 20
 """With fewer held-out samples the first ridge of the configuration is used."""
@@ -29,7 +28,7 @@ class Samples:
     z: torch.Tensor
     """Scaled inputs, [C, m, n]."""
     y: torch.Tensor
-    """Labels, [C, 3, n]; zero where there is none."""
+    """Labels, [C, q, n]; zero where there is none."""
     known: torch.Tensor
     """1 where the sample has a label of the channel, else 0, [C, 1, n]."""
 
@@ -64,7 +63,7 @@ class VehiclePart:
     own: the parameters under training, with this vehicle's last layers, in the units of u; they are standardised here.
     """
 
-    def __init__(self, job: TrainingJob, network: NetworkState, own: Views) -> None:
+    def __init__(self, job: RoundJob, network: NetworkState, own: Views) -> None:
         self.job = job
         self._plan = InputPlan.of(job.network_config)
         self._network, self._own = network, own
@@ -93,7 +92,7 @@ class VehiclePart:
 
     def _scale_of_labels(self) -> torch.Tensor:
         """Root mean square of the labels of each channel and axis, at least the floor, [C, 3, 1]."""
-        floors = (self.job.config.position_label_floor_m_s2, self.job.config.attitude_label_floor_rad_s2)
+        floors = self.job.label_floors
         floor = torch.tensor([floors[at] for at in self._plan.channels], dtype=FLOAT)[:, None, None]
         return self.training.mean_square(self.training.y).sqrt().nan_to_num(0.0).maximum(floor)
 
@@ -122,7 +121,7 @@ class VehiclePart:
 
     def _to_channels(self, squared: torch.Tensor) -> Array:
         """Squared errors [C, 3, 1] of standardised labels, in the units of u, summed over the axes: [2]."""
-        losses = np.full(len(CHANNELS), np.nan)
+        losses = np.full(len(self.job.network_config.all_channels), np.nan)
         losses[list(self._plan.channels)] = (squared * self._label_scale.square()).sum(dim=(1, 2)).double().numpy()
         return losses
 
@@ -178,20 +177,19 @@ class VehiclePart:
         theta, theta_0 = (part * self._label_scale.mT for part in (trained.last_layer, trained.last_bias))
         return NetworkState(start.offset, start.scale, weights, biases, theta.numpy(), theta_0.numpy())
 
-    def result(self, state: TrainerState, losses: Array) -> TrainingResult:
-        """The result of a round that ended with this state."""
-        job = self.job
+    def result(self, job: TrainingJob, state: TrainerState, losses: Array) -> TrainingResult:
+        """The result of a round that ended with this state. job: this vehicle's."""
         parent = 0 if job.flying is None else job.flying.version
         trained = feature_set(state.network, self._plan, job.version, parent, job.samples_seen)
         candidate = as_sent(job, trained)
         evidence = evidence_of(job, candidate, self._numpy_difference(trained))
         return TrainingResult(state, candidate, evidence, losses, self.rows)
 
-    def undone(self, state: TrainerState, own: Views, losses: Array) -> TrainingResult:
+    def undone(self, job: TrainingJob, state: TrainerState, own: Views, losses: Array) -> TrainingResult:
         """The result of a round that diverged: the state and the parameters from before it, and nothing to send."""
         self._own = own
-        candidate = feature_set(state.network, self._plan, self.job.version, 0, self.job.samples_seen)
-        evidence = evidence_of(self.job, candidate, self._numpy_difference(candidate))
+        candidate = feature_set(state.network, self._plan, job.version, 0, job.samples_seen)
+        evidence = evidence_of(job, candidate, self._numpy_difference(candidate))
         evidence = replace(evidence, candidate_errors=np.full_like(evidence.candidate_errors, np.nan))
         return TrainingResult(state, candidate, evidence, losses, self.rows)
 

@@ -15,6 +15,7 @@ belongs to the old features. So entirely new features start from theta_n, and fe
 is measured on the recent states too: features that agree there and differ elsewhere keep W elsewhere.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -25,7 +26,7 @@ from configs.loader import ConfigRecord
 from onboard.control.features import Features
 from onboard.control.laws.last_layer import PROJECTION_MARGIN
 from protocol.conventions import Array
-from protocol.geometry import Vector3
+from protocol.feature_set import AXES
 
 
 class SwapConfig(ConfigRecord):
@@ -42,16 +43,16 @@ class SwapConfig(ConfigRecord):
 class RecentStates:
     """Ring buffer of recent signal vectors, and of the residual at each."""
 
-    def __init__(self, size: int, signal_count: int) -> None:
+    def __init__(self, size: int, signal_count: int, outputs: int = AXES) -> None:
         self._ring: Array = np.zeros((size, signal_count))
-        self._residuals: Array = np.zeros((size, 3))
+        self._residuals: Array = np.zeros((size, outputs))
         self._filled = 0
         self._next = 0
 
-    def push(self, signals: Array, residual: Vector3 = (0.0, 0.0, 0.0)) -> None:
+    def push(self, signals: Array, residual: Sequence[float] | None = None) -> None:
         """Add one signal vector, [SIGNAL_COUNT], and the filtered residual there; they replace the oldest."""
         self._ring[self._next] = signals
-        self._residuals[self._next] = residual
+        self._residuals[self._next] = 0.0 if residual is None else residual
         self._next = (self._next + 1) % self._ring.shape[0]
         self._filled = min(self._filled + 1, self._ring.shape[0])
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from protocol.conventions import Array
 from protocol.feature_set import ChannelFeatures
-from protocol.signals import input_indices
+from protocol.signals import SIGNAL_NAMES, input_indices
 
 RBF_COUNT = 20
 INPUT_LIMIT = 3.0
@@ -48,9 +48,12 @@ class Features(Protocol):
 class _Selection:
     """Selects the inputs from the signal vector and scales them to about unit size."""
 
-    def __init__(self, inputs: tuple[str, ...], offset: Array, scale: Array) -> None:
+    def __init__(
+        self, inputs: tuple[str, ...], offset: Array, scale: Array, signals: tuple[str, ...] = SIGNAL_NAMES
+    ) -> None:
+        """signals: names of the elements of a signal vector."""
         self.inputs = inputs
-        self._indices = np.array(input_indices(inputs), dtype=np.intp)
+        self._indices = np.array(input_indices(inputs, signals), dtype=np.intp)
         self._offset = offset
         self._inverse = 1.0 / scale
         self._full = self._repeated(2)
@@ -86,7 +89,7 @@ class NetworkFeatures(_Selection):
     """Inner layers of a trained network: tanh layers, then the constant 1."""
 
     def __init__(self, channel: ChannelFeatures) -> None:
-        super().__init__(channel.inputs, channel.offset, channel.scale)
+        super().__init__(channel.inputs, channel.offset, channel.scale, channel.signals)
         self.channel = channel
         # [W, b], with a row of ones below the input of the layer: one product per layer, into preallocated arrays.
         self._layers = [

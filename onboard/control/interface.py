@@ -5,6 +5,8 @@ a controller file, `configs/controllers/<name>.yaml` or any path, and it flies l
 
     class: my_package.my_module:MyController
     settings: {gain: 2.0}
+
+A class in any file is named `class: path/to/my_file.py:MyController` (configs.user_class).
 """
 
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -13,6 +15,7 @@ from pydantic import BaseModel, Field
 
 from configs.loader import ConfigError, ConfigRecord, fill
 from configs.named_class import named_class
+from configs.user_class import PATTERN
 from onboard.control.airframe import AirframeConfig
 from onboard.control.records import ControlInputs, ControlOutput
 from protocol.feature_config import FeaturesConfig
@@ -60,7 +63,7 @@ class GuardedController(Protocol):
 class ControllerConfig(ConfigRecord):
     """A controller: the import path of its class, and the settings of that class."""
 
-    class_path: str = Field(alias="class", pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module:Class")
+    class_path: str = Field(alias="class", pattern=PATTERN, description="module:Class or file.py:Class")
     settings: dict[str, Any]
 
     def build(
@@ -93,7 +96,7 @@ class ControllerConfig(ConfigRecord):
         """The class named by `class_path`. Raises ConfigError."""
         try:
             controller_class = named_class(self.class_path, "onboard.controller.class")
-        except (ImportError, AttributeError) as error:
+        except ImportError as error:
             raise ConfigError(f"{source}: controller.class: {self.class_path!r} cannot be loaded: {error}") from None
         wanted = ("Settings", "step", "reset")
         missing = [name for name in wanted if not hasattr(controller_class, name)]

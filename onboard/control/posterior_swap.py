@@ -72,7 +72,7 @@ def plan_posterior_swap(
     if config.naive and law.theta.shape == theta.shape:
         X, S = np.vstack([law.W - theta, law.b]), law.state.S.copy()
     elif not learns:  # a law that is off flies the trained map
-        X, S = np.zeros((k + 1, 3)), np.diag(prior)
+        X, S = np.zeros((k + 1, theta.shape[1])), np.diag(prior)
     else:
         X, S = posterior(law, prior, Phi_bar[:, :-3], y - Phi_bar[:, :-3].T @ theta, times)
     flying, new_nu = law.at(Phi), evaluate(law.config, theta, X, S, Phi_bar)
@@ -112,7 +112,7 @@ def posterior(
     n, (dt, between, since) = Phi.shape[1], times
     config = law.config
     if n == 0:
-        return np.zeros((prior.size, 3)), np.diag(prior)
+        return np.zeros((prior.size, y.shape[1])), np.diag(prior)
     age = between * np.arange(n - 1, -1, -1) + since
     noise = law.residual_variance(dt)
     weighted = prior[:-1, None] * Phi

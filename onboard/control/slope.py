@@ -75,7 +75,7 @@ def slopes(channel: ChannelFeatures, theta: Array, signals: Array) -> Array:
 
     Zero in an input that is clipped.
     """
-    z = (signals[list(input_indices(channel.inputs))].T - channel.offset) / channel.scale
+    z = (signals[list(input_indices(channel.inputs, channel.signals))].T - channel.offset) / channel.scale
     inside = np.abs(z) < INPUT_LIMIT
     levels = [np.clip(z, -INPUT_LIMIT, INPUT_LIMIT)]
     for W, b in zip(channel.weights, channel.biases, strict=True):
@@ -92,7 +92,7 @@ def largest_shares(channel: ChannelFeatures, theta: Array, limits: SlopeLimits, 
 
     The slope over the inputs of a kind is the norm of its row, so that what couples the axes counts as well.
     """
-    found = np.zeros(3)
+    found = np.zeros(theta.shape[1])
     if signals.shape[1] == 0:
         return found
     slope = slopes(channel, theta, signals)

@@ -47,6 +47,9 @@ def account(state: Array, before: Array, middle: Rotation, nominal: Array, P: Ar
     gained = (state[3] - before[3], state[4] - before[4], state[5] - before[5])
     for i in range(3):
         state[at.ACCELERATION + i] = gained[i] / h
+    if P[at.SUM_SENSORS] <= 0.0:
+        return
+    for i in range(3):
         sums[at.TRUTH_VELOCITY + i] += gained[i]
         sums[at.TRUTH_RATES + i] += state[at.RATES + i] - before[at.RATES + i]
     specific_force = to_body(middle, gained[0], gained[1], gained[2] - P[at.GRAVITY] * h)
@@ -149,8 +152,9 @@ def advance(
         before[10], before[11], before[12] = r0, r1, r2
         middle = rotation(q0 + state[6], q1 + state[7], q2 + state[8], q3 + state[9])
         account(state, before, middle, nominal, P, sums)
-        account_flow(state, middle, P, sums)
-        account_tones(state, P, sums)
+        if P[at.SUM_SENSORS] > 0.0:
+            account_flow(state, middle, P, sums)
+            account_tones(state, P, sums)
         watch_floor(state, p2, middle, P, sums)
 
 

@@ -102,7 +102,7 @@ def _compile(function: Any, **options: Any) -> Any:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = "" if _CACHE is None else str(_CACHE)
     try:
-        return numba.njit(error_model="numpy", **options)(function)
+        return numba.njit(error_model="numpy", nogil=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
 

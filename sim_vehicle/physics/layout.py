@@ -87,7 +87,8 @@ NOMINAL_ARM_X: Final = 68  # m
 NOMINAL_ARM_Y: Final = 69  # m
 SUM_TONES: Final = 70  # 1: sum IMU_TONES; 0: leave them at 0
 ROTOR_SPEED: Final = 71  # [4] factor of the speed that a rotor needs for its thrust
-PARAMETERS_SIZE: Final = 75
+SUM_SENSORS: Final = 75  # 1: the sums of sensors and truth; 0: none but those of the touch-downs
+PARAMETERS_SIZE: Final = 76
 
 # --- one row per disturbance that acts in every sub-step --------------------------------------------------------
 ROW_NUMBER: Final = 0  # place of its class in world.catalogue.acting_classes

@@ -61,6 +61,7 @@ def pack_parameters(config: SimVehicleConfig, step_s: float = SUBSTEP_NS * 1e-9)
         nominal.body.arm_y_m,
     )
     vibration = config.sensors.imu.vibration
+    P[at.SUM_SENSORS] = 1.0
     P[at.SUM_TONES] = float(vibration is not None)
     P[at.ROTOR_SPEED : at.ROTOR_SPEED + 4] = 1.0 if vibration is None else vibration.rotor_speed
     return P

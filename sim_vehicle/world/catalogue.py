@@ -1,17 +1,27 @@
-"""Finds the class of a disturbance by its `kind`: a file of sim_vehicle/disturbances, or module:Class."""
+"""Finds the class of a disturbance by its `kind`: a file of sim_vehicle/disturbances, module:Class or file.py:Class."""
 
 import pkgutil
 from collections.abc import Iterable, Mapping
 from functools import cache
 from inspect import signature
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, SerializeAsAny, ValidationError
 from pydantic_core import PydanticCustomError
 
 import sim_vehicle.disturbances
 from configs.named_class import named_class
+from configs.user_class import EXPECTED, name_of
 from sim_vehicle.world.interface import Disturbance
+
+_BUILT_IN: Final = "sim_vehicle.disturbances."
+_OWN: Final = "or module:Class or file.py:Class for one of your own"
+
+
+def kind_of(one: type[Disturbance]) -> str:
+    """The `kind` by which `disturbance_class` finds this class."""
+    name = one.__module__.removeprefix(_BUILT_IN)
+    return name if name != one.__module__ else name_of(one)
 
 
 @cache
@@ -24,15 +34,12 @@ def disturbance_class(kind: str) -> type[Disturbance]:
     """The class of a kind. Raises ValueError if there is none, or it is no complete disturbance."""
     own = ":" in kind
     if not own and kind not in kinds():
-        raise ValueError(f"unknown kind; allowed are {', '.join(kinds())}, or module:Class for one of your own")
+        raise ValueError(f"unknown kind; allowed are {', '.join(kinds())}, {_OWN}")
     camel_case = kind.title().replace("_", "")
-    path = kind if own else f"sim_vehicle.disturbances.{kind}:{camel_case}"
     try:
-        found: Any = named_class(path, "vehicle.disturbances: kind")
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(
-            f"cannot be loaded: {error}; expected module:Class, with the module on the Python path"
-        ) from None
+        found: Any = named_class(kind if own else f"{_BUILT_IN}{kind}:{camel_case}", "vehicle.disturbances: kind")
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"cannot be loaded: {error}; {EXPECTED}") from None
     if not (isinstance(found, type) and issubclass(found, Disturbance)):
         raise ValueError("expected a subclass of sim_vehicle.world.interface.Disturbance")
     if not found.acts() and found.change is Disturbance.change:
@@ -56,7 +63,7 @@ def _read(value: Any) -> Any:
         return value
     kind = value.get("kind")
     if not isinstance(kind, str):
-        raise _fault("kind", kind, f"missing; allowed are {', '.join(kinds())}, or module:Class for one of your own")
+        raise _fault("kind", kind, f"missing; allowed are {', '.join(kinds())}, {_OWN}")
     try:
         found = disturbance_class(kind)
     except ValueError as error:

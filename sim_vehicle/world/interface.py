@@ -6,7 +6,8 @@ A disturbance is a configuration record with methods. It acts in one or both of 
 - `act` runs in every 1 ms sub-step. It is a static function that numba can compile, where numba is installed.
 
 To add one, put a file into sim_vehicle/disturbances: `kind: fan_jet` is the class FanJet of fan_jet.py. No other file
-changes. A disturbance outside the project is named by its class, `kind: my_module:MyGust` (docs/vehicle.md).
+changes. A disturbance outside the project is named by its class, `kind: my_module:MyGust` or
+`kind: my_file.py:MyGust` (docs/vehicle.md).
 
 Several disturbances of the same kind add up; factors multiply. All random values come from the flight's seed.
 """
@@ -49,7 +50,10 @@ class Disturbance(ConfigRecord):
 
     onset_s: float = Field(default=0.0, ge=0.0, description="s, flight time")
     end_s: float | None = Field(default=None, gt=0.0, description="s, flight time; left out: until the flight ends")
-    kind: str = Field(description="name of a file in sim_vehicle/disturbances, or module:Class")
+    kind: str = Field(
+        default="", description="name of a file in sim_vehicle/disturbances, module:Class or file.py:Class"
+    )
+    """Needed in a file; a record that is built in Python gets it by its class (catalogue.kind_of)."""
 
     stage: ClassVar[int] = at.LOAD
     """When `act` runs: at.MEAN_AIR, at.TURBULENCE (effect[AIR_SPEED] is known) or at.LOAD (state[WIND] is known)."""

@@ -24,9 +24,10 @@ NEVER_NS = 2**63 - 1
 class World:
     """The disturbances of one flight, resolved from its seed."""
 
-    def __init__(self, config: SimVehicleConfig, seed: int) -> None:
+    def __init__(self, config: SimVehicleConfig, seed: int, bare: Array | None = None) -> None:
+        """bare: what pack_parameters gives for this configuration, if it is known already."""
         self._config = config
-        self._bare = pack_parameters(config)
+        self._bare = pack_parameters(config) if bare is None else bare
         self.disturbances = [
             (one, one.draw(np.random.default_rng([seed, WORLD_STREAM + k])))
             for k, one in enumerate(config.disturbances)

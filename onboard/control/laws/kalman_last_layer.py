@@ -74,27 +74,30 @@ class KalmanLastLayer:
     """W, b and S of one channel, and their law. The state is X = [W - theta; b]."""
 
     def __init__(self, config: KalmanConfig, feature_count: int, PB: Array) -> None:
-        """PB: [n, 3], from the Lyapunov equation of the channel's reference model (tracking_weights)."""
+        """PB: [n, q], from the Lyapunov equation of the channel's reference model (tracking_weights).
+
+        q is the number of outputs, 3 in a channel of the vehicle; where this file says 3, q is meant.
+        """
         self.config = config
         self._PB = PB
         self._rate_weight = tracking_rate_weight(PB)
         self._noise_variance, self._prior_variance = config.noise**2, config.prior**2
         self._radius2 = config.weight_norm_max**2
-        self._start(np.zeros((feature_count, 3)))
+        self._start(np.zeros((feature_count, PB.shape[1])))
 
     def _start(self, theta: Array) -> None:
         """X = 0 and S = S0 with this theta [k, 3]."""
         k, config = theta.shape[0], self.config
         rates = np.full(k + 1, config.prior_rate)
         rates[-1] = config.fast_bias_rate
-        self.state = KalmanState(np.vstack([theta, np.zeros(3)]), prior_variance(config, k), rates)
+        self.state = KalmanState(np.vstack([theta, np.zeros(theta.shape[1])]), prior_variance(config, k), rates)
         self._theta_norm2 = float(np.vdot(theta, theta))
         self._columns: Array = np.zeros((k + 1, 4))
         """[Phi; 0], [Phi_a; 0], [Phi_p; 0], [0; 1]."""
         self._columns[-1, 3] = 1.0
         self._Phi = self._columns[:-1, :3]
         self._X_norm2 = 0.0
-        self._gap = [0.0, 0.0, 0.0]
+        self._gap = [0.0] * self.state.outputs
 
     # --- what others see -------------------------------------------------------------------------------------------
 
@@ -117,9 +120,9 @@ class KalmanLastLayer:
     @property
     def weight_norm(self) -> float:
         """Frobenius norm of W, units of u."""
-        x, y, z = self.state.X_rows[:, -1].tolist()
+        of_b = sum(b * b for b in self.state.X_rows[:, -1].tolist())
         cross = 2.0 * float(np.vdot(self.state.theta_rows, self.state.X_rows))
-        return math.sqrt(max(self._theta_norm2 + cross + self._X_norm2 - x * x - y * y - z * z, 0.0))
+        return math.sqrt(max(self._theta_norm2 + cross + self._X_norm2 - of_b, 0.0))
 
     def residual_variance(self, dt: float) -> float:
         """Variance of what R makes of Delta_hat: white noise behind the filter."""
@@ -152,7 +155,7 @@ class KalmanLastLayer:
 
         A law that is off takes up no misfit, so there the map is read on the path alone.
         """
-        self._gap = [0.0, 0.0, 0.0]
+        self._gap = [0.0] * self.state.outputs
         if Phi is not None and self.config.composite_gain > 0.0:
             nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
             self._gap = (nu[:, 0] - nu[:, 2]).tolist()
@@ -181,16 +184,17 @@ class KalmanLastLayer:
             return self.estimate(Phi)
         state.predict(dt)
         self._Phi[:] = Phi
-        product = state.along(columns)
-        G = product[6:]
+        product, q = state.along(columns), state.outputs
+        G = product[2 * q :]
         # Quadratic forms of S along Phi (h, here), Phi ahead (a), Phi on the path now (p) and the bias (b).
         (hh, _, _, _), (ah, aa, _, _), (ph, _, _, _), (bh, ba, bp, bb) = columns.T.dot(G).tolist()
         s = hh + 2.0 * bh + bb
         v = max(self._noise_variance, s / (config.composite_gain * dt)) + s
-        *theta, x, y, z = product[:6].tolist()
+        along = product[: 2 * q].tolist()
+        of_theta, of_X = along[:q], along[q:]
         share = s / v
         t = self._tracking(share, dt)
-        each_axis = zip(residual, theta, (x, y, z), e.dot(self._PB).tolist(), strict=True)
+        each_axis = zip(residual, of_theta, of_X, e.dot(self._PB).tolist(), strict=True)
         innovation = [r - th[0] - X[0] - X[3] - t * ePB for r, th, X, ePB in each_axis]
         if not (0.0 < s < SQUARE_MAX and sum(d * d for d in innovation) < SQUARE_MAX):  # NaN fails too
             self._X_norm2 = float(np.vdot(state.X_rows, state.X_rows))
@@ -208,7 +212,7 @@ class KalmanLastLayer:
             p2 = self._prior_variance
             a = fade(1.0 - (hh - here * here * v) / (p2 * of_here), 1.0 - (aa - ahead * ahead * v) / (p2 * of_ahead))
         nu, gap, keep = [], self._gap, 1.0 - config.fast_bias_rate * dt * (bh + bb) / s
-        for i, (th, X, d) in enumerate(zip(theta, (x, y, z), innovation, strict=True)):
+        for i, (th, X, d) in enumerate(zip(of_theta, of_X, innovation, strict=True)):
             b, map_here = X[3] + bias * d, th[0] + X[0] + here * d
             gap[i] = keep * gap[i] + share * (map_here - th[2] - X[2] - path * d - keep * gap[i])
             nu.append((map_here + b, th[1] + a * (X[1] + ahead * d) + b + gap[i]))

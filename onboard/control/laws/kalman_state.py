@@ -30,7 +30,10 @@ MULTIPLIER_TOLERANCE: Final = 1e-9
 
 
 class KalmanState:
-    """X [n, 3] and S [n, n], beside a constant theta [n, 3], in the precision of the prior variances."""
+    """X [n, q] and S [n, n], beside a constant theta [n, q], in the precision of the prior variances.
+
+    q is the number of outputs, which share S: 3 axes in a channel of the vehicle.
+    """
 
     def __init__(self, theta: Array, prior_variance: Array, rates_1_s: Array) -> None:
         """Start from X = 0 and S = S0.
@@ -40,19 +43,21 @@ class KalmanState:
         prior_variance: [n], the diagonal of S0.
         rates_1_s: [n], s_i.
         """
-        n, dtype = prior_variance.size, prior_variance.dtype
+        n, q, dtype = prior_variance.size, theta.shape[1], prior_variance.dtype
         self.prior_variance, self._rates = prior_variance, rates_1_s
-        self._rows: Array = np.zeros((6 + n, n), dtype=dtype)
-        self.theta_rows, self.X_rows, self.S = self._rows[:3], self._rows[3:6], self._rows[6:]
-        """theta' [3, n], X' [3, n] and S [n, n]."""
+        self.outputs = q
+        self._rows: Array = np.zeros((2 * q + n, n), dtype=dtype)
+        self.theta_rows, self.X_rows, self.S = self._rows[:q], self._rows[q : 2 * q], self._rows[2 * q :]
+        """theta' [q, n], X' [q, n] and S [n, n]."""
         self.theta_rows[:] = theta.T
-        self._moving, self._diagonal = self._rows[3:], self.S.reshape(-1)[:: n + 1]
+        self._moving, self._diagonal = self._rows[q:], self.S.reshape(-1)[:: n + 1]
         self._diagonal[:] = prior_variance
-        self._keep: Array = np.ones((3 + n, n), dtype=dtype)
+        self._keep: Array = np.ones((q + n, n), dtype=dtype)
         self._gain: Array = np.zeros(n, dtype=dtype)
-        self._change: Array = np.empty((3 + n, n), dtype=dtype)
-        self._left: Array = np.empty((3 + n, 1), dtype=dtype)
-        self._u, self._u_row = self._left[3:, 0], self._left[3:].T
+        self._change: Array = np.empty((q + n, n), dtype=dtype)
+        self._left: Array = np.empty((q + n, 1), dtype=dtype)
+        self._of_X = self._left[:q, 0]
+        self._u, self._u_row = self._left[q:, 0], self._left[q:].T
         self._dt = 0.0
 
     def predict(self, dt: float) -> None:
@@ -60,14 +65,14 @@ class KalmanState:
         if dt != self._dt:
             self._dt = dt
             d = np.array([exp(-rate * dt) for rate in self._rates.tolist()])
-            self._keep[:3], self._keep[3:] = d, d[:, None] * d
+            self._keep[: self.outputs], self._keep[self.outputs :] = d, d[:, None] * d
             each_state = zip(self._rates.tolist(), self.prior_variance.tolist(), strict=True)
             self._gain[:] = [-expm1(-2.0 * rate * dt) * variance for rate, variance in each_state]
         np.multiply(self._moving, self._keep, out=self._moving)
         np.add(self._diagonal, self._gain, out=self._diagonal)
 
     def along(self, columns: Array) -> Array:
-        """theta', X' and S times columns [n, m]: [6 + n, m]."""
+        """theta', X' and S times columns [n, m]: [2 q + n, m]."""
         product: Array = self._rows.dot(columns)
         return product
 
@@ -77,15 +82,13 @@ class KalmanState:
         Parameters
         ----------
         g: [n], S phi.
-        innovation: [3], y - X'phi.
+        innovation: [q], y - X'phi.
         v: R + phi'S phi.
         """
         root = v**-0.5
-        x, y, z = innovation
         np.multiply(g, root, out=self._u)
-        left = self._left
-        left[0, 0], left[1, 0], left[2, 0] = -x * root, -y * root, -z * root
-        np.dot(left, self._u_row, out=self._change)
+        self._of_X[:] = [-d * root for d in innovation]
+        np.dot(self._left, self._u_row, out=self._change)
         np.subtract(self._moving, self._change, out=self._moving)
 
 

@@ -98,15 +98,16 @@ def lyapunov_p(A_rm: Array, Q: Array) -> Array:
 
 
 def tracking_weights(P: Array, natural_frequency_rad_s: Sequence[float]) -> Array:
-    """PB [6, 3] as the law uses it, each axis scaled so that gamma means the same whatever Q: an integral gain.
+    """PB [2 q, q] as the law uses it, each axis scaled so that gamma means the same whatever Q: an integral gain.
 
     The axes of a channel are decoupled, so scaling an axis' column scales its part of P and of Q alike and leaves the
     Lyapunov equation true. The weight of e_1 becomes 1 in the first axis and (omega_n / omega_n1)^3 in the others: that
     gives each its gain in proportion to its bandwidth.
     """
-    PB = P[:, 3:].copy()
+    axes = P.shape[0] // 2
+    PB = P[:, axes:].copy()
     for axis, omega_n in enumerate(natural_frequency_rad_s):
-        PB[:, axis] *= (omega_n / natural_frequency_rad_s[0]) ** 3 / P[axis, 3 + axis]
+        PB[:, axis] *= (omega_n / natural_frequency_rad_s[0]) ** 3 / P[axis, axes + axis]
     return PB
 
 
@@ -141,18 +142,22 @@ class LastLayer:
     """W of one channel and its law. nu_ad = W' Phi, in the units of the channel's u."""
 
     def __init__(self, config: AdaptationConfig, feature_count: int, PB: Array) -> None:
-        """PB: [n, 3], from the Lyapunov equation of the channel's reference model (tracking_weights)."""
+        """PB: [n, q], from the Lyapunov equation of the channel's reference model (tracking_weights).
+
+        q is the number of outputs, 3 in a channel of the vehicle; where this class says 3, q is meant.
+        """
+        outputs = PB.shape[1]
         self.config = config
         self._bound2 = config.weight_norm_max**2
         self._safe_bound2 = self._bound2 * (1.0 + PROJECTION_MARGIN)
         self._PB = PB
         self._rate_weight = tracking_rate_weight(PB)
-        self.W: Array = np.zeros((feature_count, 3))
-        self.memory: Array = np.zeros((feature_count, 3))
+        self.W: Array = np.zeros((feature_count, outputs))
+        self.memory: Array = np.zeros((feature_count, outputs))
         """theta_n, the trained last layer, towards which W leaks."""
         self._gamma = self._gamma_for(feature_count)
-        self._change: Array = np.zeros((feature_count, 3))
-        self._direction: Array = np.zeros(3)
+        self._change: Array = np.zeros((feature_count, outputs))
+        self._direction: Array = np.zeros(outputs)
         self._norm2 = 0.0
 
     @property
@@ -183,7 +188,7 @@ class LastLayer:
         nu: Array = np.dot(self.W.T, Phi)
         return nu
 
-    def step(self, Phi: Array, e: Array, Delta_hat: Vector3, dt: float) -> None:
+    def step(self, Phi: Array, e: Array, Delta_hat: Sequence[float], dt: float) -> None:
         """One step of W_dot = -Gamma Phi (gamma e'PB + lambda (W'Phi - Delta_hat)') / m^2 - sigma (W - theta_n).
 
         Parameters

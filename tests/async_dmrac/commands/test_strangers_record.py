@@ -27,6 +27,8 @@ Path(__file__).with_name("ran").touch()
 Ran = Callable[[], bool]
 BY_CONTROLLER = ("class: onboard.control.cascade:CascadedController", f"class: {MODULE}:Law")
 BY_DISTURBANCE = ("disturbances: []", f"disturbances: [{{kind: '{MODULE}:Wind'}}]")
+BY_FILE = ("disturbances: []", f"disturbances: [{{kind: '{MODULE}.py:Wind'}}]")
+BY_TWO_NAMES = ("disturbances: []", f"disturbances: [{{kind: 'sim_vehicle.disturbances.wind:{MODULE}.py:Wind'}}]")
 READS_LOGS_ONLY = (
     *("log info", "log check", "log export --csv", "log merge -o all.mcap", "report", "compare -o c.html FLIGHT"),
     *("learn --out memory", *(("view --save f.rrd",) if find_spec("rerun") else ())),
@@ -70,7 +72,13 @@ def test_no_command_runs_a_strangers_code(
         assert line.endswith("add --trust")
 
 
-@pytest.mark.parametrize("named", [BY_CONTROLLER, BY_DISTURBANCE], ids=["controller", "disturbance"])
+@pytest.mark.parametrize("named", [BY_FILE, BY_TWO_NAMES], ids=["file", "two names"])
+def test_nor_that_of_a_strangers_file(named: tuple[str, str], ran: Ran, tmp_path: Path) -> None:
+    assert main(["replay", str(strangers_flight(tmp_path / "flight", named))]) == 2
+    assert not ran()
+
+
+@pytest.mark.parametrize("named", [BY_CONTROLLER, BY_DISTURBANCE, BY_FILE], ids=["controller", "disturbance", "file"])
 def test_trust_runs_it(named: tuple[str, str], ran: Ran, tmp_path: Path) -> None:
     flight = strangers_flight(tmp_path / "flight", named)
     assert main(["replay", "--trust", str(flight)]) == 2, "the class itself does not exist"
@@ -102,9 +110,11 @@ def test_nor_does_a_campaign(
     assert capsys.readouterr().err
 
 
-def test_only_what_is_shipped_is_imported(ran: Ran) -> None:
+def test_only_what_is_shipped_is_imported(ran: Ran, tmp_path: Path) -> None:
+    modules = "onboard.__main__:main", "antigravity:x", f"{MODULE}:Law", "sim_vehicle.disturbances.:x"
+    files = f"{MODULE}.py:Law", f"{tmp_path / MODULE}.py:Law", f"sim_vehicle.disturbances.wind:{MODULE}.py:Law"
     with configs.named_class.shipped_classes_only():
-        for path in ("onboard.__main__:main", "antigravity:x", f"{MODULE}:Law", "sim_vehicle.disturbances.:x"):
+        for path in (*modules, *files, "this_session:Law"):
             with pytest.raises(ConfigError, match="not part of this project"):
                 configs.named_class.named_class(path, "key")
         assert configs.named_class.named_class("onboard.control.cascade:CascadedController", "key")

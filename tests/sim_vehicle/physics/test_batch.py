@@ -18,9 +18,10 @@ OVER = {
 }
 
 
-def test_batch_equals_single_vehicles(motors):
+@pytest.mark.parametrize("parts", [1, 2])
+def test_batch_equals_single_vehicles(motors, parts):
     config, seeds = load_vehicle("mambo", OVER), (3, 9, 27)
-    batch, singles = VehicleBatch(config, seeds), [SimVehicle(config, seed) for seed in seeds]
+    batch, singles = VehicleBatch(config, seeds, parts), [SimVehicle(config, seed) for seed in seeds]
     commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.52, 0.5, 0.5, 0.5], [0.5, 0.5, 0.53, 0.5]], dtype=np.float32)
     for k in range(60):
         batch.step(commands.astype(np.float64))
@@ -46,5 +47,42 @@ def test_a_batch_refuses_bad_commands():
     batch = VehicleBatch(load_vehicle("mambo"), range(2))
     with pytest.raises(ValueError, match="shape"):
         batch.step(np.zeros((3, 4)))
+    with pytest.raises(ValueError, match="5 parts: allowed are 1 to 2"):
+        VehicleBatch(load_vehicle("mambo"), range(2), parts=5)
     with pytest.raises(ValueError, match="sub-steps"):
         batch.step(np.zeros((2, 4)), substeps=1000)
+
+
+def test_a_vehicle_that_starts_again_flies_like_a_new_one_while_the_others_fly_on():
+    config, other = load_vehicle("mambo", OVER), load_vehicle("mambo", OVER | {"body": {"mass_kg": 0.066}})
+    commands = np.array([[0.5, 0.5, 0.5, 0.5], [0.52, 0.5, 0.5, 0.5]])
+    batch, alone = VehicleBatch(config, (3, 9)), VehicleBatch(config, (3,))
+    for _ in range(13):
+        batch.step(commands.copy())
+    batch.reset(1, other, 27)
+    assert batch.times_ns.tolist() == [65_000_000, 0]
+    for _ in range(100):  # beyond the draws that are stored ahead
+        batch.step(commands.copy())
+    for _ in range(113):
+        alone.step(commands[:1].copy())
+    fresh = VehicleBatch(other, (27,))
+    for _ in range(100):
+        fresh.step(commands[1:].copy())
+    assert (batch.states[0] == alone.states[0]).all()
+    assert (batch.states[1] == fresh.states[0]).all()
+    assert (batch.states[0] != batch.states[1]).any()
+
+
+def test_time_stands_still_for_a_vehicle_that_is_named():
+    batch = VehicleBatch(load_vehicle("mambo", OVER), (3, 9))
+    before = batch.states.copy()
+    batch.step(np.full((2, 4), 0.5), still=np.array([False, True]))
+    assert batch.times_ns.tolist() == [5_000_000, 0]
+    assert (batch.states[1] == before[1]).all()
+    assert (batch.states[0] != before[0]).any()
+
+
+def test_a_batch_starts_again_with_the_same_kinds_only():
+    batch = VehicleBatch(load_vehicle("mambo", OVER), (3, 9))
+    with pytest.raises(ValueError, match="same kinds"):
+        batch.reset(0, load_vehicle("mambo", OVER | {"disturbances": []}), 1)
