@@ -92,7 +92,7 @@ def cached_library(variant: Variant) -> Path:
     digest = hashlib.sha256(repr((variant, compiler())).encode())
     for path in (*sources(), *headers()):
         digest.update(str(path.relative_to(FOLDER)).encode() + path.read_bytes())
-    library = _cache_folder() / f"core-{digest.hexdigest()[:16]}.so"
+    library = cache_folder() / f"core-{digest.hexdigest()[:16]}.so"
     if not library.exists():
         part = library.with_suffix(f".{os.getpid()}")
         compile_library(variant, part)
@@ -100,7 +100,7 @@ def cached_library(variant: Variant) -> Path:
     return library
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
     """A folder that this user alone writes to: beside the sources, or in the home directory. Raises BuildError."""
     for base in (FOLDER / "__pycache__", Path("~/.cache/async-dmrac").expanduser()):
         with contextlib.suppress(OSError):
