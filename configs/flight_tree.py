@@ -76,6 +76,8 @@ class Choices:
     """Its number where several fly at once: its id on the link, and which ports it has."""
     vehicle_file: str | None = None
     """Name in configs/vehicles, or a file: another vehicle than the scenario's."""
+    radio: str | None = None
+    """Name in configs/radio, or a file: another radio than the scenario's."""
 
 
 def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
@@ -92,6 +94,8 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     file = read_scenario(scenario)
     if choices.vehicle_file is not None:
         file = file.model_copy(update={"vehicle": choices.vehicle_file})
+    if choices.radio is not None:
+        file = file.model_copy(update={"radio": choices.radio})
     tree = compose(file, path.stem, choices)
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)

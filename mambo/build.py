@@ -1,7 +1,7 @@
 """Builds the drone's library, `librsedu.so`, and the stand-in for the firmware that loads it.
 
-Two targets: the drone's processor (armv5te, soft float, symbols not newer than GLIBC_2.4), and this machine, with the same
-number type, for comparison. The build is kept in a cache folder named after a digest of sources and options.
+Two targets: the drone's processor (armv5te, soft float, symbols not newer than GLIBC_2.4), and this machine, with the
+same number type, for comparison. The build is kept in a cache folder named after a digest of sources and options.
 """
 
 import contextlib
@@ -13,14 +13,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 from configs.loader import ConfigError
 from mambo.config import LibraryConfig
 from mambo.image import settings_header, settings_record
 from mambo.ranges import RangeTable, c_table
+from mambo.vehicles import TargetName
 from onboard.c import library as core_build
 from onboard.c.config_table import table
+from onboard.c.generate import FOLDER as CORE_FOLDER
 from onboard.c.generate import check, record_header, record_source
 from onboard.config import OnboardConfig
 
@@ -41,7 +43,6 @@ INSTALL_HINT: Final = (
     "install one (Debian and Ubuntu: apt install gcc-arm-linux-gnueabi libc6-dev-armel-cross; "
     "any system: pip install ziglang)"
 )
-TargetName = Literal["arm", "native"]
 
 
 class Target(NamedTuple):
@@ -72,7 +73,7 @@ def arm_target() -> Target:
 
 
 def native_target() -> Target:
-    """This machine. Raises BuildError without a C compiler."""
+    """The machine that runs this. Raises BuildError without a C compiler."""
     return Target("native", tuple(core_build.compiler()), ())
 
 
@@ -82,8 +83,8 @@ def target_named(name: TargetName) -> Target:
 
 
 def sources() -> list[Path]:
-    """The C files of the library: its own, and those of the core."""
-    return [*sorted((FOLDER / "library").glob("*.c")), *core_build.sources()]
+    """The C files of the library, without those of the core."""
+    return sorted((FOLDER / "library").glob("*.c"))
 
 
 def generated() -> dict[str, str]:
@@ -99,7 +100,7 @@ def generated() -> dict[str, str]:
 
 def flags(target: Target, generated_root: Path) -> list[str]:
     """Options of the compiler, but for the output. `generated_root` holds the folder `generated`."""
-    includes = [f"-I{path}" for path in (FOLDER / "library", core_build.FOLDER, generated_root)]
+    includes = [f"-I{path}" for path in (FOLDER / "library", CORE_FOLDER, generated_root)]
     numbers = ["-DDMRAC_FLOAT", f"-DPARAMETERS_MAX={PARAMETERS_MAX}"]
     hidden = ["-fPIC", "-fvisibility=hidden", "-ffunction-sections", "-fdata-sections"]
     return [*core_build.LANGUAGE, *numbers, "-O2", "-g0", *hidden, *target.options, *includes]
@@ -136,14 +137,34 @@ def _compile(target: Target, folder: Path) -> None:
             (texts / name).write_text(text, encoding="utf-8")
         compile_command = [*target.compiler, *flags(target, Path(root)), *core_build.WARNINGS]
         shared = ["-shared", "-Wl,--gc-sections", f"-Wl,-soname,{LIBRARY}"]
-        everything = map(str, (*sources(), *sorted(texts.glob("*.c"))))
-        core_build.run([*compile_command, *shared, *everything, "-lm", "-o", str(part / LIBRARY)])
+        own = map(str, (*sources(), *sorted(texts.glob("*.c"))))
+        core = _core_objects(target)
+        core_build.run([*compile_command, *shared, *own, *core, "-lm", "-o", str(part / LIBRARY)])
         stand_in = map(str, sorted((FOLDER / "fake").glob("*.c")))
         linked = ["-rdynamic", *stand_in, "-ldl", "-lpthread"]
         core_build.run([*compile_command, *linked, "-o", str(part / FIRMWARE)])
     with contextlib.suppress(OSError):  # another process was faster
         part.rename(folder)
     shutil.rmtree(part, ignore_errors=True)
+
+
+def _core_objects(target: Target) -> list[str]:
+    """The compiled files of the core, in a cache of their own: the library's own files change more often."""
+    options = flags(target, Path("nowhere"))  # the core needs nothing of what the library generates
+    digest = hashlib.sha256(repr((target, options)).encode())
+    for path in (*core_build.sources(), *core_build.headers()):
+        digest.update(str(path.relative_to(CORE_FOLDER)).encode() + path.read_bytes())
+    folder = core_build.cache_folder() / f"mambo-core-{target.name}-{digest.hexdigest()[:16]}"
+    names = [f"{path.relative_to(CORE_FOLDER).with_suffix('')}".replace("/", "-") for path in core_build.sources()]
+    if not folder.exists():
+        part = folder.with_name(f"{folder.name}.{os.getpid()}")
+        part.mkdir()
+        for path, name in zip(core_build.sources(), names, strict=True):
+            core_build.run([*target.compiler, *options, *core_build.WARNINGS, "-c", str(path), "-o", f"{part}/{name}.o"])
+        with contextlib.suppress(OSError):
+            part.rename(folder)
+        shutil.rmtree(part, ignore_errors=True)
+    return [f"{folder}/{name}.o" for name in names]
 
 
 def run_command(built: Built, arguments: Sequence[str] = ()) -> list[str]:

@@ -1,7 +1,7 @@
 """Settings of the drone's library: where the firmware's numbers stand, signs, motors, link and watchdogs.
 
-They are the part of the configuration image that the laptop's onboard process does not have. configs/mambo.yaml has their
-values; image.py packs them.
+They are the part of the configuration image that the laptop's onboard process does not have. configs/mambo.yaml has
+their values; image.py packs them.
 """
 
 from typing import Annotated, Final, Literal, Self

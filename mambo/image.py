@@ -1,7 +1,7 @@
 """The configuration image: flight.yaml and configs/mambo.yaml as one binary file that the drone's library loads.
 
-The drone has no YAML and no Python. The image holds the packed configuration of the core (onboard/c/config_table.py), the
-library's own settings, the features that the flight starts with, and the keys of both links. image.c reads it:
+The drone has no YAML and no Python. The image holds the packed configuration of the core (onboard/c/config_table.py),
+the library's own settings, the features that the flight starts with, and the keys of both links. image.c reads it:
 
     "DMRM", version, sizes of the whole and of the five parts (32-bit, little-endian), digest (BLAKE2b, 32 bytes), parts
 
@@ -67,8 +67,8 @@ def digest(header: bytes, payload: bytes) -> bytes:
 def start_features(onboard: OnboardConfig) -> bytes:
     """What the laws of both channels start with, 8 bytes a number; a channel without features is a 0.
 
-    A channel: m, then index, offset and scale of each input; layers, then the widths; all parameters (for each output a row
-    of W and b); the last layer [k, 3].
+    A channel: m, then index, offset and scale of each input; layers, then the widths; all parameters (for each output a
+    row of W and b); the last layer [k, 3].
     """
     controller: Any = onboard.controller.build(onboard.airframe, onboard.features, onboard.seed)
     untrained, packed = onboard.features.untrained, b""

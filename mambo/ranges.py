@@ -1,7 +1,7 @@
 """What each number of a packed record may be, from the limits of the Python records: a C table for the library's check.
 
-The library has the table, not the image: an image of another version, or one that was written by hand, is refused with the
-name of the number that is out of its range. A number of a choice that was not made is not judged.
+The library has the table, not the image: an image of another version, or one that was written by hand, is refused with
+the name of the number that is out of its range. A number of a choice that was not made is not judged.
 """
 
 import math
@@ -43,7 +43,7 @@ class Range(NamedTuple):
 
     name: str
     place: int
-    count: int
+    numbers: int
     whole: bool
     limits: Limits
     guard: int
@@ -94,7 +94,7 @@ class RangeTable:
         if isinstance(node.of, Leaf):
             (one,) = self._node(node.of, inner, (), name, place, guard)
             unused = Limits(min(one.limits.low, 0.0), max(one.limits.high, 0.0)) if node.counted else one.limits
-            yield one._replace(count=node.length, limits=unused)
+            yield one._replace(numbers=node.length, limits=unused)
             return
         for index in range(node.length):
             at = place + index * size_of(node.of)
@@ -151,5 +151,6 @@ def c_table(name: str, table: RangeTable) -> str:
 def _row(one: Range) -> str:
     low, high, low_open, high_open = one.limits
     flags = ", ".join(str(int(flag)) for flag in (one.whole, low_open, high_open))
-    assert math.isfinite(low) and math.isfinite(high)
-    return f'    {{"{one.name}", {low!r}, {high!r}, {one.place}, {one.count}, {one.guard}, {flags}}}'
+    assert math.isfinite(low)
+    assert math.isfinite(high)
+    return f'    {{"{one.name}", {low!r}, {high!r}, {one.place}, {one.numbers}, {one.guard}, {flags}}}'

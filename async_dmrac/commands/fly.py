@@ -17,6 +17,7 @@ from experiments.flights.logged_flight import fly_logged
 from experiments.flights.realtime_flight import FlightStartError, require_free_ports
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.memory.learning import remember
+from mambo.vehicles import RADIO, VEHICLES
 from offboard.memory.folder import memory_file
 from onboard.cores import CORES
 from protocol.keys import load_key
@@ -26,6 +27,7 @@ EXAMPLES = """examples:
   dmrac fly rotor_chip --controller pid       the same fault with another controller
   dmrac fly figure8_wind --lockstep --seed 7  in virtual time: repeatable, several times faster
   dmrac fly figure8_wind --lockstep --core c  the same with the onboard core in C
+  dmrac fly figure8_wind --vehicle mambo-qemu the drone's own library under qemu-arm, over Bluetooth's delays
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
   dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
 
@@ -44,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lockstep", action="store_true", help="virtual time in one process instead of real time")
     parser.add_argument("--no-offboard", action="store_true", help="lockstep: fly without the offboard process")
     parser.add_argument("--core", choices=CORES, default="numpy", help="lockstep: the onboard core (default: numpy)")
+    parser.add_argument(
+        "--vehicle",
+        choices=VEHICLES,
+        help="lockstep, with the drone's library in a stand-in for its firmware: for its processor, or for this one",
+    )
+    parser.add_argument("--radio", metavar="NAME", help="name in configs/radio, or a file (default: the scenario's)")
     parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
     parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
@@ -57,7 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fly; return the exit status of the outcome. Raises ConfigError before anything is started."""
     memory = _memory_assignments(arguments)
-    choices = Choices(arguments.controller, arguments.seed, arguments.duration, [*arguments.assignments, *memory])
+    _choose_vehicle(arguments)
+    choices = Choices(
+        *(arguments.controller, arguments.seed, arguments.duration, [*arguments.assignments, *memory]),
+        radio=arguments.radio,
+    )
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
@@ -101,12 +113,24 @@ def _memory_assignments(arguments: argparse.Namespace) -> list[str]:
     return [f"offboard.experience.memory={json.dumps(str(arguments.memory))}"]
 
 
+def _choose_vehicle(arguments: argparse.Namespace) -> None:
+    """With the drone's library: lockstep, and the delays of its radio. Raises ConfigError for a core of the laptop."""
+    if arguments.vehicle is None:
+        return
+    if arguments.core != "numpy":
+        raise ConfigError(f"--vehicle {arguments.vehicle}: not with --core; the library has its own")
+    arguments.lockstep, arguments.core = True, arguments.vehicle
+    arguments.radio = arguments.radio or RADIO
+
+
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     """Return the command that repeats this flight."""
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
     words += ["--seed", str(config.seed), "--duration", f"{config.duration_s:g}"]
     words += [flag for flag, on in (("--lockstep", arguments.lockstep), ("--no-offboard", arguments.no_offboard)) if on]
-    words += ["--core", arguments.core] if arguments.core != "numpy" else []
+    words += ["--core", arguments.core] if arguments.core in CORES[1:] else []
+    words += ["--vehicle", arguments.vehicle] if arguments.vehicle else []
+    words += ["--radio", arguments.radio] if arguments.radio else []
     for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]
     return shlex.join(words)

@@ -1,24 +1,28 @@
 """Flies in lockstep through the drone's library: the stand-in for the firmware in place of the onboard process.
 
-The interface of onboard.cores.AnyCore. The vehicle's MAVLink becomes the firmware's structures and flow calls; the motor
-commands become MAVLink again. Datagrams of offboard pass through real sockets on this machine: those that the radio delivers
-are sent before the call, those that the library sends are read after it.
+The interface of onboard.cores.AnyCore. The vehicle's MAVLink becomes the firmware's structures and flow calls; the
+motor commands become MAVLink again. Datagrams of offboard pass through real sockets on this machine: those that the
+radio delivers are sent before the call, those that the library sends are read after it.
 """
 
 import socket
+import weakref
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
+from configs.loader import ConfigError
 from mambo.board import board_config
-from mambo.build import TargetName, build
+from mambo.build import Built, build
 from mambo.config import library_config
 from mambo.fake.firmware_process import FirmwareProcess
 from mambo.fake.sensors import FirmwareSensors
 from mambo.fake.wire import NO_FLOW, REFUSED, Answer, Calls, encode_request
 from mambo.image import image, write_image
+from mambo.vehicles import VEHICLES
+from onboard.c.library import BuildError
 from onboard.config import OnboardConfig
 from onboard.core import OnboardOutput
 from onboard.flight.modes import AIRBORNE, FlightMode
@@ -29,8 +33,6 @@ from protocol.keys import LinkKeys
 from protocol.statistics import REJECTIONS
 from runtime.errors import StartError
 
-VEHICLES: Final[dict[str, TargetName]] = {"mambo-qemu": "arm", "mambo-native": "native"}
-"""Names of `dmrac fly --vehicle`, and the processor that the library is built for."""
 LOOPBACK: Final = (127, 0, 0, 1)
 DATAGRAM_BYTES: Final = 2048
 JITTER_S: Final = 0.0005
@@ -83,8 +85,10 @@ class FirmwareCore:
         self._vehicle_link = VehicleLink(config.vehicle_link, keys.vehicle)
         self._sensors = FirmwareSensors(config.seed, keys.vehicle)
         self._jitter = np.random.default_rng([config.seed, 0xCA11]), jitter_s
-        self._process = FirmwareProcess(build(VEHICLES[vehicle]), Path(self._folder.name))
-        self.controller: Final = RemoteController(config)
+        self._process = FirmwareProcess(_built(vehicle), Path(self._folder.name))
+        self.close: Final = weakref.finalize(self, _close, self._process, self._socket, self._folder)
+        """Ends the stand-in."""
+        self.controller: Any = RemoteController(config)
         self._output, self._answer = OnboardOutput(), None
         self._started = self._running = False
         self._mode = FlightMode.BOOT
@@ -189,17 +193,18 @@ class FirmwareCore:
             "dropped": {name: count for name, count in view.items() if name.startswith("dropped_") and count},
         }
 
-    def close(self) -> None:
-        """End the stand-in."""
-        self._process.close()
-        self._socket.close()
-        self._folder.cleanup()
 
-    def __enter__(self) -> Self:
-        return self
+def _built(vehicle: str) -> Built:
+    try:
+        return build(VEHICLES[vehicle])
+    except BuildError as error:
+        raise ConfigError(f"--vehicle {vehicle}: {error}") from None
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+
+def _close(process: FirmwareProcess, link: socket.socket, folder: TemporaryDirectory[str]) -> None:
+    process.close()
+    link.close()
+    folder.cleanup()
 
 
 class RemoteController:

@@ -1,7 +1,7 @@
 """From the simulated vehicle's MAVLink to what the firmware's structures hold.
 
-Each 200 Hz sample becomes five of 1 kHz with a spread whose mean is zero. The flow becomes a velocity with the height that the
-firmware knows: the median of its last echoes.
+Each 200 Hz sample becomes five of 1 kHz with a spread whose mean is zero. The flow becomes a velocity with the height
+that the firmware knows: the median of its last echoes.
 """
 
 from collections import deque
@@ -90,5 +90,3 @@ class FirmwareSensors:
         """The acquisition of this call, and the flow call before it, if any."""
         flow, self._flow = self._flow, None
         return self._sensors, flow
-
-

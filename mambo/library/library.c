@@ -44,28 +44,45 @@ static bool load_image(Library *self) {
     return image_read(self->bytes, size, &self->image, &self->fault);
 }
 
-/* Without a key anybody on the radio could fly the vehicle. */
-static bool has_key_or_needs_none(Library *self) {
-    if (self->image.key_size > 0 || self->image.settings.board.link.offboard[0] == 127) {
-        return true;
-    }
-    snprintf(self->fault.text, sizeof self->fault.text, "key: the link to another machine needs one");
-    return false;
+static bool is_this_machine(const int32_t host[4]) {
+    return host[0] == 127;
 }
 
-static bool open_link(Library *self) {
+/* Without keys anybody on the radio could fly the vehicle. */
+static bool has_keys_or_needs_none(Library *self) {
     const BoardLink *link = &self->image.settings.board.link;
-    if (udp_open(&self->offboard, link->own_port, link->offboard, link->offboard_port)) {
-        return true;
+    const char *missing = NULL;
+    if (self->image.key_size == 0 && !is_this_machine(link->offboard)) {
+        missing = "key: the link to another machine needs one";
+    } else if (self->image.ground_key_size == 0 && link->ground_port != 0 && !is_this_machine(link->ground)) {
+        missing = "ground key: a ground station on another machine needs one";
     }
-    snprintf(self->fault.text, sizeof self->fault.text, "board.link.own_port %ld is taken", (long)link->own_port);
-    return false;
+    if (missing) {
+        snprintf(self->fault.text, sizeof self->fault.text, "%s", missing);
+    }
+    return missing == NULL;
+}
+
+static bool open_links(Library *self, int64_t now_ns) {
+    const BoardLink *link = &self->image.settings.board.link;
+    if (!udp_open(&self->offboard, link->own_port, link->offboard, link->offboard_port)) {
+        snprintf(self->fault.text, sizeof self->fault.text, "board.link.own_port %ld is taken", (long)link->own_port);
+        return false;
+    }
+    ground_init(&self->ground, &self->image, (int64_t)(self->session >> 20) * 1000000, now_ns);
+    if (link->ground_port && !udp_open(&self->ground_socket, link->ground_own_port, link->ground, link->ground_port)) {
+        snprintf(self->fault.text, sizeof self->fault.text, "board.link.ground_own_port %ld is taken",
+                 (long)link->ground_own_port);
+        return false;
+    }
+    return true;
 }
 
 static bool start_autopilot(Library *self) {
     char path[PATH_BYTES];
     path_of(SESSION_FILE, path);
-    if (autopilot_init(&self->autopilot, &self->image, next_session(path, dmrac_wall_clock_ns()))) {
+    self->session = next_session(path, dmrac_wall_clock_ns());
+    if (autopilot_init(&self->autopilot, &self->image, self->session)) {
         return true;
     }
     snprintf(self->fault.text, sizeof self->fault.text, "key: %ld bytes are not allowed", (long)self->image.key_size);
@@ -73,14 +90,15 @@ static bool start_autopilot(Library *self) {
 }
 
 void library_start(Library *self, int64_t now_ns) {
+    static const char *const modes[] = {"started: record", "started: bench", "started: fly"};
     char path[PATH_BYTES];
-    self->recorder.descriptor = self->offboard.descriptor = -1;
-    if (!load_image(self) || !has_key_or_needs_none(self) || !start_autopilot(self)) {
+    self->recorder.descriptor = self->offboard.descriptor = self->ground_socket.descriptor = -1;
+    if (!load_image(self) || !has_keys_or_needs_none(self) || !start_autopilot(self)) {
         refuse(self);
         return;
     }
     self->mode = self->image.settings.board.mode;
-    if (self->mode == BOARD_MODE_FLY && !open_link(self)) {
+    if (self->mode == BOARD_MODE_FLY && !open_links(self, now_ns)) {
         refuse(self);
         return;
     }
@@ -88,7 +106,7 @@ void library_start(Library *self, int64_t now_ns) {
     path_of(RECORD_FILE, path);
     recorder_open(&self->recorder, path, &self->image.settings.board, now_ns);
     self->state = LIBRARY_RUNS;
-    write_log(self->mode == BOARD_MODE_FLY ? "started: fly" : self->mode == BOARD_MODE_BENCH ? "started: bench" : "started: record");
+    write_log(modes[self->mode]);
 }
 
 /* --- a call --- */
@@ -120,23 +138,37 @@ static void record_step(Library *self, const HalCommand *command, int64_t now_ns
     }
 }
 
-static void fly(Library *self, const uint8_t *acquisition, const FlowCall *calls, int32_t call_count,
-                HalCommand *command, int64_t now_ns) {
+static void receive(Library *self, int64_t now_ns) {
     uint8_t datagram[UDP_BYTES_MAX];
-    Autopilot *autopilot = &self->autopilot;
-    autopilot_receive_sensors(autopilot, acquisition, calls, call_count, now_ns);
-    for (int32_t i = 0; i < self->image.settings.board.link.datagrams_max; i++) {
-        int32_t size = udp_receive(&self->offboard, datagram);
-        if (size < 0) {
-            break;
-        }
-        autopilot_receive_offboard(autopilot, datagram, (size_t)size, now_ns);
+    int32_t most = self->image.settings.board.link.datagrams_max, size;
+    for (int32_t i = 0; i < most && (size = udp_receive(&self->ground_socket, datagram)) >= 0; i++) {
+        ground_receive(&self->ground, &self->autopilot, datagram, (size_t)size, now_ns);
     }
-    autopilot_step(autopilot, command, now_ns);
+    for (int32_t i = 0; i < most && (size = udp_receive(&self->offboard, datagram)) >= 0; i++) {
+        autopilot_receive_offboard(&self->autopilot, datagram, (size_t)size, now_ns);
+    }
+}
+
+static void send_all(Library *self, int64_t now_ns) {
+    uint8_t frame[MAVLINK_FRAME_MAX];
     const Datagram *one;
-    for (int32_t i = 0; (one = autopilot_datagram(autopilot, i)) != NULL; i++) {
+    for (int32_t i = 0; (one = autopilot_datagram(&self->autopilot, i)) != NULL; i++) {
         udp_send(&self->offboard, one->bytes, (size_t)one->size);
     }
+    if (self->ground_socket.descriptor >= 0) {
+        size_t size = ground_poll(&self->ground, &self->autopilot, now_ns, frame);
+        if (size > 0) {
+            udp_send(&self->ground_socket, frame, size);
+        }
+    }
+}
+
+static void fly(Library *self, const uint8_t *acquisition, const FlowCall *calls, int32_t call_count,
+                HalCommand *command, int64_t now_ns) {
+    autopilot_receive_sensors(&self->autopilot, acquisition, calls, call_count, now_ns);
+    receive(self, now_ns);
+    autopilot_step(&self->autopilot, command, now_ns);
+    send_all(self, now_ns);
 }
 
 void library_control(Library *self, const uint8_t *acquisition, HalCommand *command) {

@@ -5,6 +5,7 @@
 #include "autopilot.h"
 #include "bench.h"
 #include "flow_queue.h"
+#include "ground.h"
 #include "recorder.h"
 #include "udp.h"
 #include "view.h"
@@ -33,7 +34,10 @@ typedef struct {
     Recorder recorder;
     FlowQueue flows;
     UdpSocket offboard;
+    GroundLink ground;
+    UdpSocket ground_socket;
     int64_t recorded_events;
+    uint64_t session;
 } Library;
 
 /* Load the image and open everything; `state` says whether it runs, `fault` why not. */

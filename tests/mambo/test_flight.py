@@ -1,0 +1,50 @@
+"""Whole flights through the drone's library: the whole system flies, and both processors give the same bits."""
+
+import numpy as np
+import pytest
+
+from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
+from experiments.flights.scenario import Choices, resolve
+from mambo.build import Built
+from mambo.vehicles import RADIO
+
+SHORT_S = 9.0
+"""Calibration, arming, take-off and the first metre of the path."""
+
+
+def flown(vehicle: str, duration_s: float, with_offboard: bool = True, controller: str = "dmrac") -> LockstepOutcome:
+    choices = Choices(controller, duration_s=duration_s, radio=RADIO)
+    return fly_lockstep(resolve("figure8_wind", choices), with_offboard=with_offboard, core=vehicle)
+
+
+def assert_the_same(one: LockstepOutcome, other: LockstepOutcome) -> None:
+    """The hash is of every datagram that any side sent: sensors, motor commands, samples, poses, features."""
+    assert np.array_equal(one.trace.tick.rows, other.trace.tick.rows)
+    assert one.trace_sha256 == other.trace_sha256
+
+
+def test_both_processors_fly_the_same_bits(native: Built, qemu: Built) -> None:
+    on_drone, here = (flown(vehicle, SHORT_S, with_offboard=False) for vehicle in ("mambo-qemu", "mambo-native"))
+    assert on_drone.onboard["mode"] == "FLYING"
+    assert on_drone.crash_reason == ""
+    assert_the_same(on_drone, here)
+
+
+@pytest.mark.full
+def test_both_processors_fly_the_same_bits_for_a_minute(native: Built, qemu: Built) -> None:
+    on_drone, here = (flown(vehicle, 60.0) for vehicle in ("mambo-qemu", "mambo-native"))
+    assert on_drone.onboard["features"]["swaps"] > 0
+    assert on_drone.crash_reason == ""
+    assert_the_same(on_drone, here)
+
+
+@pytest.mark.full
+def test_in_the_jet_it_flies_as_well_as_the_laptops_core(native: Built) -> None:
+    from experiments.flights.metrics import flight_metrics
+
+    errors_m = {}
+    for core in ("mambo-native", "c"):
+        outcome = flown(core, 60.0)
+        trajectory = resolve("figure8_wind").onboard.guidance.trajectory
+        errors_m[core] = flight_metrics(outcome.trace, trajectory).position_rmse_m
+    assert errors_m["mambo-native"] <= 1.1 * errors_m["c"]
