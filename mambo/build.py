@@ -148,6 +148,24 @@ def _compile(target: Target, folder: Path) -> None:
     shutil.rmtree(part, ignore_errors=True)
 
 
+def compile_stand_in(target: Target, firmware: Path, linker_map: Path) -> None:
+    """The stand-in with the library inside, as one static program, and the linker's map. Raises BuildError."""
+    with TemporaryDirectory() as root:
+        texts = Path(root) / "generated"
+        texts.mkdir()
+        for name, text in generated().items():
+            (texts / name).write_text(text, encoding="utf-8")
+        compile_command = [*target.compiler, *flags(target, Path(root)), "-DLIBRARY_INSIDE"]
+        named = [(path, f"{root}/library-{path.stem}.o") for path in sources() if path.stem != "clock"]
+        named += [(path, f"{root}/{path.stem}.o") for path in texts.glob("*.c")]
+        named.append((FOLDER / "fake" / "firmware.c", f"{root}/firmware.o"))
+        for path, out in named:
+            core_build.run([*compile_command, "-c", str(path), "-o", out])
+        objects = [out for _, out in named]
+        linked = ["-static", f"-Wl,-Map={linker_map}", *objects, *_core_objects(target), "-lm", "-lpthread"]
+        core_build.run([*target.compiler, *target.options, *linked, "-o", str(firmware)])
+
+
 def _core_objects(target: Target) -> list[str]:
     """The compiled files of the core, in a cache of their own: the library's own files change more often."""
     options = flags(target, Path("nowhere"))  # the core needs nothing of what the library generates
@@ -160,7 +178,9 @@ def _core_objects(target: Target) -> list[str]:
         part = folder.with_name(f"{folder.name}.{os.getpid()}")
         part.mkdir()
         for path, name in zip(core_build.sources(), names, strict=True):
-            core_build.run([*target.compiler, *options, *core_build.WARNINGS, "-c", str(path), "-o", f"{part}/{name}.o"])
+            core_build.run(
+                [*target.compiler, *options, *core_build.WARNINGS, "-c", str(path), "-o", f"{part}/{name}.o"]
+            )
         with contextlib.suppress(OSError):
             part.rename(folder)
         shutil.rmtree(part, ignore_errors=True)

@@ -15,9 +15,9 @@ import numpy as np
 
 from configs.loader import ConfigError
 from mambo.board import board_config
-from mambo.build import Built, build
+from mambo.build import Built, build, run_command
 from mambo.config import library_config
-from mambo.fake.firmware_process import FirmwareProcess
+from mambo.fake.firmware_process import Command, FirmwareProcess
 from mambo.fake.sensors import FirmwareSensors
 from mambo.fake.wire import NO_FLOW, REFUSED, Answer, Calls, encode_request
 from mambo.image import image, write_image
@@ -49,6 +49,7 @@ class FirmwareCore:
     config, keys: as of onboard.core.OnboardCore.
     board: values over configs/mambo.yaml.
     jitter_s: of the calls.
+    command: that runs the stand-in.
 
     Raises
     ------
@@ -65,6 +66,7 @@ class FirmwareCore:
         keys: LinkKeys,
         board: dict[str, Any] | None = None,
         jitter_s: float = JITTER_S,
+        command: Command = run_command,
     ) -> None:
         self._folder = TemporaryDirectory(prefix="mambo-")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -85,7 +87,7 @@ class FirmwareCore:
         self._vehicle_link = VehicleLink(config.vehicle_link, keys.vehicle)
         self._sensors = FirmwareSensors(config.seed, keys.vehicle)
         self._jitter = np.random.default_rng([config.seed, 0xCA11]), jitter_s
-        self._process = FirmwareProcess(_built(vehicle), Path(self._folder.name))
+        self._process = FirmwareProcess(_built(vehicle), Path(self._folder.name), command)
         self.close: Final = weakref.finalize(self, _close, self._process, self._socket, self._folder)
         """Ends the stand-in."""
         self.controller: Any = RemoteController(config)

@@ -1,6 +1,7 @@
 """The stand-in's process: one request, one answer."""
 
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -9,7 +10,9 @@ from mambo.build import Built, run_command
 from mambo.fake.wire import ANSWER_BYTES, EVENT, Answer, decode_answer, event_count
 from runtime.errors import PlainError
 
-STARTS_IN_S: Final = 60.0
+ENDS_IN_S: Final = 10.0
+Command = Callable[[Built], list[str]]
+"""The command that runs a build."""
 
 
 class FirmwareError(PlainError):
@@ -22,10 +25,10 @@ class FirmwareProcess:
     folder: holds the configuration image; the library writes there.
     """
 
-    def __init__(self, built: Built, folder: Path) -> None:
+    def __init__(self, built: Built, folder: Path, command: Command = run_command) -> None:
         """Raises ConfigError without qemu-arm."""
         self._process = subprocess.Popen(
-            run_command(built),
+            command(built),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -57,10 +60,12 @@ class FirmwareProcess:
         return FirmwareError(f"the stand-in for the firmware ended: {printed.decode(errors='replace').strip()}")
 
     def close(self) -> None:
-        """End the process."""
-        if self._process.poll() is None:
+        """End the process: it ends by itself at the end of its requests."""
+        try:
+            self._process.communicate(timeout=ENDS_IN_S)
+        except subprocess.TimeoutExpired:
             self._process.kill()
-        self._process.communicate()
+            self._process.communicate()
 
     def __enter__(self) -> Self:
         return self
