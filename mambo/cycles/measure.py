@@ -1,4 +1,4 @@
-"""A stand-in whose cycles are counted: a static program for the drone's processor, under qemu-arm with count.c as a plugin."""
+"""A stand-in whose cycles are counted: a static program for the drone's processor, under qemu-arm with a plugin."""
 
 import shutil
 import subprocess
