@@ -49,6 +49,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "view": Subcommand("async_dmrac.commands.view", "open a flight in the 3-D viewer"),
     "report": Subcommand("async_dmrac.commands.report", "one self-contained page about a flight"),
     "compare": Subcommand("async_dmrac.commands.compare", "overlay flights"),
+    "mambo": Subcommand("async_dmrac.commands.mambo", "build, configure, check and install the library for the Mambo"),
     "preflight": Subcommand("async_dmrac.commands.preflight", "check a vehicle's link before it may fly"),
 }
 

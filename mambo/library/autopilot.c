@@ -48,11 +48,30 @@ static void land(Autopilot *self, const char *why, int64_t now_ns) {
 
 /* --- a call begins --- */
 
+/* The bound of a channel's slope; NULL for a law without one. */
+static SlopeBound *slope_bound_of(Autopilot *self, int channel) {
+    Augmentation *law = self->core.controller.augmentations + channel;
+    bool bounds = law->kind == AUGMENTATION_ADAPTIVE && law->adaptive.config.law.kind == LAW_KALMAN;
+    return bounds && law->adaptive.slope_bound.count > 0 ? &law->adaptive.slope_bound : NULL;
+}
+
+/* Spread the work over the calls: the two channels bound their slopes in different calls, and such a call leaves what has come to
+ * the next one. Never two in a row: on the floor the bounds stand still. */
+static void spread(Autopilot *self) {
+    SlopeBound *position = slope_bound_of(self, 0), *attitude = slope_bound_of(self, 1);
+    if (position && attitude && position->ticks == attitude->ticks) {
+        attitude->ticks = (attitude->ticks + SLOPE_PERIOD_TICKS / 2) % SLOPE_PERIOD_TICKS;
+    }
+    bool bounds = (position && position->ticks == 0) || (attitude && attitude->ticks == 0);
+    self->busy = bounds && !self->busy;
+}
+
 bool autopilot_begin(Autopilot *self, const HalCommand *command, int64_t now_ns) {
     CallVerdict verdict = call_watch_begin(&self->calls, now_ns);
     if (verdict == CALL_TWICE) {
         return false;
     }
+    spread(self);
     if (self->heed_stop && self->motors.running && command->command == MOTORS_STOP) {
         terminate(self, "the firmware stopped them", now_ns);
     }
@@ -97,7 +116,12 @@ void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, cons
         core_receive_flow(&self->core, readings.flows + i);
     }
     if (readings.has_range) {
-        core_receive_range(&self->core, &readings.range);
+        self->range = readings.range;
+        self->range_waits = true;
+    }
+    if (self->range_waits && !self->busy) {
+        self->range_waits = false;
+        core_receive_range(&self->core, &self->range);
     }
     if (readings.has_battery) {
         self->battery = readings.battery;

@@ -30,6 +30,9 @@ typedef struct {
     BatteryReading battery;  /* the newest */
     FlightMode mode;         /* of the last step */
     bool frozen;
+    bool busy;               /* this call bounds a slope: flow, echo and datagrams wait for the next one */
+    bool range_waits;
+    RangeReading range;      /* that waits */
     int64_t datagrams_left_out;
     CoreOutput output;
     Events events;
@@ -38,7 +41,7 @@ typedef struct {
 /* False for a key of a size that is not allowed; `self` must not be used then. */
 bool autopilot_init(Autopilot *self, const Image *image, uint64_t session);
 
-/* A call of the firmware begins. False if it is the last one again: the commands of that one are still right. */
+/* A call of the firmware begins: `busy` says whether it is one that reads neither flow nor datagrams. False if it is the last one again: the commands of that one are still right. */
 bool autopilot_begin(Autopilot *self, const HalCommand *command, int64_t now_ns);
 
 void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, const FlowCall *calls, int32_t call_count,

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from experiments.flights.lockstep_flight import LockstepOutcome
 from mambo.build import Built
 from mambo.fake.wire import Answer, Calls
 from tests.mambo.flying import fly_with, modes, texts, with_calls, with_duration, with_time
@@ -12,6 +13,8 @@ FAULT_NS = 7_500_000_000
 """In flight: pose wait 4 s, half a second of good sensors, take-off."""
 PERIOD_NS = 5_000_000
 STOP = 2
+AS_PLANNED = ["BOOT", "READY", "ARMED", "TAKE_OFF", "FLYING", "LANDING"]
+"""The flight plan lands a second before its end."""
 
 
 @pytest.fixture(autouse=True)
@@ -23,13 +26,18 @@ def from_fault(change: Callable[[int, bytes], list[bytes]]) -> Callable[[int, by
     return lambda now_ns, request: change(now_ns, request) if now_ns >= FAULT_NS else [request]
 
 
+def assert_as_planned(outcome: LockstepOutcome) -> None:
+    assert modes(outcome) == AS_PLANNED
+    assert "landing:" not in texts(outcome)
+
+
 def motors_off(answers: list[Answer]) -> bool:
     return answers[-1].word == STOP and answers[-1].speeds == (0, 0, 0, 0)
 
 
 def test_without_a_fault_the_same_flight_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome, answers = fly_with(monkeypatch, from_fault(lambda _, request: [request]), 9.0)
-    assert modes(outcome) == ["BOOT", "READY", "ARMED", "TAKE_OFF", "FLYING"]
+    assert_as_planned(outcome)
     assert [one.word for one in answers if one.word != STOP][:2] == [1, 3]  # START once, then RUN
     assert answers[0].ultrasound == 16
     assert answers[1].ultrasound == 0
@@ -52,7 +60,7 @@ def late(seconds: float) -> Callable[[int, bytes], list[bytes]]:
 
 def test_a_short_gap_is_flown_over(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome, answers = fly_with(monkeypatch, late(0.02), 9.0)
-    assert modes(outcome)[-1] == "FLYING"
+    assert_as_planned(outcome)
     assert answers[-1].view["missed"] in (3, 4)
 
 
@@ -117,10 +125,10 @@ def test_a_few_slow_calls_change_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     outcome, answers = fly_with(monkeypatch, slow, 9.0)
     assert answers[-1].view["over_budget"] > 10
     assert answers[-1].view["stage"] == 0
-    assert modes(outcome)[-1] == "FLYING"
+    assert_as_planned(outcome)
 
 
 def test_jitter_of_the_scheduler_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     delays = iter(1_500_000 if index % 7 == 3 else 0 for index in range(10**9))
     outcome, _ = fly_with(monkeypatch, lambda now_ns, request: [with_time(request, now_ns + next(delays))], 9.0)
-    assert modes(outcome)[-1] == "FLYING"
+    assert_as_planned(outcome)
