@@ -93,6 +93,9 @@ class BoardLink(ConfigRecord):
     ground: Ipv4 = Field(default=(192, 168, 3, 2), description="IPv4 of the ground station")
     ground_port: int = Field(default=14550, ge=0, le=65535, description="UDP; 0: none")
     ground_own_port: int = Field(default=14552, ge=1, le=65535, description="UDP, of the library")
+    features_in_flight: bool = Field(
+        default=False, description="receive feature versions in flight: a swap takes longer than a call may"
+    )
     datagrams_max: int = Field(default=8, ge=1, le=64, description="read in a call, of each socket")
 
     @model_validator(mode="after")

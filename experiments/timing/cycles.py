@@ -47,12 +47,21 @@ class CycleRecord(NamedTuple):
         return total
 
 
-def count_cycles(config: FlightConfig, with_offboard: bool = True) -> CycleRecord:
-    """Fly in lockstep with a stand-in that counts. Raises BuildError and ConfigError without compilers or qemu."""
+def count_cycles(config: FlightConfig, with_offboard: bool = True, with_swaps: bool = False) -> CycleRecord:
+    """Fly in lockstep with a stand-in that counts.
+
+    with_swaps: receive feature versions in flight.
+
+    Raises
+    ------
+    BuildError, ConfigError
+        Without compilers or qemu.
+    """
     config = config if with_offboard else with_pose_wait(config)
     with TemporaryDirectory() as folder:
         counter = build_counter(Path(folder))
-        core = FirmwareCore("mambo-qemu", config.onboard, LinkKeys(None, None, None), command=counter.command)
+        board = {"link": {"features_in_flight": with_swaps}}
+        core = FirmwareCore("mambo-qemu", config.onboard, LinkKeys(None, None, None), board, command=counter.command)
         vehicle = SimVehicle(config.vehicle, config.seed)
         vehicle.start_capture(session_start_ns(OFFBOARD_SESSION))
         radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]))
@@ -90,9 +99,10 @@ def main() -> None:
     parser.add_argument("--controller", default="dmrac")
     parser.add_argument("--duration", type=float, default=30.0, metavar="S")
     parser.add_argument("--no-offboard", action="store_true")
+    parser.add_argument("--swaps", action="store_true", help="receive feature versions in flight")
     arguments = parser.parse_args()
     config = resolve(arguments.scenario, Choices(arguments.controller, duration_s=arguments.duration, radio=RADIO))
-    record = count_cycles(config, not arguments.no_offboard)
+    record = count_cycles(config, not arguments.no_offboard, arguments.swaps)
     print(table(record))
     print(f"\n{len(record.total)} calls, {record.swapped.sum()} swaps, {record.instructions.mean():.0f} instructions")
 

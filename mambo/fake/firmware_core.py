@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from configs.loader import ConfigError
+from configs.loader import ConfigError, merge
 from mambo.board import board_config
 from mambo.build import Built, build, run_command
 from mambo.config import library_config
@@ -78,8 +78,9 @@ class FirmwareCore:
             "offboard_port": self._socket.getsockname()[1],
             "own_port": self._library_port,
             "ground_port": 0,
+            "features_in_flight": True,  # virtual time: a swap takes none
         }
-        settings = board_config(values={"mode": "fly", "link": link, **(board or {})})
+        settings = board_config(values=merge({"mode": "fly", "link": link}, board or {}))
         data = image(library_config(settings, config, cleared=True), config, keys.offboard, keys.ground)
         write_image(Path(self._folder.name) / "dmrac.bin", data)
         self._order = np.argsort(np.array(settings.motors.order))

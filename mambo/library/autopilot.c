@@ -13,6 +13,7 @@ bool autopilot_init(Autopilot *self, const Image *image, uint64_t session) {
     arming_checks_init(&self->arming, &settings->arming);
     motors_init(&self->motors, &board->motors);
     self->heed_stop = board->watchdogs.heed_stop;
+    self->features_in_flight = board->link.features_in_flight;
     self->last_ns = self->ground_ns = NEVER_NS;
     self->battery = (BatteryReading){NEVER_NS, REAL(0.0), REAL(-1.0)};
     self->mode = MODE_BOOT;
@@ -136,7 +137,8 @@ void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, cons
 
 void autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t size, int64_t now_ns) {
     BudgetStage stage = self->calls.stage;
-    if (stage >= BUDGET_NO_OFFBOARD || (stage == BUDGET_NO_TRAINING && size > SHORT_DATAGRAM_BYTES)) {
+    bool no_features = stage == BUDGET_NO_TRAINING || (flies(self) && !self->features_in_flight);
+    if (stage >= BUDGET_NO_OFFBOARD || (no_features && size > SHORT_DATAGRAM_BYTES)) {
         self->datagrams_left_out++;
         return;
     }

@@ -23,6 +23,7 @@ typedef struct {
     ArmingChecks arming;
     Motors motors;
     bool heed_stop;
+    bool features_in_flight;
     int64_t last_ns;
     int64_t ground_ns;       /* arrival of the ground station's newest datagram; NEVER_NS before */
     ArmingCheck check;       /* of the last step */

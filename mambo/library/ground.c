@@ -170,20 +170,37 @@ static size_t periodic(int32_t index, const Autopilot *autopilot, int64_t now_ns
     }
 }
 
+/* STATUSTEXT of the next piece of an event's text; 0 if none waits. A text longer than a piece has a number. */
+static size_t text_chunk(GroundLink *self, const Autopilot *autopilot, uint8_t *payload) {
+    if (self->text_at == 0) {
+        if (!events_copy(&autopilot->events, &self->read_events, &self->event)) {
+            return 0;
+        }
+        self->text_id = self->text_id % 0xffff + 1;
+    }
+    size_t length = strlen(self->event.text), left = length - self->text_at;
+    size_t part = left < TEXT_BYTES ? left : TEXT_BYTES;
+    payload[0] = SEVERITY_INFO;
+    memcpy(payload + 1, self->event.text + self->text_at, part);
+    if (length > TEXT_BYTES) {
+        write_u16(payload + 1 + TEXT_BYTES, self->text_id);
+        payload[3 + TEXT_BYTES] = (uint8_t)(self->text_at / TEXT_BYTES);
+    }
+    self->text_at = left > TEXT_BYTES ? self->text_at + TEXT_BYTES : 0;
+    return 4 + TEXT_BYTES;
+}
+
 size_t ground_poll(GroundLink *self, const Autopilot *autopilot, int64_t now_ns, uint8_t out[MAVLINK_FRAME_MAX]) {
     uint8_t payload[MAVLINK_PAYLOAD_MAX] = {0};
     MavlinkMessage message;
-    LoggedEvent event;
     int32_t next = 0;
     if (self->has_answer) {
         self->has_answer = false;
         return mavlink_write(&self->mavlink, MESSAGE_COMMAND_ACK, self->answer, sizeof self->answer, now_ns, out);
     }
-    if (events_copy(&autopilot->events, &self->read_events, &event)) {
-        size_t length = strlen(event.text);
-        payload[0] = SEVERITY_INFO;
-        memcpy(payload + 1, event.text, length < TEXT_BYTES ? length : TEXT_BYTES);
-        return mavlink_write(&self->mavlink, MESSAGE_STATUSTEXT, payload, 1 + TEXT_BYTES, now_ns, out);
+    size_t text_size = text_chunk(self, autopilot, payload);
+    if (text_size > 0) {
+        return mavlink_write(&self->mavlink, MESSAGE_STATUSTEXT, payload, text_size, now_ns, out);
     }
     for (int32_t i = 0; i < 4; i++) {
         self->due_ns[i] = self->started ? self->due_ns[i] : now_ns;

@@ -9,6 +9,9 @@
 typedef struct {
     Mavlink mavlink;
     int64_t read_events; /* of the autopilot */
+    LoggedEvent event; /* whose text is being sent, in chunks */
+    size_t text_at;    /* of it; 0: none is being sent */
+    uint32_t text_id;
     bool has_answer;
     uint8_t answer[10]; /* payload of COMMAND_ACK that waits */
     bool started;
