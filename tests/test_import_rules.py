@@ -28,7 +28,7 @@ MAY_IMPORT: dict[str, tuple[str, ...]] = {
     "configs": (),
     "protocol": (),
     "onboard": ("configs", "protocol"),
-    "mambo": ("configs", "protocol", "onboard", "runtime"),
+    "mambo": ("configs", "protocol", "onboard", "runtime", "flight_log"),
     "offboard": ("configs", "protocol"),
     "sim_vehicle": ("configs", "protocol"),
     "flight_log": ("configs", "runtime"),

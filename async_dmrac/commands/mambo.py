@@ -13,8 +13,9 @@ from mambo.check import MOTIONS, MOTORS, SLOT_S, faults_of, motor_faults, requir
 from mambo.config import BoardConfig, library_config
 from mambo.drone_access import FTP_PORT, TELNET_PORT, USB_HOST
 from mambo.image import image, write_image
-from mambo.install import Access, fetch, install, restore, start
+from mambo.install import RECORDING, Access, fetch, install, restore, start
 from mambo.recording import read_recording
+from mambo.recording_log import write_flight_log
 from onboard.c.library import BuildError
 from onboard.config import OnboardConfig
 from protocol.feature_config import fill_process
@@ -186,4 +187,6 @@ def _start(arguments: argparse.Namespace) -> int:
 def _log(arguments: argparse.Namespace) -> int:
     for path in fetch(_access(arguments), arguments.out, _say):
         _say(f"{path}: {path.stat().st_size} bytes")
+        if path.name == RECORDING:
+            _say(f"{write_flight_log(read_recording(path), arguments.out)}: for dmrac log")
     return 0

@@ -55,8 +55,9 @@ def modes(outcome: LockstepOutcome) -> list[str]:
 
 
 def with_calls(request: bytes, calls: Calls) -> bytes:
-    """The request with other flags."""
-    return request[:24] + int(calls).to_bytes(4, "little") + request[28:]
+    """The request with these flags, too."""
+    flags = int.from_bytes(request[24:28], "little") | int(calls)
+    return request[:24] + flags.to_bytes(4, "little") + request[28:]
 
 
 def with_time(request: bytes, now_ns: int) -> bytes:

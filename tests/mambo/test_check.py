@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from configs.loader import ConfigError
+from flight_log.reader import open_flight
 from mambo.board import board_config
 from mambo.build import Built
 from mambo.check import Fault, faults_of, motor_faults, require_certificate, write_certificate
 from mambo.fake.wire import Sensors
 from mambo.recording import Recording, in_body_axes, read_recording
+from mambo.recording_log import write_flight_log
 from tests.mambo.motions import record
 
 Spoiled = Callable[[Sensors], Sensors]
@@ -179,3 +181,16 @@ def test_the_end_of_a_recording_may_be_missing(good: Recording, native: Built, t
     path.write_bytes(header + event + event[:-1])
     assert read_recording(path).events == [(0.0, "ok")]
     assert in_body_axes(good, board_config()).force.shape[1] == 3
+
+
+def test_a_recording_becomes_a_flight_log(good: Recording, tmp_path: Path) -> None:
+    write_flight_log(good, tmp_path)
+    flight = open_flight(tmp_path)
+    sample, motors = flight.get("mambo/sample"), flight.get("mambo/motors")
+    assert sample is not None
+    assert motors is not None
+    assert len(sample) == len(good.samples.time_s)
+    assert np.allclose(sample["pressure"], good.samples.values["pressure"])
+    assert np.allclose(sample["gyroscope_2"], good.samples.values["fifo_gyroscope"].mean(axis=1)[:, 1])
+    assert set(motors["word"]) == {2.0}
+    assert sample.time_ns[0] == good.start_ns

@@ -35,7 +35,9 @@ def total(objects: list[Path]) -> tuple[int, int]:
 
 def test_it_compiles_and_has_the_stated_size(tmp_path: Path) -> None:
     if shutil.which(COMPILER) is None:
-        pytest.skip(f"no {COMPILER}: install it (Debian and Ubuntu: apt install gcc-arm-none-eabi libnewlib-arm-none-eabi)")
+        pytest.skip(
+            f"no {COMPILER}: install it (Debian and Ubuntu: apt install gcc-arm-none-eabi libnewlib-arm-none-eabi)"
+        )
     variables = tmp_path / "variables.c"
     variables.write_text('#include "core.h"\nCore core;\nCoreOutput output;\n', encoding="utf-8")
     subprocess.run([COMPILER, *OPTIONS, "-c", *map(str, (*sources(), variables))], cwd=tmp_path, check=True)

@@ -44,7 +44,7 @@ def test_without_a_fault_the_same_flight_goes_on(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_call_that_comes_twice_is_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    twice = from_fault(lambda _, request: [with_calls(request, Calls.CONTROL | Calls.TWICE)])
+    twice = from_fault(lambda _, request: [with_calls(request, Calls.TWICE)])
     _, answers = fly_with(monkeypatch, twice, 9.0)
     _, once = fly_with(monkeypatch, lambda _, request: [request], 9.0)
     assert answers[-1].view["twice"] > 200
@@ -79,7 +79,7 @@ def test_a_call_that_comes_far_too_late_stops_the_motors(monkeypatch: pytest.Mon
 
 
 def test_a_frozen_acquisition_stops_the_motors(monkeypatch: pytest.MonkeyPatch) -> None:
-    frozen = from_fault(lambda _, request: [with_calls(request, Calls.CONTROL | Calls.FREEZES)])
+    frozen = from_fault(lambda _, request: [with_calls(request, Calls.FREEZES)])
     outcome, answers = fly_with(monkeypatch, frozen, 8.5)
     assert "the acquisition repeats" in texts(outcome)
     assert modes(outcome)[-1] == "EMERGENCY"
@@ -102,7 +102,7 @@ def test_a_firmware_of_100_hz_is_never_armed(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_firmwares_own_stop_ends_the_flight(monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = from_fault(lambda _, request: [with_calls(request, Calls.CONTROL | Calls.STOPS_MOTORS)])
+    stop = from_fault(lambda _, request: [with_calls(request, Calls.STOPS_MOTORS)])
     outcome, answers = fly_with(monkeypatch, stop, 8.5)
     assert "motors off: the firmware stopped them" in texts(outcome)
     assert modes(outcome)[-1] == "TERMINATED"
