@@ -1,5 +1,7 @@
 """Whole flights through the drone's library: the whole system flies, and both processors give the same bits."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,9 @@ from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from mambo.build import Built
 from mambo.vehicles import RADIO
+from onboard.flight.modes import FlightMode
+from protocol.keys import write_key
+from tests.mambo.flying import modes
 
 SHORT_S = 9.0
 """Calibration, arming, take-off and the first metre of the path."""
@@ -28,6 +33,29 @@ def test_both_processors_fly_the_same_bits(native: Built, qemu: Built) -> None:
     assert on_drone.onboard["mode"] == "FLYING"
     assert on_drone.crash_reason == ""
     assert_the_same(on_drone, here)
+
+
+def test_with_a_key_the_unchanged_offboard_is_understood(native: Built, tmp_path: Path) -> None:
+    write_key(tmp_path / "flight.key")
+    assignments = (f"network.key_file={tmp_path / 'flight.key'}",)
+    choices = Choices("pid", duration_s=9.0, assignments=assignments, radio=RADIO)
+    outcome = fly_lockstep(resolve("figure8_calm", choices), core="mambo-native")
+    assert outcome.onboard["rejected"] == {}
+    assert "FLYING" in modes(outcome)
+    flying = outcome.trace.mode == FlightMode.FLYING
+    assert outcome.trace.tick["pose_age"][flying].max() < 0.3  # poses of the motion capture, over Bluetooth
+    assert outcome.radio["up"]["delivered"] > 50
+
+
+def test_a_silent_link_holds_and_lands(native: Built) -> None:
+    silent = "radio.down.blackouts=[{start_s: 6.0}]"
+    choices = Choices(
+        "pid", duration_s=14.0, assignments=(silent, "onboard.supervisor.on_pose_stale=hold"), radio=RADIO
+    )
+    outcome = fly_lockstep(resolve("hover", choices), core="mambo-native")
+    assert outcome.crash_reason == ""
+    flown = modes(outcome)
+    assert flown[flown.index("FLYING") :][:3] == ["FLYING", "HOLD", "LANDING"]
 
 
 @pytest.mark.full
