@@ -8,6 +8,7 @@ import pytest
 from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from mambo.fake import firmware_core
+from mambo.fake.firmware_process import FirmwareProcess
 from mambo.fake.wire import Answer, Calls
 from onboard.flight.modes import FlightMode
 
@@ -21,7 +22,7 @@ def fly_with(
     """Fly a hover with every request changed. Returns the outcome, and the library's answers."""
     answers: list[Answer] = []
 
-    class Changed(firmware_core.FirmwareProcess):
+    class Changed(FirmwareProcess):
         """The stand-in behind a firmware that does something wrong."""
 
         def call(self, request: bytes) -> Answer:

@@ -1,4 +1,4 @@
-"""docs/real_mambo.md and docs/another_vehicle.md: their command and numbers, and real processes without the simulated radio."""
+"""docs/real_mambo.md, docs/another_vehicle.md: command and numbers; real processes without the simulated radio."""
 
 import contextlib
 import os
