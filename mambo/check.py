@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from configs.loader import ConfigError
 from mambo.config import BoardConfig
@@ -63,10 +64,10 @@ class Slots:
         still = self._within(body.time_s, STILL, 1.0)
         self.bias: Array = body.rates[still].mean(axis=0) if still.any() else np.zeros(3)
 
-    def _within(self, time_s: Array, slot: int, settle_s: float = 4.0) -> Array:
+    def _within(self, time_s: Array, slot: int, settle_s: float = 4.0) -> NDArray[np.bool_]:
         """Samples of a slot, without its first seconds, in which the motion is made."""
         start = slot * SLOT_S
-        within: Array = (time_s >= start + settle_s) & (time_s < start + SLOT_S)
+        within: NDArray[np.bool_] = (time_s >= start + settle_s) & (time_s < start + SLOT_S)
         return within
 
     def force(self, slot: int) -> Array:

@@ -2,9 +2,10 @@
 
 import struct
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from configs.loader import ConfigError
 from mambo.config import BoardConfig
@@ -37,7 +38,7 @@ class Rows(NamedTuple):
 
     time_s: Array
     """[n], from the first record."""
-    values: Array
+    values: NDArray[Any]
     """[n], a structured array, or [n, fields]."""
 
 
@@ -91,7 +92,7 @@ def read_recording(path: Path) -> Recording:
     )
 
 
-def _rows(records: list[tuple[int, bytes]], kind: np.dtype, start_ns: int) -> Rows:
+def _rows(records: list[tuple[int, bytes]], kind: np.dtype[Any], start_ns: int) -> Rows:
     good = [(when, content) for when, content in records if len(content) == kind.itemsize]
     time_s: Array = np.array([(when - start_ns) * 1e-9 for when, _ in good])
     return Rows(time_s, np.frombuffer(b"".join(content for _, content in good), dtype=kind))
@@ -133,7 +134,7 @@ def in_body_axes(recording: Recording, board: BoardConfig) -> Body:
     )
 
 
-def _turned(raw: Array, axes: tuple[int, ...]) -> Array:
+def _turned(raw: NDArray[Any], axes: tuple[int, ...]) -> Array:
     """[n, k]: for each body axis the firmware's, with its sign."""
     columns = [np.sign(axis) * raw[:, abs(axis) - 1].astype(np.float64) for axis in axes]
     return np.stack(columns, axis=1)

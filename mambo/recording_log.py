@@ -4,11 +4,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flight_log.schema import RecordType, vector_fields
 from flight_log.writer import FlightLogWriter
 from mambo.recording import Recording
 from onboard.record.tick import TICK
+from protocol.conventions import Array
 
 PROCESS: Final = "mambo"
 SAMPLE: Final = RecordType(
@@ -43,7 +45,7 @@ def write_flight_log(recording: Recording, folder: Path) -> Path:
     return path
 
 
-def _tables(recording: Recording) -> list[tuple[RecordType, np.ndarray, np.ndarray]]:
+def _tables(recording: Recording) -> list[tuple[RecordType, NDArray[np.int64], Array]]:
     """Each record type with its times, ns, and its rows."""
     samples, flows, motors, ticks = recording.samples, recording.flows, recording.motors, recording.ticks
     values = samples.values
