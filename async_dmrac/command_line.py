@@ -65,6 +65,7 @@ SUBCOMMANDS: Final[dict[str, Subcommand]] = {
     "report": Subcommand("async_dmrac.commands.report", "one self-contained page about a flight"),
     "compare": Subcommand("async_dmrac.commands.compare", "overlay flights"),
     "core": Subcommand("async_dmrac.commands.core", "build the onboard core in C"),
+    "mambo": Subcommand("async_dmrac.commands.mambo", "build, configure, check and install the library for the Mambo"),
     "preflight": Subcommand("async_dmrac.commands.preflight", "check a vehicle's link before it may fly"),
     "modes": Subcommand("async_dmrac.commands.modes", "print the flight modes, also for a ground station"),
     "demo": Subcommand(

@@ -17,7 +17,7 @@ import numpy as np
 import async_dmrac
 from configs.addresses import Addresses
 from configs.realtime import RealtimeConfig
-from onboard.c.library import BuildError, compiler
+from onboard.c.compile import BuildError, compiler
 from runtime.extras import EXTRAS, missing_modules
 from runtime.kernel import request_realtime
 from runtime.sockets import RECEIVE_BUFFER_BYTES, AddressInUseError, require_free

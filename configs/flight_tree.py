@@ -81,6 +81,8 @@ class Choices:
     """What a controller file holds, for a controller that has none; `controller` is its name then."""
     disturbances: Sequence[Mapping[str, Any]] = ()
     """After those of the scenario."""
+    radio: str | None = None
+    """Name in configs/radio, or a file: another radio than the scenario's."""
 
 
 def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None) -> tuple[dict[str, Any], str]:
@@ -97,6 +99,8 @@ def flight_tree(scenario: str = DEFAULT_SCENARIO, choices: Choices | None = None
     file = read_scenario(scenario)
     if choices.vehicle_file is not None:
         file = file.model_copy(update={"vehicle": choices.vehicle_file})
+    if choices.radio is not None:
+        file = file.model_copy(update={"radio": choices.radio})
     tree = compose(file, path.stem, choices)
     if choices.vehicle != 1:
         tree = numbered(tree, choices.vehicle, choices.real)

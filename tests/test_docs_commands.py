@@ -13,7 +13,7 @@ from async_dmrac.command_line import SUBCOMMANDS, build_parser
 from tests.docs_commands import BLOCKS, INLINE, PAGES, ROOT, inline_code, words_of
 
 PACKAGES = (
-    *("async_dmrac", "configs", "experiments", "flight_log", "offboard", "onboard", "protocol", "runtime"),
+    *("async_dmrac", "configs", "experiments", "flight_log", "mambo", "offboard", "onboard", "protocol", "runtime"),
     *("sim_vehicle", "tests"),
 )
 FROM_ROOT = (*(f"{name}/" for name in (*PACKAGES, "docs", "scripts", ".ci", ".github")), "README", "pyproject")

@@ -20,6 +20,7 @@ from experiments.flights.realtime_flight import FlightStartError, free_vehicle_n
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, FlightConfig, resolve
 from experiments.memory.learning import remember
 from flight_log.viewer import WEB_PORT
+from mambo.vehicles import RADIO, VEHICLES
 from offboard.memory.folder import memory_file
 from onboard.cores import CORES, NUMPY, core_option
 from protocol.keys import load_key
@@ -31,6 +32,7 @@ EXAMPLES = """examples:
   dmrac fly rotor_chip --controller pid       the same fault with another controller
   dmrac fly figure8_wind --lockstep --seed 7  in virtual time: repeatable, several times faster
   dmrac fly figure8_wind --lockstep --core c  the same with the onboard core in C
+  dmrac fly figure8_wind --vehicle mambo-qemu the drone's own library under qemu-arm, over Bluetooth's delays
   dmrac fly my_scenario.yaml --set onboard.guidance.look_ahead_s=0.1
   dmrac fly --view --web                      watch it in a browser while it flies (needs the viz extra)
   dmrac fly --vehicle 2                       a second flight at the same time, with other ports
@@ -55,15 +57,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-log", action="store_true", help="lockstep: write config.yaml and summary.json only, no logs or figures"
     )
+    parser.add_argument("--radio", metavar="NAME", help="name in configs/radio, or a file (default: the scenario's)")
     parser.add_argument("--memory", type=Path, metavar="FOLDER", help="start from what earlier flights taught")
     parser.add_argument("--remember", action="store_true", help="with --memory: learn this flight into it afterwards")
     parser.add_argument(
         "--vehicle",
-        type=int,
+        type=_vehicle,
         default=1,
-        metavar="N",
+        metavar="N|NAME",
         help=f"its number where several fly at once (default: 1): its id, and ports that are {PORTS_EACH} (N - 1) "
-        "higher",
+        f"higher; or the drone's own library, in lockstep in a stand-in for its firmware: {', '.join(VEHICLES)} (for "
+        "its processor, for this one)",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the record (default: flights/...)")
     parser.add_argument(
@@ -80,8 +84,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fly; return the exit status of the outcome. Raises ConfigError before anything is started."""
     memory = _memory_assignments(arguments)
+    library = _choose_library(arguments)
     assignments = [*arguments.assignments, *memory]
-    choices = Choices(arguments.controller, arguments.seed, arguments.duration, assignments, vehicle=arguments.vehicle)
+    number = 1 if library else arguments.vehicle
+    choices = Choices(
+        arguments.controller, arguments.seed, arguments.duration, assignments, vehicle=number, radio=arguments.radio
+    )
     config = resolve(arguments.scenario, choices)
     if arguments.no_offboard and not arguments.lockstep:
         raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
@@ -113,11 +121,11 @@ def run(arguments: argparse.Namespace) -> int:
     folder = make_folder(arguments.out, config.scenario)
     earlier = tuple(folder.iterdir())
     console = console_for(arguments)
-    port = WEB_PORT + arguments.vehicle - 1 if arguments.web else None
+    port = WEB_PORT + number - 1 if arguments.web else None
     try:
         with live_view(folder, arguments.web, port) if arguments.view else nullcontext() as wait_for_viewer:
             command = repeat_command(arguments, config)
-            with_offboard, core, log = not arguments.no_offboard, arguments.core, not arguments.no_log
+            with_offboard, core, log = not arguments.no_offboard, library or arguments.core, not arguments.no_log
             summary = fly_logged(config, folder, arguments.lockstep, with_offboard, command, console, core, log)
             if arguments.json:
                 print_json({**summary, "record": str(folder)})
@@ -176,6 +184,26 @@ def _flags(arguments: argparse.Namespace) -> tuple[tuple[str, bool], ...]:
     )
 
 
+def _vehicle(text: str) -> int | str:
+    """The value of `--vehicle`: a number, or a name of VEHICLES."""
+    if text in VEHICLES:
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are a number, {', '.join(VEHICLES)}") from None
+
+
+def _choose_library(arguments: argparse.Namespace) -> str | None:
+    """The drone's library, if it flies: in lockstep, over its radio's delays. Raises ConfigError for --core."""
+    if arguments.vehicle not in VEHICLES:
+        return None
+    if arguments.core != NUMPY:
+        raise ConfigError(f"--vehicle {arguments.vehicle}: not with --core; the library has its own")
+    arguments.lockstep, arguments.radio = True, arguments.radio or RADIO
+    return str(arguments.vehicle)
+
+
 def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     """Return the command that repeats this flight."""
     words = ["dmrac", "fly", arguments.scenario, "--controller", arguments.controller or config.controller]
@@ -183,6 +211,7 @@ def repeat_command(arguments: argparse.Namespace, config: FlightConfig) -> str:
     words += [flag for flag, on in _flags(arguments) if on]
     words += core_option(arguments.core)
     words += ["--vehicle", str(arguments.vehicle)] if arguments.vehicle != 1 else []
+    words += ["--radio", arguments.radio] if arguments.radio else []
     for assignment in [*arguments.assignments, *_memory_assignments(arguments)]:
         words += ["--set", assignment]
     return shlex.join(words)

@@ -14,11 +14,11 @@ from flight_log.schema import RecordType
 from offboard.core import OffboardCore
 from offboard.training.fleet import Fleet
 from offboard.training.job import TrainingResult
-from onboard.cores import NUMPY, AnyCore, build_core
+from onboard.cores import CORES, NUMPY, AnyCore, build_core
 from onboard.flight.supervisor import FlightMode
 from onboard.record.tick import OFFSET, TICK
 from protocol.conventions import Array
-from protocol.keys import load_key, load_keys
+from protocol.keys import LinkKeys, load_key, load_keys
 from protocol.session import session_start_ns
 from sim_vehicle.link.radio import DIRECTIONS, RADIO_STREAM, Delivery, Direction, Radio, RecordedDeliveries
 from sim_vehicle.lockstep import Lockstep, TickResult, Training, train_at_once
@@ -75,7 +75,7 @@ def build(
     with_offboard: without it no pose comes, and the vehicle is armed without one.
     recorded: deliveries that replace those of the configured radio.
     fleet: other vehicles of the same trainer.
-    core: the onboard core, one of onboard.cores.CORES.
+    core: the onboard side, as of build_onboard.
     train: how rounds of training are run (experiments.flights.training_worker).
     """
     config = config if with_offboard else with_pose_wait(config)
@@ -84,11 +84,20 @@ def build(
     vehicle = SimVehicle(config.vehicle, config.seed, keys.vehicle, load_key(network.capture_key_file))
     vehicle.start_capture(session_start_ns(OFFBOARD_SESSION))
     radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]), recorded=recorded)
-    onboard = build_core(core, config.onboard, ONBOARD_SESSION, keys)
+    onboard = build_onboard(core, config, keys)
     offboard = build_offboard(config, OFFBOARD_SESSION, fleet) if with_offboard else None
     training_ns = round(config.training_time_s * 1e9)
     cores = vehicle, radio, onboard, offboard
     return Lockstep(*cores, config.onboard.period_ns, training_ns, train), onboard, offboard, radio
+
+
+def build_onboard(core: str, config: FlightConfig, keys: LinkKeys) -> AnyCore:
+    """Return the onboard side: a core of onboard.cores.CORES, or the drone's library, by a name of mambo's VEHICLES."""
+    if core in CORES:
+        return build_core(core, config.onboard, ONBOARD_SESSION, keys)
+    from mambo.fake.firmware_core import FirmwareCore  # nothing else needs its compilers
+
+    return FirmwareCore(core, config.onboard, keys)
 
 
 def build_offboard(config: FlightConfig, session: int, fleet: Fleet | None = None) -> OffboardCore:

@@ -253,9 +253,9 @@ def walk(node: Node) -> Iterator[Node]:
     yield node
 
 
-def layout() -> bytes:
-    """8 bytes that change with any name, kind or order in the table."""
-    names = re.sub(r"<[^<>]*>", "", repr(table()))
+def layout(record: Record | None = None) -> bytes:
+    """8 bytes that change with any name, kind or order in a record; by default in the table."""
+    names = re.sub(r"<[^<>]*>", "", repr(table() if record is None else record))
     return blake2b(names.encode(), digest_size=8).digest()
 
 

@@ -164,17 +164,22 @@ bool transition(FlightMode mode, int32_t index, Transition *out) {{
 
 
 def _config_header() -> str:
+    return record_header(table(), "config")
+
+
+def record_header(record: Record, name: str) -> str:
+    """Text of the header `name`.h: the structures of a record, and the declaration of `name`_decode."""
     lines = ["#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n", '#include "numerics/real.h"\n']
-    lines.append(f"#define CONFIG_IMAGE_BYTES {HEADER_BYTES + size_of(table())}\n")
+    lines.append(f"#define {name.upper()}_IMAGE_BYTES {HEADER_BYTES + size_of(record)}\n")
     lines.append("/* After each member: its place within the packed record, in bytes, and its unit. */")
     declared: set[str] = set()
-    for node in walk(table()):
+    for node in walk(record):
         lines += _declaration(node, declared)
     lines.append(
         "\n/* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */"
     )
-    lines.append("bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out);\n")
-    return _guarded("config", "\n".join(lines))
+    lines.append(f"bool {name}_decode(const uint8_t *packed, size_t size, {record.name} *out);\n")
+    return _guarded(name, "\n".join(lines))
 
 
 def _declaration(node: Node, declared: set[str]) -> Iterator[str]:
@@ -238,8 +243,7 @@ def _type_of(node: Node) -> str:
 
 # --- config.c ---
 
-_READER: Final = """#include "generated/config.h"
-
+_READER: Final = """
 #include <string.h>
 
 typedef struct {
@@ -284,23 +288,29 @@ static int32_t read_choice(Cursor *from, int32_t most) {
 
 
 def _config_source() -> str:
+    return record_source(table(), "config", MAGIC + layout())
+
+
+def record_source(record: Record, name: str, header: bytes) -> str:
+    """Text of `name`.c, which reads a packed record. header: the HEADER_BYTES that such an image begins with."""
     records = {
         _type_of(node): node
-        for node in walk(table())
+        for node in walk(record)
         if isinstance(node, OneOf) or (isinstance(node, Record) and node.fields)
     }
-    bodies = "".join(f"\n{_reader(name, node)}" for name, node in records.items())
+    bodies = "".join(f"\n{_reader(one, node)}" for one, node in records.items())
     chooses = "read_choice" in bodies
-    word = ", ".join(f"0x{byte:02x}" for byte in MAGIC + layout())
+    word = ", ".join(f"0x{byte:02x}" for byte in header)
     return f"""/* {_NOTE} */
+#include "generated/{name}.h"
 {_READER}{_READ_CHOICE if chooses else ""}{bodies}
-bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {{
+bool {name}_decode(const uint8_t *packed, size_t size, {record.name} *out) {{
     static const uint8_t header[{HEADER_BYTES}] = {{{word}}};
-    if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {{
+    if (size != {name.upper()}_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {{
         return false;
     }}
     Cursor from = {{packed + sizeof header, false}};
-    read_CoreConfig(&from, out);
+    read_{record.name}(&from, out);
     return !from.bad;
 }}
 """

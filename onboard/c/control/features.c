@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "control/features_q15.h"
 #include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
 
@@ -25,6 +26,9 @@ void features_init_network(Features *self, const FeatureSelection *selection, co
     self->network = *network;
     self->feature_count = network_feature_count(network);
     memset(self->last_layer, 0, sizeof self->last_layer);
+#ifdef DMRAC_Q15_FEATURES
+    self->q15 = q15_rows(network, selection->count, self->rows, self->bits);
+#endif
 }
 
 /* halton */
@@ -91,6 +95,12 @@ void features_select(const Features *self, const real signals[SIGNAL_COUNT], rea
 
 /* NetworkFeatures.evaluate: Phi = [tanh(W_L ... tanh(W_1 z + b_1) + b_L); 1] */
 static void evaluate_network(const Features *self, const real *z, real *Phi) {
+#ifdef DMRAC_Q15_FEATURES
+    if (self->q15) {
+        q15_evaluate_real(self, z, Phi);
+        return;
+    }
+#endif
     real levels[2][WIDTH_MAX];
     const Network *network = &self->network;
     const real *row = network->parameters;
@@ -144,6 +154,12 @@ static real slope_of_input(const Features *self, const real *z, int32_t input) {
 /* NetworkFeatures.slope: D_L W_L ... D_1 W_1 dz/dx with D_i = diag(1 - h_i^2), h_i the outputs of layer i */
 static void slope_of_network(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J,
                              real *work) {
+#ifdef DMRAC_Q15_FEATURES
+    if (self->q15) {
+        q15_slope_real(self, z, inputs, n, J);
+        return;
+    }
+#endif
     real levels[2][WIDTH_MAX];
     const Network *network = &self->network;
     const real *row = network->parameters, *below = z, *J_below = NULL;

@@ -56,6 +56,11 @@ typedef struct {
     Network network;
     real last_layer[FEATURES_MAX * 3]; /* theta_n that came with the network; zero for a flight's first features */
     real exponent[RBF_COUNT * (2 * INPUTS_MAX + 1)]; /* of the radial functions, linear in [z; z^2; 1] */
+#ifdef DMRAC_Q15_FEATURES
+    bool q15;                            /* the network is evaluated in 16-bit whole numbers (features_q15.h) */
+    int16_t rows[PARAMETERS_MAX];        /* rows of W and then b */
+    int8_t bits[LAYERS_MAX * WIDTH_MAX]; /* fractional bits of each row, all layers one after the other */
+#endif
 } Features;
 
 /* A number of the Halton sequence (Halton 1960) in [0, 1): by its index, from 1, and its dimension, 0 to INPUTS_MAX - 1. */

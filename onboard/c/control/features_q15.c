@@ -1,5 +1,7 @@
 #include "control/features_q15.h"
 
+#include <stddef.h>
+
 #include "numerics/elementary.h"
 
 #define INPUT_BITS 13
@@ -61,25 +63,18 @@ static int bits_of(const real *row, int count) {
     return bits;
 }
 
-bool features_q15_init(FeaturesQ15 *self, const Features *source) {
-    const Network *network = &source->network;
-    self->selection = source->selection;
-    self->layers = network->layers;
-    int at = 0, row = 0, inputs = source->selection.count;
-    for (int i = 0; i < inputs; i++) {
-        self->inverse[i] = source->inverse[i];
-    }
+bool q15_rows(const Network *network, int32_t inputs, int16_t *rows, int8_t *bits) {
+    int at = 0, row = 0;
     for (int l = 0; l < network->layers; l++) {
-        self->width[l] = network->width[l];
         for (int i = 0; i < network->width[l]; i++, row++) {
-            int bits = bits_of(network->parameters + at, inputs + 1);
-            if (bits < 0) {
+            int row_bits = bits_of(network->parameters + at, inputs + 1);
+            if (row_bits < 0) {
                 return false;
             }
-            self->bits[row] = (int8_t)bits;
+            bits[row] = (int8_t)row_bits;
             for (int j = 0; j <= inputs; j++, at++) {
-                real scaled = network->parameters[at] * (real)((int32_t)1 << bits);
-                self->parameters[at] = (int16_t)real_floor(scaled + REAL(0.5));
+                real scaled = network->parameters[at] * (real)((int32_t)1 << row_bits);
+                rows[at] = (int16_t)real_floor(scaled + REAL(0.5));
             }
         }
         inputs = network->width[l];
@@ -87,34 +82,173 @@ bool features_q15_init(FeaturesQ15 *self, const Features *source) {
     return true;
 }
 
+bool features_q15_init(FeaturesQ15 *self, const Features *source) {
+    const Network *network = &source->network;
+    self->selection = source->selection;
+    self->layers = network->layers;
+    for (int i = 0; i < source->selection.count; i++) {
+        self->inverse[i] = source->inverse[i];
+    }
+    for (int l = 0; l < network->layers; l++) {
+        self->width[l] = network->width[l];
+    }
+    return q15_rows(network, source->selection.count, self->parameters, self->bits);
+}
+
+static int16_t rounded_input(real z) {
+    return (int16_t)real_floor(z * (real)(1 << INPUT_BITS) + REAL(0.5));
+}
+
 /* Features.select, rounded */
 void features_q15_select(const FeaturesQ15 *self, const real signals[SIGNAL_COUNT], int16_t *z) {
     for (int i = 0; i < self->selection.count; i++) {
         real scaled = (signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i];
         scaled = real_max(real_min(scaled, INPUT_LIMIT), -INPUT_LIMIT);
-        z[i] = (int16_t)real_floor(scaled * (real)(1 << INPUT_BITS) + REAL(0.5));
+        z[i] = rounded_input(scaled);
+    }
+}
+
+/* One layer: `above` [count], 15 fractional bits, of `below` [inputs], `below_bits` of them. */
+static void layer(const int16_t *row, const int8_t *bits, int count, const int16_t *below, int inputs, int below_bits,
+                  int16_t *above) {
+    for (int i = 0; i < count; i++) {
+        int64_t sum = (int64_t)row[inputs] * ((int64_t)1 << below_bits);
+        for (int j = 0; j < inputs; j++) {
+            sum += (int32_t)row[j] * below[j];
+        }
+        above[i] = tanh_q15(shifted(sum, bits[i] + below_bits - SUM_BITS));
+        row += inputs + 1;
+    }
+}
+
+static void evaluate(const int16_t *row, const int8_t *bits, int layers, const int32_t *width, int inputs,
+                     const int16_t *z, int16_t *Phi) {
+    int16_t levels[2][WIDTH_MAX];
+    const int16_t *below = z;
+    int below_bits = INPUT_BITS;
+    for (int l = 0; l < layers; l++) {
+        int16_t *above = l == layers - 1 ? Phi : levels[l % 2];
+        layer(row, bits, width[l], below, inputs, below_bits, above);
+        row += width[l] * (inputs + 1);
+        bits += width[l];
+        inputs = width[l];
+        below_bits = OUTPUT_BITS;
+        below = above;
     }
 }
 
 /* Features.evaluate */
 void features_q15_evaluate(const FeaturesQ15 *self, const int16_t *z, int16_t *Phi) {
-    int16_t levels[2][WIDTH_MAX];
-    const int16_t *row = self->parameters, *below = z;
-    const int8_t *bits = self->bits;
-    int inputs = self->selection.count, input_bits = INPUT_BITS;
-    for (int l = 0; l < self->layers; l++) {
-        int16_t *above = l == self->layers - 1 ? Phi : levels[l % 2];
-        for (int i = 0; i < self->width[l]; i++, bits++) {
-            int64_t sum = (int64_t)row[inputs] * ((int64_t)1 << input_bits);
-            for (int j = 0; j < inputs; j++) {
-                sum += (int32_t)row[j] * below[j];
-            }
-            above[i] = tanh_q15(shifted(sum, *bits + input_bits - SUM_BITS));
-            row += inputs + 1;
-        }
-        inputs = self->width[l];
-        input_bits = OUTPUT_BITS;
-        below = above;
-    }
-    Phi[inputs] = TANH[TANH_POINTS - 1];
+    evaluate(self->parameters, self->bits, self->layers, self->width, self->selection.count, z, Phi);
+    Phi[self->width[self->layers - 1]] = TANH[TANH_POINTS - 1];
 }
+
+#ifdef DMRAC_Q15_FEATURES
+
+void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
+    const Network *network = &self->network;
+    int16_t rounded[INPUTS_MAX], out[WIDTH_MAX];
+    int inputs = self->selection.count, count = network->width[network->layers - 1];
+    for (int i = 0; i < inputs; i++) {
+        rounded[i] = rounded_input(z[i]);
+    }
+    evaluate(self->rows, self->bits, network->layers, network->width, inputs, rounded, out);
+    for (int i = 0; i < count; i++) {
+        Phi[i] = (real)out[i] * (REAL(1.0) / (real)(1 << OUTPUT_BITS));
+    }
+    Phi[count] = REAL(1.0);
+}
+
+/* --- the slope: J of a layer in whole numbers with a common unit --- */
+
+/* J [count, n] of a layer; a number of it is value times `unit`. */
+typedef struct {
+    int16_t values[WIDTH_MAX * INPUTS_MAX];
+    real unit;
+} WholeSlopes;
+
+/* dz/dx of the inputs, zero where one is clipped. */
+static void slopes_of_inputs(const Features *self, const real *z, const int32_t *inputs, int32_t n, WholeSlopes *out) {
+    real largest = REAL(0.0);
+    for (int32_t j = 0; j < n; j++) {
+        largest = real_max(largest, self->inverse[inputs[j]]);
+    }
+    for (int32_t j = 0; j < n; j++) {
+        bool moves = real_abs(z[inputs[j]]) < INPUT_LIMIT;
+        real share = REAL(16384.0) * (self->inverse[inputs[j]] / largest);
+        out->values[j] = (int16_t)(moves ? real_floor(share + REAL(0.5)) : REAL(0.0));
+    }
+    out->unit = largest / REAL(16384.0);
+}
+
+/* Bring the sums of a layer to 16 bits. */
+static void fit(const int32_t *sums, int32_t count, real unit, WholeSlopes *out) {
+    int32_t largest = 1;
+    int shift = 0;
+    for (int32_t i = 0; i < count; i++) {
+        int32_t size = sums[i] < 0 ? -sums[i] : sums[i];
+        largest = size > largest ? size : largest;
+    }
+    for (; largest > 32767; largest >>= 1) {
+        shift++;
+    }
+    for (; largest < 16384; largest <<= 1) {
+        shift--;
+    }
+    for (int32_t i = 0; i < count; i++) {
+        out->values[i] = (int16_t)shifted(sums[i], shift);
+    }
+    out->unit = shift >= 0 ? unit * (real)((int32_t)1 << shift) : unit / (real)((int32_t)1 << -shift);
+}
+
+static int32_t narrowed(int64_t x) {
+    return x > INT32_MAX ? INT32_MAX : x < -INT32_MAX ? -INT32_MAX : (int32_t)x;
+}
+
+/* D W J of one layer: for an output the sum over the inputs below; the first layer's inputs are those of the slope alone. */
+static void slopes_of_layer(const int16_t *row, const int8_t *bits, int count, int inputs, const int16_t *outputs,
+                            const int32_t *first_inputs, int32_t n, WholeSlopes *slopes) {
+    int32_t sums[WIDTH_MAX * INPUTS_MAX];
+    for (int i = 0; i < count; i++, row += inputs + 1) {
+        int32_t steepness = (1 << OUTPUT_BITS) - (((int32_t)outputs[i] * outputs[i]) >> OUTPUT_BITS);
+        for (int32_t j = 0; j < n; j++) {
+            int64_t sum = 0;
+            if (first_inputs) {
+                sum = (int32_t)row[first_inputs[j]] * slopes->values[j];
+            } else {
+                for (int m = 0; m < inputs; m++) {
+                    sum += (int32_t)row[m] * slopes->values[m * n + j];
+                }
+            }
+            sums[i * n + j] = narrowed(shifted(shifted(sum, bits[i]) * steepness, OUTPUT_BITS));
+        }
+    }
+    fit(sums, count * n, slopes->unit, slopes);
+}
+
+void q15_slope_real(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J) {
+    const Network *network = &self->network;
+    const int16_t *row = self->rows;
+    const int8_t *bits = self->bits;
+    int16_t levels[2][WIDTH_MAX];
+    WholeSlopes slopes;
+    int count = self->selection.count, below_bits = INPUT_BITS;
+    for (int i = 0; i < count; i++) {
+        levels[1][i] = rounded_input(z[i]);
+    }
+    slopes_of_inputs(self, z, inputs, n, &slopes);
+    for (int l = 0; l < network->layers; l++) {
+        int16_t *above = levels[l % 2];
+        layer(row, bits, network->width[l], levels[1 - l % 2], count, below_bits, above);
+        slopes_of_layer(row, bits, network->width[l], count, above, l == 0 ? inputs : NULL, n, &slopes);
+        row += network->width[l] * (count + 1);
+        bits += network->width[l];
+        count = network->width[l];
+        below_bits = OUTPUT_BITS;
+    }
+    for (int32_t i = 0; i < count * n; i++) {
+        J[i] = slopes.unit * (real)slopes.values[i];
+    }
+}
+
+#endif

@@ -6,8 +6,10 @@
  * over [0, 8] with linear interpolation: its error is at most 1.2e-4, and the rounding of a result 3e-5.
  *
  * Largest error of a feature, measured (tests/onboard/c/test_features.py): 3e-4 with the networks that a flight starts with,
- * 1.6e-3 with random ones whose Lipschitz constant is near 200, the largest that a swap accepts by default. Not measured
- * with trained networks. Not used: no law has been flown with these features, and W and nu_ad are in `real` all the same. */
+ * 1.6e-3 with random ones whose Lipschitz constant is near 200, the largest that a swap accepts by default.
+ *
+ * With -DDMRAC_Q15_FEATURES the core evaluates its networks this way wherever it needs features, and their slopes too; the
+ * library on the Mambo is built so (mambo/build.py). W and nu_ad are in `real` all the same. */
 #ifndef DMRAC_FEATURES_Q15_H
 #define DMRAC_FEATURES_Q15_H
 
@@ -23,6 +25,16 @@ typedef struct {
     int16_t parameters[PARAMETERS_MAX];  /* rows of W and then b */
     int8_t bits[LAYERS_MAX * WIDTH_MAX]; /* fractional bits of each row, all layers one after the other */
 } FeaturesQ15;
+
+/* Round a network: rows of W and b, and the fractional bits of each. False if it holds a number of 2^15 or more. */
+bool q15_rows(const Network *network, int32_t inputs, int16_t *rows, int8_t *bits);
+
+#ifdef DMRAC_Q15_FEATURES
+/* Phi [k] at scaled inputs z, and J = dPhi/dx [k - 1, n], as features_evaluate and features_slope give them. J is exact to about
+ * 1e-3 of its largest number. */
+void q15_evaluate_real(const Features *self, const real *z, real *Phi);
+void q15_slope_real(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J);
+#endif
 
 /* Round the network of `source`. Returns false if it holds a number of 2^15 or more. */
 bool features_q15_init(FeaturesQ15 *self, const Features *source);

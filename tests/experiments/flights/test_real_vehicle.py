@@ -1,4 +1,4 @@
-"""docs/real_mambo.md: its command and numbers, and real processes without the simulated radio."""
+"""docs/real_mambo.md, docs/another_vehicle.md: command and numbers; real processes without the simulated radio."""
 
 import contextlib
 import os
@@ -22,6 +22,7 @@ from sim_vehicle.vehicle import SimVehicle
 from tests.experiments.processes import ROOT, Processes
 
 PAGE = (ROOT / "docs" / "real_mambo.md").read_text(encoding="utf-8")
+WIRE_PAGE = (ROOT / "docs" / "another_vehicle.md").read_text(encoding="utf-8")
 PORTS = {
     name: f"127.0.0.1:{17460 + index}"
     for index, name in enumerate(
@@ -64,15 +65,15 @@ def test_the_pages_command_gives_a_configuration_for_a_real_vehicle(tmp_path, mo
     ],
 )
 def test_the_pages_limits_are_those_of_the_configuration(name, words):
-    assert words in PAGE
+    assert words in PAGE + WIRE_PAGE
     value = getattr(resolve("hover", Choices(real=True)).onboard.supervisor, name)
     numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?", words)]
     assert value in numbers or value * 1000 in numbers
 
 
 def test_the_page_names_the_certificate_and_its_validity():
-    assert certificate_name("192.168.3.1:14560") in PAGE
-    assert f"{AGE_MAX_S // 3600} hours" in PAGE
+    assert certificate_name("192.168.3.1:14560") in WIRE_PAGE
+    assert f"{AGE_MAX_S // 3600} hours" in WIRE_PAGE
 
 
 def config_file(folder: Path, *assignments: str) -> Path:
