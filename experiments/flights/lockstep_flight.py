@@ -124,8 +124,7 @@ def fly_lockstep(
     recorded: deliveries of an earlier flight, by direction, for the datagrams of this one
         (sim_vehicle.link.radio.RecordedDeliveries).
     fleet: the vehicles of the same trainer, which have flown before; this one joins them.
-    core: the onboard core, one of onboard.cores.CORES.
-    train: how rounds of training are run (experiments.flights.training_worker); the flight is the same.
+    core, train: as of `build`. The flight is the same however its rounds are run.
 
     Raises
     ------
@@ -136,8 +135,7 @@ def fly_lockstep(
     experience = read_experience(config) if experience is None else experience
     if experience is not None:
         start_from(experience, onboard, offboard, config.offboard.experience.mode == "frozen")
-    period_s = config.onboard.period_ns * 1e-9
-    ticks_max = round(config.duration_s / period_s)
+    ticks_max = round(config.duration_s / (period_s := config.onboard.period_ns * 1e-9))
     ticks: Array = np.zeros((ticks_max, len(TICK.fields)))
     truths: Array = np.zeros((ticks_max, len(TRUTH.fields)))
     events: list[tuple[int, str, str]] = []
@@ -153,7 +151,7 @@ def fly_lockstep(
         flown += 1
         if crash:
             events.append((result.now_ns, "sim_vehicle", f"vehicle lost: {crash}"))
-    time_s: Array = np.arange(flown, dtype=np.float64) * period_s
+    time_s = np.arange(flown, dtype=np.float64) * period_s
     trace = FlightTrace(time_s, Columns(TICK, ticks[:flown]), Columns(TRUTH, truths[:flown]))
     return LockstepOutcome(
         trace,

@@ -142,15 +142,15 @@ class CompiledCore:
 
     def _receive(self, reading: Reading) -> None:
         """One reading of the vehicle's sensors, or its battery."""
-        library, core, kind = self._library, self._core, type(reading)
-        if kind is ImuReading:
+        library, core = self._library, self._core
+        if isinstance(reading, ImuReading):
             time_ns, accelerometer, gyroscope, pressure_pa = reading
             has_pressure = pressure_pa is not None
             imu = self._imu(time_ns, *accelerometer, *gyroscope, has_pressure, pressure_pa if has_pressure else 0.0)
             library.core_receive_imu(core, imu)
-        elif kind is FlowReading:
+        elif isinstance(reading, FlowReading):
             library.core_receive_flow(core, self._flow(*reading))
-        elif kind is RangeReading:
+        elif isinstance(reading, RangeReading):
             library.core_receive_range(core, self._range(reading.time_ns, reading.distance_m))
         else:
             self._battery = reading

@@ -172,14 +172,14 @@ class VehicleLink:
         """
         controls = wire.OFF
         if armed:
-            controls = f1, f2, f3, f4 = tuple(map(float, fractions))
+            f1, f2, f3, f4 = map(float, fractions)
             if 0.0 <= f1 <= 1.0 and 0.0 <= f2 <= 1.0 and 0.0 <= f3 <= 1.0 and 0.0 <= f4 <= 1.0:
-                pass
+                controls = (f1, f2, f3, f4)
             elif math.isfinite(f1 + f2 + f3 + f4):
                 controls = (wire.clip(f1), wire.clip(f2), wire.clip(f3), wire.clip(f4))
             else:
                 self.rejected["motor_command"] += 1
-                controls, armed = wire.OFF, False
+                armed = False
         return self._writer.write(wire.encode_motors(now_ns // 1000, controls, armed), now_ns)
 
     def _is_ours(self, frame: Frame, now_ns: int) -> bool:
