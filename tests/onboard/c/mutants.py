@@ -55,9 +55,9 @@ MUTANTS: Final = (
         "numerics/small_matrix.c",
         "left -= factor[j * n + i] * B[j * columns + c];",
         "left -= factor[i * n + j] * B[j * columns + c];",
-        "test_control_blocks",
+        "test_features",
     ),
-    Mutant("stale", "protocol/session.c", "        self->newest = sequence;\n", "", "test_authentication"),
+    Mutant("stale", "protocol/session.c", "        self->newest = sequence;\n", "", "test_link"),
     Mutant(
         "sign",
         "protocol/clock.c",
