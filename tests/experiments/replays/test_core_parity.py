@@ -1,4 +1,4 @@
-"""Whole flights of numpy's core given to the C core in double and in float: one short flight, and the published list."""
+"""Whole flights of numpy's core given to the C core in double and in float: one short, and the published list."""
 
 import json
 from pathlib import Path
