@@ -3,116 +3,50 @@
 #include <string.h>
 
 #include "protocol/little_endian.h"
+#include "protocol/msgpack_items.h"
 
 /* First bytes (the msgpack specification). */
-enum {
-    FIXED_ARRAY = 0x90,
-    BIN_8 = 0xc4,
-    BIN_16 = 0xc5,
-    BIN_32 = 0xc6,
-    UINT_8 = 0xcc,
-    UINT_16 = 0xcd,
-    UINT_32 = 0xce,
-    UINT_64 = 0xcf,
-    INT_8 = 0xd0,
-    INT_64 = 0xd3,
-    ARRAY_16 = 0xdc,
-    ARRAY_32 = 0xdd,
-    NEGATIVE_FIXED = 0xe0
-};
+enum { FIXED_ARRAY = 0x90, BIN_8 = 0xc4, BIN_16 = 0xc5, UINT_8 = 0xcc, UINT_16 = 0xcd, UINT_32 = 0xce, UINT_64 = 0xcf };
 
 /* --- reading --- */
 
-typedef struct {
-    const uint8_t *at;
-    size_t left;
-} Cursor;
-
-/* `count` bytes from here, as a number, most significant byte first */
-static bool take_number(Cursor *from, size_t count, uint64_t *value) {
-    if (from->left < count) {
-        return false;
+/* The integer of an item; INT64_MIN if it is above 2^63 - 1 */
+static int64_t integer_of(const MsgpackItem *item) {
+    if (item->negative) {
+        return -(int64_t)(UINT64_MAX - item->number) - 1;
     }
-    *value = 0;
-    for (size_t i = 0; i < count; i++) {
-        *value = *value << 8 | from->at[i];
-    }
-    from->at += count;
-    from->left -= count;
-    return true;
+    return item->number <= INT64_MAX ? (int64_t)item->number : INT64_MIN;
 }
 
-/* The head of an array: its number of fields */
-static bool take_array(Cursor *from, uint64_t *count) {
-    uint64_t first;
-    if (!take_number(from, 1, &first)) {
+/* The next field, a number ("i") or bytes ("b") */
+static bool read_field(MsgpackReader *reader, char kind, int32_t bytes_max, MsgpackField *field) {
+    MsgpackItem item;
+    if (!msgpack_next(reader, &item) || item.kind != (kind == 'i' ? MSGPACK_INTEGER : MSGPACK_BYTES)) {
         return false;
     }
-    if (first >> 4 == FIXED_ARRAY >> 4) {
-        *count = first & 0x0f;
+    if (kind == 'i') {
+        field->number = integer_of(&item);
         return true;
     }
-    return (first == ARRAY_16 || first == ARRAY_32) && take_number(from, first == ARRAY_16 ? 2 : 4, count);
-}
-
-/* The number of two's complement in the last `count` bytes of `bits` */
-static int64_t of_twos_complement(uint64_t bits, size_t count) {
-    uint64_t sign = UINT64_C(1) << (8 * count - 1);
-    return bits < sign ? (int64_t)bits : (int64_t)(bits - sign) - (int64_t)(sign - 1) - 1;
-}
-
-static bool take_int(Cursor *from, int64_t *number) {
-    uint64_t first, bits;
-    if (!take_number(from, 1, &first)) {
-        return false;
-    }
-    if (first < 0x80 || first >= NEGATIVE_FIXED) {
-        *number = of_twos_complement(first, 1);
-        return true;
-    }
-    if (first < UINT_8 || first > INT_64) {
-        return false;
-    }
-    size_t count = (size_t)1 << ((first - UINT_8) & 3);
-    if (!take_number(from, count, &bits)) {
-        return false;
-    }
-    if (first >= INT_8) {
-        *number = of_twos_complement(bits, count);
-    } else {
-        *number = bits <= INT64_MAX ? (int64_t)bits : INT64_MIN;
-    }
-    return true;
-}
-
-static bool take_bytes(Cursor *from, int32_t most, MsgpackField *field) {
-    uint64_t first, size;
-    if (!take_number(from, 1, &first) || first < BIN_8 || first > BIN_32) {
-        return false;
-    }
-    if (!take_number(from, (size_t)1 << (first - BIN_8), &size) || size > (uint64_t)most || size > from->left) {
-        return false;
-    }
-    field->bytes = from->at;
-    field->size = (int32_t)size;
-    from->at += size;
-    from->left -= (size_t)size;
-    return true;
+    field->bytes = item.bytes;
+    field->size = item.number <= (uint64_t)bytes_max ? (int32_t)item.number : 0;
+    return item.number <= (uint64_t)bytes_max;
 }
 
 bool msgpack_read(const uint8_t *data, size_t size, const char *kinds, int32_t bytes_max, MsgpackField *fields) {
-    Cursor from = {data, size};
-    uint64_t count, read = 0;
-    if (!take_array(&from, &count)) {
+    MsgpackReader reader;
+    MsgpackItem array;
+    uint64_t i = 0;
+    msgpack_start(&reader, data, size, UINT64_MAX, 0);
+    if (!msgpack_next(&reader, &array) || array.kind != MSGPACK_ARRAY) {
         return false;
     }
-    for (; read < count && kinds[read] != '\0'; read++) {
-        MsgpackField *field = fields + read;
-        if (!(kinds[read] == 'i' ? take_int(&from, &field->number) : take_bytes(&from, bytes_max, field))) {
+    for (; i < array.number && kinds[i] != '\0'; i++) {
+        if (!read_field(&reader, kinds[i], bytes_max, fields + i)) {
             return false;
         }
     }
-    return read == count && kinds[read] == '\0' && from.left == 0;
+    return i == array.number && kinds[i] == '\0' && reader.at == reader.end;
 }
 
 /* --- writing --- */

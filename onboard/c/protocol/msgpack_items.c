@@ -78,6 +78,9 @@ static bool take_integer(MsgpackReader *self, MsgpackItem *item, int size, bool 
     item->kind = MSGPACK_INTEGER;
     bool complete = read_number(self, size, &item->number);
     item->negative = is_signed && (item->number >> (8 * size - 1) & 1) == 1;
+    if (item->negative && size < 8) {
+        item->number |= UINT64_MAX << 8 * size;
+    }
     return complete;
 }
 
@@ -130,8 +133,8 @@ bool msgpack_next(MsgpackReader *self, MsgpackItem *item) {
         uint8_t head = *self->at++;
         if (head < 0x80 || head >= 0xe0) {
             item->kind = MSGPACK_INTEGER;
-            item->number = head;
             item->negative = head >= 0xe0;
+            item->number = item->negative ? UINT64_MAX << 8 | head : head;
             good = true;
         } else if (head < 0x90) {
             good = head == 0x80;

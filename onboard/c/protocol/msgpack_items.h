@@ -1,5 +1,5 @@
-/* Reads msgpack item by item, within the limits of the protocol: no maps and no extensions but empty ones. The twin of
- * protocol/msgpack_array.py for arrays within arrays. */
+/* Reads msgpack item by item, within the limits of the protocol: no maps and no extensions but empty ones. The only
+ * reader: of feature sets and, by msgpack_array.h, of messages. */
 #ifndef DMRAC_MSGPACK_ITEMS_H
 #define DMRAC_MSGPACK_ITEMS_H
 
@@ -13,7 +13,7 @@ typedef enum { MSGPACK_NIL, MSGPACK_INTEGER, MSGPACK_BYTES, MSGPACK_TEXT, MSGPAC
 typedef struct {
     MsgpackKind kind;
     bool negative;        /* of an integer */
-    uint64_t number;      /* the integer if it is not negative; bytes, or items of an array */
+    uint64_t number;      /* the integer, a negative one as two's complement of 64 bits; bytes, or items of an array */
     const uint8_t *bytes; /* of bytes and text */
 } MsgpackItem;
 

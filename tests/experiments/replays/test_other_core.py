@@ -44,6 +44,12 @@ def test_the_c_core_decides_what_numpys_did(by_numpy: RecordedFlight) -> None:
     assert "the same modes, events, feature versions and numbers of datagrams, motor commands within " in str(result)
 
 
+def test_the_float_core_decides_the_same_too(by_numpy: RecordedFlight) -> None:
+    (result,) = check_flight(by_numpy, core="c", precision="float")
+    assert result.equal
+    assert 1e-9 < result.motor_difference < MOTOR_DIFFERENCE_MAX["float"]
+
+
 def test_the_core_that_flew_gives_the_same_bits_and_the_record_names_it(by_c: RecordedFlight) -> None:
     assert by_c.core == "c"
     assert "--core c" in by_c.summary["command"]
@@ -111,6 +117,7 @@ def test_options_that_do_not_fit(by_numpy: RecordedFlight, capsys: pytest.Captur
     wrong = {
         ("replay", str(by_numpy.path), "--core", "c"): "--core c: only with --check",
         ("fly", "hover", "--core", "c"): "--core c: only with --lockstep",
+        ("replay", str(by_numpy.path), "--check", "--precision", "float"): "--precision float: only with --core c",
     }
     for words, expected in wrong.items():
         assert main(list(words)) == 2

@@ -55,9 +55,9 @@ MUTANTS: Final = (
         "numerics/small_matrix.c",
         "left -= factor[j * n + i] * B[j * columns + c];",
         "left -= factor[i * n + j] * B[j * columns + c];",
-        "test_control_blocks",
+        "test_features",
     ),
-    Mutant("stale", "protocol/session.c", "        self->newest = sequence;\n", "", "test_authentication"),
+    Mutant("stale", "protocol/session.c", "        self->newest = sequence;\n", "", "test_link"),
     Mutant(
         "sign",
         "protocol/clock.c",
@@ -74,7 +74,7 @@ MUTANTS: Final = (
         "whole_sum(message.pose.time_ns, clock->best.offset_ns)",
         "test_link",
     ),
-    Mutant("stale", "links/loss_rate.c", "    self->lost = statistics->lost;\n", "", "test_link"),
+    Mutant("stale", "links/loss_rate.c", "    self->lost = statistics->lost;\n", "", "test_clocks"),
     Mutant(
         "sign",
         "estimation/error_state_filter.c",
@@ -127,7 +127,7 @@ MUTANTS: Final = (
         "self->k2[i] * e_2[i] - gyration[i]",
         "test_reference_model",
     ),
-    Mutant("index", "control/feature_swap.c", "work->change, n, n - 1", "work->change, n, 0", "test_adaptive"),
+    Mutant("index", "control/feature_swap.c", "work->change, n, n - 1", "work->change, n, 0", "test_features"),
     Mutant(
         "index",
         "control/cascade.c",
