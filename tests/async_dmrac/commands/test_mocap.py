@@ -19,7 +19,7 @@ def test_a_pose_may_wait_no_longer_than_offboard_reckons_with() -> None:
 
 @pytest.mark.parametrize(("allowed_ns", "signed"), [(10**12, 1), (HELD_UP_NS, 0)])
 def test_the_relay_drops_what_waited(
-    wait_s: float, signed: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+    allowed_ns: int, signed: int, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     key = tmp_path / "capture.key"
     write_key(key)
