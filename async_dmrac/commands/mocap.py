@@ -21,6 +21,8 @@ EXAMPLES: Final = """examples:
 LISTEN: Final = "127.0.0.1:14575"
 DATAGRAMS_PER_WAKE: Final = 64
 WAKE_S: Final = 0.1
+HELD_UP_NS: Final = 10_000_000
+"""Offboard reckons with no more from the capture to the arrival (`offboard.pose_relay.latency_s`)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,19 +53,29 @@ def run(arguments: argparse.Namespace) -> int:
     sender = DatagramSocket("--offboard", "127.0.0.1:0" if is_loopback(offboard) else "0.0.0.0:0", offboard)
     status.report(f"from {listen}, signed to {offboard}")
     status.report("ready")
+    late = 0
     try:
         while stop.count == 0:
             select.select((capture,), (), (), WAKE_S)
             now_ns = time.monotonic_ns()
-            for datagram in capture.receive(DATAGRAMS_PER_WAKE):
+            for datagram, arrival_ns in capture.receive_stamped(DATAGRAMS_PER_WAKE):
+                if held_up(arrival_ns, time.monotonic_ns()):
+                    late += 1
+                    continue
                 for frame in signer.sign(datagram, now_ns):
                     sender.send(frame)
             if status.due(now_ns):
-                status.write({"signed": signer.signed, "rejected": signer.rejected.total(), "unsent": sender.unsent})
+                counts = {"signed": signer.signed, "rejected": signer.rejected.total(), "unsent": sender.unsent}
+                status.write({**counts, "held_up": late})
     finally:
         capture.close()
         sender.close()
     return 0
+
+
+def held_up(arrival_ns: int, now_ns: int) -> bool:
+    """Whether a pose waited here so long that offboard would take it for one of a later time: none is better."""
+    return now_ns - arrival_ns > HELD_UP_NS
 
 
 def _checked(option: str, arguments: argparse.Namespace) -> str:

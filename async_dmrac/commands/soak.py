@@ -42,8 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0 <= arguments.seed < 2**31:
         raise ConfigError(f"--seed {arguments.seed}: allowed are 0 to {2**31 - 1}")
     console = plain_console(arguments.json)
+    config = configuration(arguments.scenario, arguments.minutes, arguments.seed, tuple(arguments.set))
     folder = make_folder(arguments.out, "soak")
-    config = configuration(arguments.scenario, arguments.minutes, arguments.seed, tuple(arguments.set), folder)
     if os.geteuid() != 0:
         print("soak: without root no port is flooded", file=sys.stderr)
     done = soak(config, folder, arguments.seed, console.print)

@@ -56,16 +56,13 @@ class SoakRun:
     interrupted: bool
 
 
-def configuration(scenario: str, minutes: float, seed: int, assignments: tuple[str, ...], out: Path) -> FlightConfig:
-    """Resolve the flight of a soak, with the link that the seed draws and a new key on every link. Raises ConfigError.
-
-    The keys are files in `out`, for their owner only.
-    """
+def configuration(scenario: str, minutes: float, seed: int, assignments: tuple[str, ...]) -> FlightConfig:
+    """Resolve the flight of a soak, with the link that the seed draws. Raises ConfigError."""
     duration_s = 60.0 * minutes
     windows = blackouts(seed, duration_s)
     capacity_mah = resolve(scenario).vehicle.battery.capacity_mah * max(1.0, duration_s / BATTERY_S)
     own = (f"vehicle.battery.capacity_mah={capacity_mah:.0f}", *windows, *assignments)
-    return keyed(resolve(scenario, Choices(seed=seed, duration_s=duration_s, assignments=own)), out)
+    return resolve(scenario, Choices(seed=seed, duration_s=duration_s, assignments=own))
 
 
 def listening_address(network: Addresses) -> str:
@@ -80,7 +77,7 @@ def soak(config: FlightConfig, out: Path, seed: int, show: Callable[[str], None]
     Parameters
     ----------
     config: from `configuration`.
-    out: the folder of the record, which exists.
+    out: the folder of the record, which exists; it gets a new key for every link, in files for their owner only.
     show: called with a line for everything that is done.
 
     Raises
@@ -90,6 +87,7 @@ def soak(config: FlightConfig, out: Path, seed: int, show: Callable[[str], None]
     FlightStartError
         If a process does not start; all were ended.
     """
+    config = keyed(config, out)
     listen = listening_address(config.network)
     require_free_ports(config.network)
     require_free({"the motion capture's relay": listen})

@@ -35,14 +35,14 @@ def test_a_flight_becomes_motion_target_curves_and_events(full_flight: Path) -> 
     assert scene.target is not None
     np.testing.assert_array_equal(scene.motion.position[:, 0], flight["sim_vehicle/truth"]["position_n"])
     np.testing.assert_array_equal(scene.motion.arrows["wind"][:, 0], 4.0)
-    np.testing.assert_allclose(scene.motion.arrows["nu_ad"][:, 0], 0.3)
-    assert scene.motion.thrust[0].tolist() == [0.17, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(scene.motion.arrows["nu_ad"][:, 0], 0.3, atol=1e-6)
+    assert scene.motion.thrust[0].tolist() == pytest.approx([0.17, 0.0, 0.0, 0.0])
     assert [event.text for event in scene.events] == ["mode FLYING <fast>"]
     assert scene.groups[:2] == ("position [m]", "attitude [deg]")
     assert "training loss, position [(m/s²)²]" in scene.groups
     north = curve(scene, "position [m]", "north").values - curve(scene, "position [m]", "target north").values
-    np.testing.assert_allclose(north, 0.1)
-    np.testing.assert_allclose(curve(scene, "adaptive, position [m/s²]", "true north").values, 0.0)
+    np.testing.assert_allclose(north, 0.1, atol=1e-6)
+    np.testing.assert_allclose(curve(scene, "adaptive, position [m/s²]", "true north").values, 0.0, atol=1e-6)
     age = curve(scene, "features", "age [s]")
     assert np.isnan(age.values[:200]).all()
 
@@ -167,8 +167,8 @@ def test_following_a_folder_without_logs_raises_with_one_line(tmp_path: Path, ma
 
 def test_the_tracking_error_is_drawn_with_its_live_bound_where_the_log_has_one(full_flight: Path) -> None:
     scene = build_scene(open_flight(full_flight))
-    np.testing.assert_allclose(curve(scene, "tracking error, position [m]", "error").values, 0.1)
-    np.testing.assert_allclose(curve(scene, "tracking error, position [m]", "live bound").values, 0.2)
+    np.testing.assert_allclose(curve(scene, "tracking error, position [m]", "error").values, 0.1, atol=1e-6)
+    np.testing.assert_allclose(curve(scene, "tracking error, position [m]", "live bound").values, 0.2, atol=1e-6)
     assert np.isnan(curve(scene, "tracking error, attitude [deg]", "live bound").values).all(), "0: none"
 
 
