@@ -24,7 +24,6 @@ from experiments.results.campaign_page import CampaignReport, write_report
 from experiments.results.comparisons import WORSE, comparisons, judged, losses, summary
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
-from experiments.results.figure_style import cut_outliers, new_figure
 from experiments.results.heat_map import draw_heat_map, heat_map_rows
 from experiments.results.reproduction import Reproduction, publish_rows, write_results
 from experiments.results.sweep_figures import sweep_metric
@@ -394,27 +393,3 @@ def test_flights_on_different_paths_are_not_averaged(folder: Path, kind: str, tm
         assert drawn.axes[0].get_title() == title
         (picture,), _ = draw_all(one, tmp_path, lambda text: None)
         assert said in picture.caption
-
-
-def test_the_error_has_a_panel_on_its_own_scale(folder: Path) -> None:
-    """Millimetres do not show on the axis of the position, which spans metres."""
-    data = load_data(folder)
-    drawn = trace_figures.position(data, "chip", ["pid", "mrac"], {"factor": 0.9})
-    panel = next(panel for panel in drawn.axes if "[mm]" in panel.get_ylabel())
-    errors = []
-    for group in data.select("chip", point={"factor": 0.9}):
-        for trace in data.traces(group) if group.controller in ("pid", "mrac") else ():
-            error = trace.vector("truth_position", "ned") - trace.vector("tick_target", "ned")
-            errors.append(1e3 * np.linalg.norm(error, axis=1)[np.isin(trace["tick_mode"], (4.0, 5.0))])
-    assert panel.get_ylim() == pytest.approx((0.0, 1.25 * np.quantile(np.concatenate(errors), 0.99)))
-
-
-def test_an_outlier_does_not_squeeze_the_others() -> None:
-    panel = new_figure(3.0).add_subplot()
-    assert cut_outliers(panel, [(0.0, 0.012), (1.0, 0.02), (2.0, 0.8), (3.0, 0.011)])
-    assert panel.get_ylim() == pytest.approx((0.0, 0.026))
-    assert [text.get_text() for text in panel.texts] == ["0.8"]
-    whole = new_figure(3.0).add_subplot()
-    assert not cut_outliers(whole, [(0.0, 0.012), (1.0, 0.02), (2.0, 0.05)])
-    assert not cut_outliers(whole, [(0.0, 0.01), (1.0, 0.8), (2.0, 0.9)])  # two levels, not an outlier
-    assert not whole.texts
