@@ -1,7 +1,7 @@
 """`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
 
 `dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
-flies while ports are flooded.
+flies while ports are flooded; `dmrac bench gym` counts the steps per second of the Gymnasium environments.
 """
 
 import argparse
@@ -15,10 +15,12 @@ from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 
 SENSORS: Final = "sensors"
 FLOOD: Final = "flood"
+GYM: Final = "gym"
 EXAMPLES: Final = """examples:
   dmrac bench
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench flood --controller mrac --seconds 12
+  dmrac bench gym
   dmrac bench figure8_wind --controller mrac --seconds 30 --json bench.json
 """
 
@@ -30,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
-        "flood: fly with flooded ports (needs root)",
+        "flood: fly with flooded ports (needs root); gym: the Gymnasium environments",
     )
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
@@ -42,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0. Raises ConfigError for bad options."""
     if not 2.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
-    report: Any = {SENSORS: _sensors, FLOOD: _flood}.get(arguments.scenario, _times)(arguments)
+    report: Any = {SENSORS: _sensors, FLOOD: _flood, GYM: _gym}.get(arguments.scenario, _times)(arguments)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return 0
@@ -63,6 +65,18 @@ def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     flights = measure(resolve(DEFAULT_SCENARIO, choices), tuple(PORTS), RATES_HZ, console.print)
     console.print(table(flights))
     return as_json(flights)
+
+
+def _gym(arguments: argparse.Namespace) -> dict[str, float]:
+    del arguments
+    from async_dmrac.record import need
+
+    need("gymnasium", "'async-dmrac[gym]'")
+    from async_dmrac.environments.speed import environment_speeds
+
+    speeds = environment_speeds()
+    plain_console().print("\n".join(f"{name:34} {speed:9.0f} steps/s" for name, speed in speeds.items()))
+    return speeds
 
 
 def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:
