@@ -44,6 +44,7 @@ PURPOSE: Final = {
     "viz": "the 3-D viewer",
     "export": "dmrac log export to Parquet, Foxglove, ROS 2 and TensorBoard",
     "completion": "dmrac completion",
+    "gym": "the Gymnasium environments",
 }
 """What each extra is for."""
 

@@ -14,6 +14,7 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "viz": ("rerun",),
     "export": ("foxglove", "pyarrow", "rosbags", "tensorboard"),
     "completion": ("shtab",),
+    "gym": ("gymnasium", "numba"),
 }
 """The modules of each extra of pyproject.toml that this program imports itself."""
 

@@ -24,8 +24,10 @@ SOURCES = {
     for path in (ROOT / name).rglob("*.py")
 }
 TESTS = set(re.findall(r"^def (test_\w+)", "\n".join(SOURCES.values()), flags=re.MULTILINE))
-TOPICS = set(re.findall(r'"((?:onboard|offboard|sim_vehicle|flight)/\w+)"', "\n".join(SOURCES.values())))
-"""Of records in a flight log; they look like paths."""
+TOPICS = set(
+    re.findall(r'"((?:onboard|offboard|sim_vehicle|flight)/\w+|async_dmrac/Mambo-v\d)"', "\n".join(SOURCES.values()))
+)
+"""Of records in a flight log, and the environment; they look like paths."""
 
 parser_of = cache(build_parser)
 

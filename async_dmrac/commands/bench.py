@@ -1,7 +1,8 @@
 """`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
 
 `dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
-flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's.
+flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's; `dmrac bench gym` counts the
+steps per second of the Gymnasium environments.
 """
 
 import argparse
@@ -13,10 +14,12 @@ from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import plain_console, positive
 from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
+from runtime.extras import require_modules
 
 SENSORS: Final = "sensors"
 FLOOD: Final = "flood"
 CORE: Final = "core"
+GYM: Final = "gym"
 VEHICLES_MAX: Final = 64
 """Of --vehicles, unless given."""
 EXAMPLES: Final = """examples:
@@ -24,6 +27,7 @@ EXAMPLES: Final = """examples:
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench flood --controller mrac --seconds 12
   dmrac bench core --seconds 20 --vehicles 64
+  dmrac bench gym
   dmrac bench figure8_wind --controller mrac --seconds 30 --out bench.json
 """
 
@@ -35,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
-        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's",
+        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; gym: the Gymnasium environments",
     )
     parser.add_argument(
         "--vehicles",
@@ -56,7 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
     if arguments.vehicles is not None and arguments.scenario != CORE:
         raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {CORE}")
-    report: Any = {SENSORS: _sensors, FLOOD: _flood, CORE: _core}.get(arguments.scenario, _times)(arguments)
+    kinds = {SENSORS: _sensors, FLOOD: _flood, CORE: _core, GYM: _gym}
+    report: Any = kinds.get(arguments.scenario, _times)(arguments)
     if arguments.json:
         print_json(report)
     if arguments.out is not None:
@@ -93,6 +98,16 @@ def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     flights = measure(resolve(DEFAULT_SCENARIO, choices), tuple(PORTS), RATES_HZ, console.print)
     console.print(table(flights))
     return as_json(flights)
+
+
+def _gym(arguments: argparse.Namespace) -> dict[str, float]:
+    require_modules("gymnasium", "numba", purpose=f"dmrac bench {GYM}")
+    from async_dmrac.environments.speed import environment_speeds
+
+    speeds = environment_speeds()
+    show = plain_console(arguments.json).print
+    show("\n".join(f"{name:34} {speed:9.0f} steps/s" for name, speed in speeds.items()))
+    return speeds
 
 
 def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:

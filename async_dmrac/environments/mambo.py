@@ -18,8 +18,8 @@ Action: TypeAlias = NDArray[np.float32]
 class MamboEnv(gymnasium.Env[Observation, Action]):
     """One vehicle that follows the path of a scenario.
 
-    Arguments
-    ---------
+    Parameters
+    ----------
     scenario: a name in configs/scenarios, or a file: path, vehicle and disturbances.
     action: "motors", "rates" (collective thrust and body rates), "acceleration" (NED), or "residual" (an acceleration
         that is added to the position loop of `controller`). All parts from -1 to 1.

@@ -98,6 +98,11 @@ class Push(async_dmrac.Disturbance):
         effect[FORCE] += v[0]
 
 
+def push_of_a_notebook() -> async_dmrac.Disturbance:
+    here = type("Push", (Push,), {"__qualname__": "push_of_a_notebook.<locals>.Push", "__module__": __name__})
+    return here(force_n=0.1)
+
+
 def test_a_class_of_a_notebook_flies_and_its_record_has_tables_metrics_and_figures(tmp_path: Path) -> None:
     class Steady:
         class Settings(async_dmrac.ConfigRecord):
@@ -147,7 +152,7 @@ def test_pandas_or_a_message_that_names_it(tmp_path: Path) -> None:
         ({"core": "rust"}, "core: 'rust': allowed are numpy, c"),
         ({"settings": {"a": 1}}, "settings: only with a class as controller"),
         ({"disturbances": [3]}, "disturbances: 3: expected instances of async_dmrac.Disturbance"),
-        ({"disturbances": [Push(force_n=0.1)], "realtime": True}, "Push is defined in this Python session"),
+        ({"disturbances": [push_of_a_notebook()], "realtime": True}, "Push is defined in this Python session"),
         ({"realtime": True, "core": "c"}, "realtime=True: allowed with core='numpy'"),
         ({"controller": Push, "settings": {}}, "Push: controller.class: .* has no Settings"),
     ],
@@ -156,7 +161,6 @@ def test_a_wrong_argument_of_a_program_is_named(
     arguments: dict[str, object], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Push, "__qualname__", "somewhere.Push")  # as in a notebook
     with pytest.raises(ConfigError, match=message):
         async_dmrac.fly(**{"scenario": "hover"} | arguments)  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []

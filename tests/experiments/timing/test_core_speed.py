@@ -130,7 +130,7 @@ def test_the_command_prints_and_writes_every_figure(
         monkeypatch.setattr(core_speed, name, lambda *arguments: [Figure("figure", 31.0, "us", 30.0)])
     monkeypatch.setattr(core_speed, "campaign_figure", lambda: Figure("campaign", None, "", note="absent"))
     monkeypatch.setattr(core_speed, "vehicle_figures", vehicles)
-    assert main(["bench", "core", "--vehicles", "16", "--json", str(tmp_path / "core.json")]) == 0
+    assert main(["bench", "core", "--vehicles", "16", "--out", str(tmp_path / "core.json")]) == 0
     report = json.loads((tmp_path / "core.json").read_text(encoding="utf-8"))
     assert asked == [1, 4, 16]
     assert [one["met"] for one in report["figures"]] == [False, False, None, True]
