@@ -151,6 +151,11 @@ def _compile(target: Target, folder: Path) -> None:
 
 def compile_stand_in(target: Target, firmware: Path, linker_map: Path) -> None:
     """The stand-in with the library inside, as one static program, and the linker's map. Raises BuildError."""
+    compile_inside(target, firmware, ("-static", f"-Wl,-Map={linker_map}"))
+
+
+def compile_inside(target: Target, firmware: Path, linked: tuple[str, ...]) -> None:
+    """The stand-in with the library inside, as one program. linked: options of the linker. Raises BuildError."""
     with TemporaryDirectory() as root:
         texts = Path(root) / "generated"
         texts.mkdir()
@@ -163,8 +168,8 @@ def compile_stand_in(target: Target, firmware: Path, linker_map: Path) -> None:
         for path, out in named:
             core_build.run([*compile_command, "-c", str(path), "-o", out])
         objects = [out for _, out in named]
-        linked = ["-static", f"-Wl,-Map={linker_map}", *objects, *_core_objects(target), "-lm", "-lpthread"]
-        core_build.run([*target.compiler, *target.options, *linked, "-o", str(firmware)])
+        objects += [*_core_objects(target), "-lm", "-ldl", "-lpthread"]
+        core_build.run([*target.compiler, *target.options, *linked, *objects, "-o", str(firmware)])
 
 
 def _core_objects(target: Target) -> list[str]:
