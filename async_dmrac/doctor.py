@@ -45,6 +45,8 @@ PURPOSE: Final = {
     "export": "dmrac log export to Parquet, Foxglove, ROS 2 and TensorBoard",
     "completion": "dmrac completion",
     "gym": "the Gymnasium environments",
+    "core": "a C compiler, where there is no other",
+    "peers": "another simulator, for dmrac bench core",
 }
 """What each extra is for."""
 

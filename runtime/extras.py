@@ -15,6 +15,8 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "export": ("foxglove", "pyarrow", "rosbags", "tensorboard"),
     "completion": ("shtab",),
     "gym": ("gymnasium", "numba"),
+    "core": ("ziglang",),
+    "peers": ("rotorpy",),
 }
 """The modules of each extra of pyproject.toml that this program imports itself."""
 

@@ -39,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
-        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; gym: the Gymnasium environments",
+        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; gym: the "
+        "Gymnasium environments",
     )
     parser.add_argument(
         "--vehicles",

@@ -7,10 +7,12 @@ on, whenever it was really there. If it is not there by then, the flight waits.
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 from experiments.flights.scenario import FlightConfig
@@ -33,7 +35,8 @@ class TrainingWorker:
         if not isinstance(job, TrainingJob):
             return train_at_once(job)
         try:
-            future = self._pool.submit(job.run)
+            with _without_main():
+                future = self._pool.submit(job.run)
         except BrokenProcessPool:
             return train_at_once(job)
         return lambda: _result(future, job)
@@ -50,6 +53,21 @@ def _result(future: "Future[TrainingResult]", job: TrainingJob) -> TrainingResul
         return future.result()
     except BrokenProcessPool:
         return job.run()
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """A process that is started meanwhile does not run the program's main file again.
+
+    A spawned process runs it otherwise, to find what it defines. A round of training needs nothing of it, and the file
+    of a user who flies from Python may have no `if __name__ == "__main__":`.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _prepare() -> None:

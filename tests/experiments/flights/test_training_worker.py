@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,9 @@ from experiments.flights.training_worker import TrainingWorker, training_for
 from offboard.training.fleet import Fleet, FleetJob
 from sim_vehicle.lockstep import train_at_once
 
-CONFIG = resolve("figure8_wind", Choices("dmrac", seed=4, duration_s=11.0))
+AT_ONCE = ("offboard.gate.first_samples=0",)
+"""The first version does not wait: a flight is short."""
+CONFIG = resolve("figure8_wind", Choices("dmrac", seed=4, duration_s=11.0, assignments=AT_ONCE))
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +100,21 @@ def test_without_logs_the_summary_is_the_same(tmp_path: Path, capsys: pytest.Cap
     assert "--no-log: only with --lockstep" in capsys.readouterr().err
     assert main([*words, "--no-log", "--remember", "--memory", str(tmp_path / "memory")]) == 2
     assert "--no-log: not with --remember" in capsys.readouterr().err
+
+
+def test_the_program_of_a_user_runs_once(tmp_path: Path) -> None:
+    program = """
+from experiments.flights.lockstep_flight import fly_lockstep
+from experiments.flights.scenario import Choices, resolve
+from experiments.flights.training_worker import TrainingWorker
+
+print("running", __name__)
+with TrainingWorker() as worker:
+    fly_lockstep(resolve("figure8_wind", Choices("dmrac", seed=4, duration_s=11.0)), train=worker)
+    [process] = worker._pool._processes.values()
+print("trained in", process.name, process.exitcode)
+"""
+    (tmp_path / "program.py").write_text(program, encoding="utf-8")
+    done = subprocess.run([sys.executable, tmp_path / "program.py"], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == ["running __main__", "trained in SpawnProcess-1 0"]
+    assert done.stderr == ""
