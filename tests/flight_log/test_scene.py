@@ -62,7 +62,7 @@ def test_a_flight_without_truth_shows_the_estimate(full_flight: Path) -> None:
     (full_flight / "sim_vehicle.mcap").unlink()
     scene = build_scene(open_flight(full_flight))
     assert scene.motion is not None
-    assert scene.motion.thrust[0].tolist() == [0.16, 0.0, 0.0, 0.0]
+    assert scene.motion.thrust[0].tolist() == pytest.approx([0.16, 0.0, 0.0, 0.0])
     assert set(scene.motion.arrows) == {"nu_ad"}
 
 
@@ -74,7 +74,7 @@ def test_the_force_of_the_floor_is_not_drawn(tmp_path: Path) -> None:
             log.write(sim_records.TRUTH, i * 20_000_000, np.array(list(values.values())))
     motion = build_scene(open_flight(tmp_path)).motion
     assert motion is not None
-    assert motion.arrows["disturbance"][:, 2].tolist() == [0.0, 0.0, *[-0.6] * 8]
+    assert motion.arrows["disturbance"][:, 2].tolist() == pytest.approx([0.0, 0.0, *[-0.6] * 8])
 
 
 def test_fast_topics_are_thinned(tmp_path: Path) -> None:
