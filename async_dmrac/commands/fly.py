@@ -101,6 +101,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--no-log: not with --remember, which learns from the log")
     if arguments.view and arguments.lockstep:
         raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
+    if arguments.view and arguments.json:
+        raise ConfigError("--json: not with --view, which prints its address")
     if arguments.web and not arguments.view:
         raise ConfigError("--web: only with --view")
     if arguments.view:

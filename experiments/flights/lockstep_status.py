@@ -57,7 +57,7 @@ class LockstepStatus:
     def _sim_status(self, result: TickResult, now_s: float) -> dict[str, Any]:
         time_s = result.now_ns * 1e-9
         pace = time_s / max(now_s - self._started_s, 1e-3)
-        progress = f"{time_s:.1f} of {self._duration_s:.1f} s, {pace:.1f} times real time"
+        progress = f"{time_s:.1f} of {self._duration_s:.1f} s, {pace:.2g} times real time"
         return {"process": "sim", "kind": "status", "progress": progress, "link": _link(result.radio)}
 
     def _tell_start(self, console: Console) -> None:

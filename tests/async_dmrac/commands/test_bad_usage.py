@@ -26,6 +26,7 @@ from flight_log import viewer
         ("demo --out demo.txt", "--out demo.txt: expected a name that ends in .png, .svg or .pdf"),
         ("demo --out no/such/demo.png", "--out no/such/demo.png: there is no folder no/such"),
         ("demo --duration 3", "--duration 3.0: Input should be greater than or equal to 5"),
+        ("fly --view --json", "--json: not with --view, which prints its address"),
         ("fly --view --lockstep", "--view: only in real time"),
         ("config --out no/such/folder.yaml", "no/such/folder.yaml: No such file or directory"),
         ("config --vehicle 0", "--vehicle 0: Input should be greater than or equal to 1"),
