@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.timeout(1200)  # whole flights, and the compilation of a class of one's own
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
