@@ -85,24 +85,9 @@ def fly(
     StartError
         In real time: if a process does not start or an address is in use.
     """
-    if core not in CORES:
-        raise ConfigError(f"core: {core!r}: allowed are {', '.join(CORES)}")
-    if realtime and (core != "numpy" or not offboard):
-        raise ConfigError("realtime=True: allowed with core='numpy' and offboard=True only")
-    config = configure(
-        scenario,
-        controller,
-        seed,
-        duration_s=duration_s,
-        set=set,
-        settings=settings,
-        disturbances=disturbances,
-    )
-    if realtime:
-        _require_classes_for_processes(config)
-        require_free_ports(config.network)
-    for key in LINK_KEYS.values():  # reports bad ones before the start
-        load_key(getattr(config.network, key.setting))
+    own: dict[str, Any] = {"duration_s": duration_s, "set": set, "settings": settings, "disturbances": disturbances}
+    config = configure(scenario, controller, seed, **own)
+    _require_flyable(config, core, offboard, realtime)
     folder = make_folder(None if out is None else Path(out), config.scenario)
     before = tuple(folder.iterdir())
     try:
@@ -167,6 +152,19 @@ def campaign(
         report = (lambda state: progress(state.done, state.total)) if progress else (lambda state: None)
         result = run_campaign(run, store, LocalPool(jobs or cores()), report)
     return CampaignResult(folder, result.total, result.flown, result.lost, result.errors)
+
+
+def _require_flyable(config: FlightConfig, core: str, offboard: bool, realtime: bool) -> None:
+    """Raise ConfigError or StartError for what would fail after the start."""
+    if core not in CORES:
+        raise ConfigError(f"core: {core!r}: allowed are {', '.join(CORES)}")
+    if realtime and (core != "numpy" or not offboard):
+        raise ConfigError("realtime=True: allowed with core='numpy' and offboard=True only")
+    if realtime:
+        _require_classes_for_processes(config)
+        require_free_ports(config.network)
+    for key in LINK_KEYS.values():
+        load_key(getattr(config.network, key.setting))
 
 
 def _require_classes_for_processes(config: FlightConfig) -> None:

@@ -119,31 +119,24 @@ class Learner:
         input_scales, output_scales: (offset, scale) of each input and usual size of each output. None: from the first
             `fit`; with both, `update` works before it.
 
-        Raises
-        ------
-        ValueError
-            Naming the argument, its value and what is allowed.
+        Raises ValueError that names the argument, its value and what is allowed.
         """
         self.inputs, self.outputs = _names(inputs, "inputs"), _names(outputs, "outputs")
-        if not rate_hz > 0.0 or residual_filter_s < 0.0:
-            raise ValueError(f"rate_hz {rate_hz}, residual_filter_s {residual_filter_s}: expected > 0 and >= 0")
-        if features < 2 or not hidden or min(hidden) < 1:
-            raise ValueError(f"features {features}, hidden {tuple(hidden)}: expected at least 2, and widths above 0")
+        _check_sizes(rate_hz, residual_filter_s, features, hidden)
         if tracking is not None and len(tracking.damping) != len(self.outputs):
             raise ValueError(f"tracking: for {len(tracking.damping)} outputs, expected {len(self.outputs)}")
         self.rate_hz, self._dt, self._seed = float(rate_hz), 1.0 / rate_hz, seed
         self.law: Law = law or KalmanLaw()
         self._shape = tuple(hidden), features
         self._trainer = trainer or TrainerConfig()
-        q = len(self.outputs)
-        self._PB = np.zeros((2 * q, q)) if tracking is None else tracking.weights()
-        self._share = 1.0 if residual_filter_s == 0.0 else 1.0 - exp(-self._dt / residual_filter_s)
+        self._PB = np.zeros((2 * len(outputs), len(outputs))) if tracking is None else tracking.weights()
+        self._share = 1.0 - exp(-self._dt / residual_filter_s) if residual_filter_s > 0.0 else 1.0
         self._block_s = block_s
-        period = max(round(RECENT_S * rate_hz / RECENT_STATES), 1)
-        self._swap_config = SwapConfig(jump_max=jump_max, ring_period_ticks=min(period, 100), ring_size=RECENT_STATES)
-        self._recent = RecentStates(RECENT_STATES, len(self.inputs), q)
+        period = min(max(round(RECENT_S * rate_hz / RECENT_STATES), 1), 100)
+        self._swap_config = SwapConfig(jump_max=jump_max, ring_period_ticks=period, ring_size=RECENT_STATES)
+        self._recent = RecentStates(RECENT_STATES, len(inputs), len(outputs))
         self._collected: deque[tuple[Array, Array]] = deque(maxlen=COLLECTED_MAX)
-        self._now, self._residual, self._ticks, self.version = np.zeros(len(self.inputs)), np.zeros(q), 0, 0
+        self._now, self._residual, self._ticks, self.version = np.zeros(len(inputs)), np.zeros(len(outputs)), 0, 0
         self._networks: OwnNetworks | None = None
         self._state: TrainerState | None = None
         self._features: NetworkFeatures | None = None
@@ -303,6 +296,13 @@ class Learner:
         if not np.isfinite(x).all() or np.isinf(y).any():
             raise ValueError("signals, labels: a value is not finite; only labels may be NaN, where there is none")
         return x, y
+
+
+def _check_sizes(rate_hz: float, residual_filter_s: float, features: int, hidden: Sequence[int]) -> None:
+    if not rate_hz > 0.0 or residual_filter_s < 0.0:
+        raise ValueError(f"rate_hz {rate_hz}, residual_filter_s {residual_filter_s}: expected > 0 and >= 0")
+    if features < 2 or not hidden or min(hidden) < 1:
+        raise ValueError(f"features {features}, hidden {tuple(hidden)}: expected at least 2, and widths above 0")
 
 
 def _names(names: Sequence[str], what: str) -> tuple[str, ...]:
