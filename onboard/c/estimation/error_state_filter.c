@@ -141,6 +141,27 @@ static void apply(ErrorStateFilter *self, const real error[N]) {
     vector_add(self->accelerometer_bias, error + ACCELEROMETER_BIAS, self->accelerometer_bias);
 }
 
+#ifdef DMRAC_FLOAT
+/* Relative growth of the variances at each correction: more than the rounding of P - K h P, far less than the process noise. */
+#define ROUNDING_GROWTH REAL(1e-5)
+
+/* In float the rounding of many corrections makes a variance negative after some tens of seconds, and the filter then leaves the
+ * measurements. Let the variances grow by more than that, and keep each above a floor: position, velocity, attitude, gyroscope
+ * bias, accelerometer bias, in units of the state. */
+static void keep_positive(ErrorStateFilter *self) {
+    static const real floor[N / 3] = {REAL(2.5e-9), REAL(1e-7), REAL(1e-9), REAL(1e-11), REAL(1e-9)};
+    for (int i = 0; i < N; i++) {
+        real *variance = self->P + i * N + i;
+        *variance = real_max(*variance + ROUNDING_GROWTH * real_abs(*variance), floor[i / 3]);
+    }
+}
+#else
+/* In double nothing is needed. */
+static void keep_positive(ErrorStateFilter *self) {
+    (void)self;
+}
+#endif
+
 /* K = P h^T / S,  P <- P - K h P,  error = K innovation, if the score is within the gate */
 static real correct_by(ErrorStateFilter *self, const real PHt[N], real S, real innovation, real gate) {
     real score = innovation * innovation / S, error[N];
@@ -152,6 +173,7 @@ static real correct_by(ErrorStateFilter *self, const real PHt[N], real S, real i
             }
             error[i] = K * innovation;
         }
+        keep_positive(self);
         apply(self, error);
     }
     return score;
@@ -208,6 +230,7 @@ static real correct_three(ErrorStateFilter *self, const real PHt[N * 3], const r
             self->P[i * N + j] -= dot(L + 3 * i, L + 3 * j, 3);
         }
     }
+    keep_positive(self);
     apply(self, error);
     return score;
 }
