@@ -145,14 +145,24 @@ static void apply(ErrorStateFilter *self, const real error[N]) {
 /* Relative growth of the variances at each correction: more than the rounding of P - K h P, far less than the process noise. */
 #define ROUNDING_GROWTH REAL(1e-5)
 
-/* In float the rounding of many corrections makes a variance negative after some tens of seconds, and the filter then leaves the
- * measurements. Let the variances grow by more than that, and keep each above a floor: position, velocity, attitude, gyroscope
- * bias, accelerometer bias, in units of the state. */
+/* Largest correlation of two errors. */
+#define CORRELATION_MAX REAL(0.9999)
+
+/* In float the rounding of many corrections makes P asymmetric and a variance negative after some tens of seconds; the filter
+ * then leaves the measurements. Let the variances grow by more than the rounding and keep each above a floor (position,
+ * velocity, attitude, gyroscope bias, accelerometer bias, in units of the state); make P symmetric, and bound correlations. */
 static void keep_positive(ErrorStateFilter *self) {
     static const real floor[N / 3] = {REAL(2.5e-9), REAL(1e-7), REAL(1e-9), REAL(1e-11), REAL(1e-9)};
+    real sigma[N];
     for (int i = 0; i < N; i++) {
         real *variance = self->P + i * N + i;
         *variance = real_max(*variance + ROUNDING_GROWTH * real_abs(*variance), floor[i / 3]);
+        sigma[i] = real_sqrt(*variance);
+        for (int j = 0; j < i; j++) {
+            real limit = CORRELATION_MAX * sigma[i] * sigma[j];
+            real mean = REAL(0.5) * (self->P[i * N + j] + self->P[j * N + i]);
+            self->P[i * N + j] = self->P[j * N + i] = real_clip(mean, -limit, limit);
+        }
     }
 }
 #else
