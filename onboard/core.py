@@ -264,7 +264,6 @@ class OnboardCore:
 
     def _supervisor_inputs(self, state: VehicleState, now_ns: int) -> SupervisorInputs:
         north, east, down = state.position.tolist()
-        airborne = self._mode in AIRBORNE
         return SupervisorInputs(
             now_ns=now_ns,
             imu_age_s=(now_ns - state.last_imu_ns) * 1e-9,
@@ -282,7 +281,7 @@ class OnboardCore:
             position_sigma_m=state.position_sigma_m,
             thrust_to_weight=self._actuators.delivered.thrust_n / (self._airframe.mass_kg * GRAVITY),
             initialised=state.initialised,
-            preflight="" if airborne else self._arming.refusal(now_ns, self._posed, self._vehicle_link),
+            preflight="" if self._mode in AIRBORNE else self._arming.refusal(now_ns, self._posed, self._vehicle_link),
             calibration=self._estimator.calibration.refusal,
             fault=not self._estimator.healthy,
             gyro_stuck=self._estimator.gyro_stuck,

@@ -25,8 +25,8 @@ typedef struct {
     FeatureReceiver receiver;
     FeatureSet complete; /* that waits for the next swap */
     bool waits;
-    int64_t version;         /* in use; 0 for the start features */
-    int64_t swapped_ns;      /* NEVER_NS for the start features */
+    int64_t version;                         /* in use; 0 for the start features */
+    int64_t swapped_ns;                      /* NEVER_NS for the start features */
     int64_t refused_versions[REFUSALS_KEPT]; /* the first is being reported; the last one stays */
     Refusal reasons[REFUSALS_KEPT];
     int32_t refused_count;

@@ -3,7 +3,6 @@
 #include <string.h>
 
 #include "numerics/elementary.h"
-#include "protocol/blake2b.h"
 #include "protocol/geometry.h"
 
 /* Guard._watch */
@@ -261,33 +260,6 @@ void guard_reset(Guard *self) {
 
 /* --- versions --- */
 
-static void hash_numbers(Blake2b *hash, const real *numbers, int32_t count) {
-    blake2b_add(hash, (const uint8_t *)numbers, (size_t)count * sizeof *numbers);
-}
-
-/* content_of */
-static void content_of(const FeatureSet *features, uint8_t content[CONTENT_BYTES]) {
-    static const uint8_t nobody[BLAKE2B_PERSON_BYTES] = {0}, end[1] = {'|'};
-    Blake2b hash;
-    blake2b_start(&hash, CONTENT_BYTES, NULL, 0, nobody);
-    for (int i = 0; i < 2; i++) {
-        const ChannelFeatures *channel = features->channels + i;
-        if (features->covers[i]) {
-            int32_t inputs = channel->selection.count, parameters = 0;
-            hash_numbers(&hash, channel->selection.offset, inputs);
-            hash_numbers(&hash, channel->selection.scale, inputs);
-            for (int32_t l = 0; l < channel->network.layers; l++) {
-                parameters += channel->network.width[l] * (inputs + 1);
-                inputs = channel->network.width[l];
-            }
-            hash_numbers(&hash, channel->network.parameters, parameters);
-            hash_numbers(&hash, channel->last_layer, 3 * (inputs + 1));
-        }
-        blake2b_add(&hash, end, sizeof end);
-    }
-    blake2b_finish(&hash, content);
-}
-
 /* Guard._plans, of one channel */
 static Refusal plan_channel(Guard *self, const Adaptive *learner, int32_t channel, const ChannelFeatures *offered) {
     OfferWorkspace *work = &self->work;
@@ -356,7 +328,9 @@ static void commit_all(Guard *self, Augmentation *augmentations) {
     }
 }
 
-static bool plans_any(const Guard *self) { return self->work.planned[0] || self->work.planned[1]; }
+static bool plans_any(const Guard *self) {
+    return self->work.planned[0] || self->work.planned[1];
+}
 
 /* Guard._renumber: what flies has come again under another number */
 static void renumber(Guard *self, int64_t version) {
@@ -372,7 +346,7 @@ Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *
     if (!(self->learns[0] && features->covers[0]) && !(self->learns[1] && features->covers[1])) {
         return REFUSAL_NOT_ACCEPTING;
     }
-    content_of(features, content);
+    feature_content(features, content);
     if (is_refused(self, content)) {
         return REFUSAL_TAKEN_BACK;
     }

@@ -4,6 +4,7 @@
 #ifndef DMRAC_GUARD_H
 #define DMRAC_GUARD_H
 
+#include "control/feature_content.h"
 #include "control/laws/augmentation.h"
 #include "control/room.h"
 #include "control/version_test.h"
@@ -15,7 +16,6 @@
 /* Contents that are never accepted again. When so many versions have been taken back, no other one is accepted, whatever
  * strikes_max says. */
 #define CONTENTS_MAX 64
-#define CONTENT_BYTES 16
 
 /* Swaps of the last second that are remembered; one more is too many, whatever swaps_per_s_max says. */
 #define SWAPS_MAX 256

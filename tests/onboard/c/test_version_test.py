@@ -17,7 +17,8 @@ from tests.onboard.c.channels import c_network_features, channel, signals
 from tests.onboard.c.parity import SETTINGS, array, configured, same, view
 from tests.onboard.c.test_laws import GAINS
 from tests.onboard.control.fixture import shipped_controller
-from tests.onboard.control.test_guard import cliff, version
+from tests.onboard.control.guard_rig import version
+from tests.onboard.control.test_guard import cliff
 
 SIDES: Any = ("position", "attitude")
 RTOL = 1e-11
