@@ -137,8 +137,8 @@ def _stuck(recording: Recording, board: BoardConfig, body: Body) -> Iterator[Fau
     if len(body.flow_s) == 0:
         yield Fault("flow", "the firmware never called RSEDU_optical_flow")
     if board.sensors.imu == "fifo":
-        values = recording.samples.values
-        difference = values["fifo_accelerometer"].mean(axis=(0, 1)) - values["accelerometer"].mean(axis=0)
+        raw = recording.samples.values
+        difference = raw["fifo_accelerometer"].mean(axis=(0, 1)) - raw["accelerometer"].mean(axis=0)
         if np.abs(difference).max() > 1.0:
             text = "FIFO and single accelerometer differ in their means: layout.fifo_accelerometer is wrong,"
             yield Fault("accelerometer", f"{text} or use sensors.imu=single")

@@ -48,14 +48,13 @@ def test_with_a_key_the_unchanged_offboard_is_understood(native: Built, tmp_path
 
 
 def test_a_silent_link_holds_and_lands(native: Built) -> None:
-    silent = "radio.down.blackouts=[{start_s: 6.0}]"
-    choices = Choices(
-        "pid", duration_s=14.0, assignments=(silent, "onboard.supervisor.on_pose_stale=hold"), radio=RADIO
-    )
+    hold = "onboard.supervisor.on_pose_stale=hold", "onboard.supervisor.hold_max_s=2.0"
+    silent = "radio.down.blackouts=[{start_s: 6.0}]", *hold
+    choices = Choices("pid", duration_s=14.0, assignments=silent, radio=RADIO)
     outcome = fly_lockstep(resolve("hover", choices), core="mambo-native")
     assert outcome.crash_reason == ""
     flown = modes(outcome)
-    assert flown[flown.index("FLYING") :][:3] == ["FLYING", "HOLD", "LANDING"]
+    assert flown[flown.index("FLYING") :][:4] == ["FLYING", "HOLD", "LANDING", "LANDED"]
 
 
 @pytest.mark.full
