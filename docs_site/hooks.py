@@ -1,6 +1,6 @@
 """Hooks of mkdocs: pages that are not in docs/, and links that lead out of it.
 
-README, CONTRIBUTING, CHANGELOG and the README of the C core become pages, and the options of every subcommand become
+README, CONTRIBUTING, CHANGELOG and the READMEs of the C core and of mambo/ become pages, and the options of every subcommand become
 one. Links to a source file lead to a copy of it in the site; a link to a folder becomes plain text.
 """
 
@@ -18,6 +18,7 @@ PAGES: Final = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
     "onboard/c/README.md": "core_in_c.md",
+    "mambo/README.md": "mambo_library.md",
 }
 """File of the project -> page of the site."""
 DOCS: Final = ROOT / "docs"

@@ -21,8 +21,8 @@ from mambo.image import settings_header, settings_record
 from mambo.ranges import RangeTable, c_table
 from mambo.vehicles import TargetName
 from onboard.c import compile as core_build
+from onboard.c.compile import FOLDER as CORE_FOLDER
 from onboard.c.config_table import table
-from onboard.c.generate import FOLDER as CORE_FOLDER
 from onboard.c.generate import check, record_header, record_source
 from onboard.c.library import cache_folder
 from onboard.config import OnboardConfig

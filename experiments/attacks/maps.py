@@ -111,7 +111,7 @@ class Units:
     def add_straight(self, names: Sequence[str], now: Array, gentle: float, theta: Array) -> None:
         """One nearly straight unit per input, zero at the signals `now` [SIGNAL_COUNT]; theta per scaled input."""
         columns = [self._layout.inputs.index(name) for name in names]
-        z = (now[list(input_indices(names))] - self._layout.offset[columns]) / self._layout.scale[columns]
+        z = (now[input_indices(tuple(names))] - self._layout.offset[columns]) / self._layout.scale[columns]
         W = np.zeros((len(columns), len(self._layout.inputs)))
         W[np.arange(len(columns)), columns] = gentle
         self.add(W, -gentle * z, theta / gentle)

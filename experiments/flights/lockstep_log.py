@@ -118,8 +118,8 @@ def fly_and_log(
 ) -> LockstepOutcome:
     """Fly in lockstep and write the logs into `folder`. Parameters and errors as of `fly_lockstep`."""
     with LockstepLog(folder, config, with_offboard, experience, core) as log:
-        flown_by = (log, *observers)
-        outcome = fly_lockstep(config, flown_by, with_offboard, experience, recorded, core=core, train=train)
+        seen_by: tuple[Observer, ...] = (log, *observers)
+        outcome = fly_lockstep(config, seen_by, with_offboard, experience, recorded, core=core, train=train)
         for when_ns, process, text in outcome.events:
             log.event(process, when_ns, text)
     outcome.log_faults = log.faults

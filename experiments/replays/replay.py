@@ -118,7 +118,7 @@ def refly(
         raise ConfigError(f"{flight.path}: holds no radio/delivery records, so there are no deliveries to fly again")
     (folder / "config.yaml").write_text(config.to_yaml(), encoding="utf-8")
     recorded = flight.with_offboard, flight.experience, flight.deliveries, flight.core
-    outcome = fly_and_log(config, folder, *recorded, observers)
+    outcome = fly_and_log(config, folder, *recorded, observers=observers)
     write_summary(folder, lockstep_summary(config, outcome) | {"replay_of": str(flight.path.resolve())})
     return outcome
 
