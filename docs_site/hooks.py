@@ -1,7 +1,7 @@
 """Hooks of mkdocs: pages that are not in docs/, and links that lead out of it.
 
-README, CONTRIBUTING, CHANGELOG and the READMEs of the C core and of mambo/ become pages, and the options of every subcommand become
-one. Links to a source file lead to a copy of it in the site; a link to a folder becomes plain text.
+README, CONTRIBUTING, CHANGELOG and the READMEs of the C core and of mambo/ become pages, and the options of every
+subcommand become one. Links to a source file lead to a copy of it in the site; a link to a folder becomes plain text.
 """
 
 import re

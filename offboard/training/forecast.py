@@ -101,8 +101,9 @@ class Forecast:
 def _means(channel: ChannelFeatures, at: int, samples: SampleTable, after_ns: int) -> tuple[float, float]:
     """Mean squares that a bias leaves of the samples after a time: with the map, and without."""
     Delta = samples.labels[:, at].astype(np.float64)
-    m: Array = Delta - phi(channel, samples.signals) @ channel.last_layer
-    left = left_by_bias(samples.time_ns * 1e-9, np.hstack([m, Delta]), RATE[at], LAG_S[at])
+    m = Delta - phi(channel, samples.signals) @ channel.last_layer
+    time_s = samples.time_ns.astype(np.float64) * 1e-9
+    left = left_by_bias(time_s, np.hstack([m, Delta]), RATE[at], LAG_S[at])
     squares = np.square(left[samples.time_ns > after_ns])
     return float(squares[:, :3].sum(axis=1).mean()), float(squares[:, 3:].sum(axis=1).mean())
 
