@@ -6,7 +6,6 @@ pandas, pyarrow and matplotlib are imported by the functions that need them, and
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,28 +19,14 @@ from experiments.flights.metrics import FlightMetrics, flight_metrics
 from experiments.flights.trace import FlightTrace, trace_of
 from flight_log.reader import FlightError
 from onboard.flight.trajectory import TrajectoryConfig
-from runtime.errors import PlainError
+from runtime.extras import require_modules
 
 if TYPE_CHECKING:
     import matplotlib.figure
     import pandas as pd
     import pyarrow as pa
 
-__all__ = ["CampaignResult", "Flight", "MissingPackageError", "Table"]
-
-
-class MissingPackageError(PlainError, ImportError):
-    """An optional package is not installed."""
-
-
-def need(package: str, install: str) -> Any:
-    """Return an optional package, imported. Raises MissingPackageError, which says what to install."""
-    try:
-        return import_module(package)
-    except ModuleNotFoundError as error:
-        if error.name is None or not package.startswith(error.name):
-            raise
-        raise MissingPackageError(f"this needs {package.partition('.')[0]}: pip install {install}") from None
+__all__ = ["CampaignResult", "Flight", "Table"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +46,12 @@ class Table(reader.Table):
 
         Raises
         ------
-        MissingPackageError
+        MissingExtraError
             If pandas is not installed.
         """
-        pandas = need("pandas", "pandas")
+        require_modules("pandas", purpose="to_pandas")
+        import pandas
+
         frame: pd.DataFrame = pandas.DataFrame(self.columns, index=pandas.Index(self.time_s, name="time_s"))
         frame.attrs["units"] = dict(self.units)
         return frame
@@ -74,10 +61,12 @@ class Table(reader.Table):
 
         Raises
         ------
-        MissingPackageError
+        MissingExtraError
             If pyarrow is not installed.
         """
-        arrow = need("pyarrow", "'async-dmrac[experiments]'")
+        require_modules("pyarrow", purpose="to_arrow")
+        import pyarrow as arrow
+
         units = {"time_s": "s", **self.units}
         schema = arrow.schema([arrow.field(name, arrow.float64(), metadata={"unit": units[name]}) for name in units])
         arrays = {"time_s": self.time_s, **self.columns}
@@ -138,10 +127,10 @@ class Flight(reader.Flight):
 
         Raises
         ------
-        MissingPackageError
+        MissingExtraError
             If matplotlib is not installed.
         """
-        need("matplotlib", "'async-dmrac[experiments]'")
+        require_modules("matplotlib", purpose="figure")
         from experiments.flights.flight_figure import flight_figure
         from experiments.flights.logged_flight import lost_datagrams
 
@@ -174,14 +163,14 @@ class CampaignResult:
 
     def to_arrow(self) -> "pa.Table":
         """Return all rows as a pyarrow Table; the columns are those of experiments.campaigns.flight_row.SCHEMA."""
-        need("pyarrow", "'async-dmrac[experiments]'")
+        require_modules("pyarrow", purpose="to_arrow")
         from experiments.campaigns.store import read_table
 
         return read_table(self.folder)
 
     def to_pandas(self) -> "pd.DataFrame":
-        """Return all rows as a DataFrame. Raises MissingPackageError if pandas is not installed."""
-        need("pandas", "pandas")
+        """Return all rows as a DataFrame. Raises MissingExtraError if pandas is not installed."""
+        require_modules("pandas", purpose="to_pandas")
         frame: pd.DataFrame = self.to_arrow().to_pandas()
         return frame
 

@@ -21,7 +21,7 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
 """The modules of each extra of pyproject.toml that this program imports itself."""
 
 
-class MissingExtraError(PlainError):
+class MissingExtraError(PlainError, ImportError):
     """A part of the installation is missing. The message names the modules and the command that installs them."""
 
 
@@ -31,7 +31,7 @@ def missing_modules(extra: str) -> list[str]:
 
 
 def require_modules(*modules: str, purpose: str = "") -> None:
-    """Check that modules of EXTRAS are installed; imports none of them.
+    """Check that modules are installed; imports none of them. Those of EXTRAS are named with their extra.
 
     Parameters
     ----------
@@ -44,10 +44,13 @@ def require_modules(*modules: str, purpose: str = "") -> None:
     """
     missing = [module for module in modules if not _installed(module)]
     if missing:
-        extras = dict.fromkeys(next(extra for extra, own in EXTRAS.items() if module in own) for module in missing)
+        extra_of = {module: extra for extra, own in reversed(EXTRAS.items()) for module in own}
+        extras = dict.fromkeys(extra_of[module] for module in missing if module in extra_of)
+        words = [f"'async-dmrac[{','.join(extras)}]'"] if extras else []
+        words += [module for module in missing if module not in extra_of]
         before = f"{purpose}: " if purpose else ""
         raise MissingExtraError(
-            f"{before}not installed: {', '.join(missing)}. Install with: pip install 'async-dmrac[{','.join(extras)}]'"
+            f"{before}not installed: {', '.join(missing)}. Install with: pip install {' '.join(words)}"
         )
 
 
