@@ -18,6 +18,7 @@ from flight_log.reader import open_flight
 from onboard.cores import CORES
 from protocol.keys import load_key
 from runtime.errors import StartError
+from runtime.kernel import cores
 from sim_vehicle.world.catalogue import kind_of
 from sim_vehicle.world.interface import Disturbance
 
@@ -138,7 +139,7 @@ def campaign(
     """
     from experiments.campaigns.campaign import CampaignConfig, load_campaign
     from experiments.campaigns.runner import CampaignRun, open_store, prepare_folder, run_campaign
-    from experiments.campaigns.worker_pools import LocalPool, cores
+    from experiments.campaigns.worker_pools import LocalPool
 
     if isinstance(campaign, str):
         config, path = load_campaign(campaign)

@@ -21,6 +21,11 @@ THREAD_SWITCH_S: Final = 0.0005
 """Time after which a waiting thread requests the interpreter; the default, 5 ms, is a whole tick."""
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @dataclass(frozen=True, slots=True)
 class Grant:
     """The outcome of one request to the kernel."""

@@ -10,7 +10,7 @@ from rich.table import Table
 from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_core_option, add_jobs_option, plain_console, positive
 from configs.loader import ConfigError
-from experiments.campaigns.worker_pools import cores
+from runtime.kernel import cores
 from runtime.waiting import waiting
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_jobs_option
-from experiments.campaigns.worker_pools import cores
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices
+from runtime.kernel import cores
 
 if TYPE_CHECKING:
     from experiments.link.dropout_flights import DropoutRow

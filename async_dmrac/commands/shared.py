@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from onboard.cores import CORES, NUMPY
+from runtime.kernel import cores
 
 if TYPE_CHECKING:  # the commands that fly no campaign run without pyarrow
     from experiments.campaigns.runner import Progress as CampaignProgress
@@ -49,7 +50,7 @@ def positive(text: str) -> int:
 
 def open_workers(arguments: argparse.Namespace) -> "Workers":
     """Return the workers of `add_worker_options`: a Dask cluster, or processes of this machine."""
-    from experiments.campaigns.worker_pools import DaskWorkers, LocalPool, cores
+    from experiments.campaigns.worker_pools import DaskWorkers, LocalPool
 
     return DaskWorkers(arguments.scheduler) if arguments.scheduler else LocalPool(arguments.jobs or cores())
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import add_core_option, add_jobs_option, plain_console, positive
 from configs.parts import named_file
-from experiments.campaigns.worker_pools import cores
+from runtime.kernel import cores
 
 if TYPE_CHECKING:
     import optuna

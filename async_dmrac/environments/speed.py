@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 
 from async_dmrac.environments.registration import ENVIRONMENT, register
-from experiments.campaigns.worker_pools import cores
+from runtime.kernel import cores
 
 BATCH: Final = 100
 CALLS: Final = {1: 20, BATCH: 2}

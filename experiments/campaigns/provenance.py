@@ -3,7 +3,6 @@
 The machine includes the kernels that OpenBLAS chooses for its processor: with other kernels the last digits differ.
 """
 
-import os
 import platform
 import re
 import subprocess
@@ -16,6 +15,8 @@ from typing import Final
 import numpy  # noqa: F401  loads its BLAS; scipy may have another one
 import scipy.linalg  # noqa: F401
 from threadpoolctl import threadpool_info
+
+from runtime.kernel import cores
 
 PACKAGES: Final = (
     *("async-dmrac", "numpy", "scipy", "numba", "mujoco-core", "torch"),
@@ -42,10 +43,9 @@ def machine() -> str:
     if info.exists():
         found = re.search(r"model name\s*:\s*(.+)", info.read_text(encoding="utf-8", errors="replace"))
         model = found.group(1).strip() if found else model
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     kernels = openblas_kernels()
     used = f", {_KERNELS}{kernels}" if kernels else ""
-    return f"{model}, {cores} cores in use, {platform.system()} {platform.release()}{used}"
+    return f"{model}, {cores()} cores in use, {platform.system()} {platform.release()}{used}"
 
 
 def kernels_of(line: str) -> str:

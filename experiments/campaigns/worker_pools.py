@@ -21,11 +21,6 @@ class WorkersLostError(PlainError):
     """The workers are gone, and with them the flights in the air; what was reported is stored."""
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 class Workers(Protocol):
     """Workers that fly."""
 

@@ -5,7 +5,6 @@ on, whenever it was really there. If it is not there by then, the flight waits.
 """
 
 import multiprocessing
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from typing import Any
 
 from experiments.flights.scenario import FlightConfig
 from offboard.training.job import TrainingJob, TrainingResult
+from runtime.kernel import cores
 from sim_vehicle.lockstep import Training, train_at_once
 
 
@@ -83,8 +83,7 @@ def training_for(config: FlightConfig | None) -> Iterator[Training[TrainingResul
     config: None for a flight without offboard.
     """
     learns = config is not None and config.offboard.experience.mode == "learn"
-    several = len(os.sched_getaffinity(0)) > 1 if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1) > 1
-    if learns and several:
+    if learns and cores() > 1:
         with TrainingWorker() as worker:
             yield worker
     else:
