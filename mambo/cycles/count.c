@@ -2,13 +2,14 @@
  *
  *     qemu-arm -plugin count.so,map=FILE,out=FILE firmware ...
  *
- * The map gives address ranges and their block: "START END BLOCK" in hexadecimal and decimal, BLOCK -1 for functions that are
- * charged to whoever calls them (soft float, memcpy, elementary functions), and two lines "begin ADDRESS" and "end ADDRESS" of
- * the functions that mark a call. Written for each call: 64-bit numbers, cycles of block 0, 1, ... and last the instructions.
+ * The map gives address ranges and their block: "START END BLOCK" in hexadecimal and decimal, BLOCK -1 for functions
+ * that are charged to whoever calls them (soft float, memcpy, elementary functions), and two lines "begin ADDRESS" and
+ * "end ADDRESS" of the functions that mark a call. Written for each call: 64-bit numbers, cycles of block 0, 1, ... and
+ * last the instructions.
  *
- * Costs of the ARM926EJ-S, caches not modelled: 1 cycle; +1 for a use of the value loaded just before; +2 for a taken branch,
- * +4 if it is a load to pc; 3 for a multiplication, 4 for a long one; +1 for a shift by a register; one for each register of ldm
- * and stm. Where it depends on data, the larger number. */
+ * Costs of the ARM926EJ-S, caches not modelled: 1 cycle; +1 for a use of the value loaded just before; +2 for a taken
+ * branch, +4 if it is a load to pc; 3 for a multiplication, 4 for a long one; +1 for a shift by a register; one for
+ * each register of ldm and stm. Where it depends on data, the larger number. */
 #include <inttypes.h>
 #include <stdbool.h>
 #include <stdint.h>

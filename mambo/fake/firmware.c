@@ -1,11 +1,12 @@
-/* A stand-in for the drone's firmware: it loads the real library and calls it as the firmware does, with the structures of the
- * firmware. Requests come on standard input, one for each call, and are answered on standard output: mambo/fake/wire.py is the
- * other side. Time is that of the requests.
+/* A stand-in for the drone's firmware: it loads the real library and calls it as the firmware does, with the structures
+ * of the firmware. Requests come on standard input, one for each call, and are answered on standard output:
+ * mambo/fake/wire.py is the other side. Time is that of the requests.
  *
  *     firmware LIBRARY
  *
- * Flow calls come from a thread of their own, as the camera's do; the answer to a request waits for it, so that a flight is
- * repeatable. The structure is declared here once more, by its members: it checks the offsets that the library reads. */
+ * Flow calls come from a thread of their own, as the camera's do; the answer to a request waits for it, so that a
+ * flight is repeatable. The structure is declared here once more, by its members: it checks the offsets that the
+ * library reads. */
 #define _GNU_SOURCE
 #include "firmware.h"
 
@@ -56,8 +57,7 @@ typedef struct {
     uint8_t gap_5[840];
 } Acquisition;
 
-#define STANDS_AT(member, place) \
-    typedef char member##_stands_at[offsetof(Acquisition, member) == (place) ? 1 : -1]
+#define STANDS_AT(member, place) typedef char member##_stands_at[offsetof(Acquisition, member) == (place) ? 1 : -1]
 STANDS_AT(accelerometer, 20);
 STANDS_AT(gyroscope, 36);
 STANDS_AT(fifo_gyroscope, 192);

@@ -1,6 +1,7 @@
-/* What must be true before the vehicle is armed, beside the supervisor's own limits: the firmware's calls, the sensors of a
- * vehicle that stands still, optical flow, and the pose against the IMU. The library's part of onboard/flight/arming.py,
- * onboard/links/health.py and onboard/estimation/pose_health.py, with the same limits. Not evaluated in flight. */
+/* What must be true before the vehicle is armed, beside the supervisor's own limits: the firmware's calls, the sensors
+ * of a vehicle that stands still, optical flow, and the pose against the IMU. The library's part of
+ * onboard/flight/arming.py, onboard/links/health.py and onboard/estimation/pose_health.py, with the same limits. Not
+ * evaluated in flight. */
 #ifndef DMRAC_MAMBO_ARMING_H
 #define DMRAC_MAMBO_ARMING_H
 
@@ -24,7 +25,7 @@ typedef enum {
     CHECK_UPSIDE_DOWN,  /* or a wrong sign */
     CHECK_TURNS,        /* the vehicle moves, or a wrong bias or unit */
     CHECK_NO_FLOW,
-    CHECK_NO_POSE,   /* waiting for the first pose */
+    CHECK_NO_POSE, /* waiting for the first pose */
     CHECK_POSE_RATE,
     CHECK_POSE_TILT, /* pose and IMU disagree */
     CHECK_POSE_FLOOR /* its zero is not the floor */

@@ -56,8 +56,8 @@ static SlopeBound *slope_bound_of(Autopilot *self, int channel) {
     return bounds && law->adaptive.slope_bound.count > 0 ? &law->adaptive.slope_bound : NULL;
 }
 
-/* Spread the work over the calls: the two channels bound their slopes in different calls, and such a call leaves what has come to
- * the next one. Never two in a row: on the floor the bounds stand still. */
+/* Spread the work over the calls: the two channels bound their slopes in different calls, and such a call leaves what
+ * has come to the next one. Never two in a row: on the floor the bounds stand still. */
 static void spread(Autopilot *self) {
     SlopeBound *position = slope_bound_of(self, 0), *attitude = slope_bound_of(self, 1);
     if (position && attitude && position->ticks == attitude->ticks) {

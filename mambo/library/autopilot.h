@@ -1,7 +1,8 @@
-/* The library's part of a flight, without sockets, files and clock: acquisition and datagrams in, motor commands and datagrams
- * out. It joins readings, watchdogs, arming checks and the flight core.
+/* The library's part of a flight, without sockets, files and clock: acquisition and datagrams in, motor commands and
+ * datagrams out. It joins readings, watchdogs, arming checks and the flight core.
  *
- *     autopilot_begin; autopilot_receive_... for what has come; autopilot_step; autopilot_end with the time of the end */
+ *     autopilot_begin; autopilot_receive_... for what has come; autopilot_step; autopilot_end with the time of the end
+ */
 #ifndef DMRAC_AUTOPILOT_H
 #define DMRAC_AUTOPILOT_H
 
@@ -25,15 +26,15 @@ typedef struct {
     bool heed_stop;
     bool features_in_flight;
     int64_t last_ns;
-    int64_t ground_ns;       /* arrival of the ground station's newest datagram; NEVER_NS before */
-    ArmingCheck check;       /* of the last step */
-    ArmingCheck ended;       /* CHECK_STOPPED once the flight was ended from outside */
-    BatteryReading battery;  /* the newest */
-    FlightMode mode;         /* of the last step */
+    int64_t ground_ns;      /* arrival of the ground station's newest datagram; NEVER_NS before */
+    ArmingCheck check;      /* of the last step */
+    ArmingCheck ended;      /* CHECK_STOPPED once the flight was ended from outside */
+    BatteryReading battery; /* the newest */
+    FlightMode mode;        /* of the last step */
     bool frozen;
-    bool busy;               /* this call bounds a slope: flow, echo and datagrams wait for the next one */
+    bool busy; /* this call bounds a slope: flow, echo and datagrams wait for the next one */
     bool range_waits;
-    RangeReading range;      /* that waits */
+    RangeReading range; /* that waits */
     int64_t datagrams_left_out;
     CoreOutput output;
     Events events;
@@ -42,7 +43,8 @@ typedef struct {
 /* False for a key of a size that is not allowed; `self` must not be used then. */
 bool autopilot_init(Autopilot *self, const Image *image, uint64_t session);
 
-/* A call of the firmware begins: `busy` says whether it is one that reads neither flow nor datagrams. False if it is the last one again: the commands of that one are still right. */
+/* A call of the firmware begins: `busy` says whether it is one that reads neither flow nor datagrams. False if it is
+ * the last one again: the commands of that one are still right. */
 bool autopilot_begin(Autopilot *self, const HalCommand *command, int64_t now_ns);
 
 void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, const FlowCall *calls, int32_t call_count,

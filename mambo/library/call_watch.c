@@ -44,7 +44,8 @@ CallVerdict call_watch_begin(CallWatch *self, int64_t now_ns) {
     }
     self->calls++;
     self->call_ns = now_ns;
-    self->missed += gap_ns > self->period_ns + self->period_ns / 2 ? (gap_ns + self->period_ns / 2) / self->period_ns - 1 : 0;
+    self->missed +=
+        gap_ns > self->period_ns + self->period_ns / 2 ? (gap_ns + self->period_ns / 2) / self->period_ns - 1 : 0;
     count_block(self, now_ns, gap_ns);
     if (gap_ns > in_ns(self->config.late_stop_s)) {
         self->late++;

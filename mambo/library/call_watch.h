@@ -1,7 +1,7 @@
 /* Watches the firmware's calls: too soon, too late, at the wrong rate, and how long the library takes.
  *
- * A call that takes longer than the budget counts; too many of them in the last 200 calls lead to the next stage, which saves
- * work or ends the flight. 2000 calls in a row within the budget lead one stage back, but not from landing. */
+ * A call that takes longer than the budget counts; too many of them in the last 200 calls lead to the next stage, which
+ * saves work or ends the flight. 2000 calls in a row within the budget lead one stage back, but not from landing. */
 #ifndef DMRAC_CALL_WATCH_H
 #define DMRAC_CALL_WATCH_H
 
@@ -32,9 +32,9 @@ typedef struct {
     int64_t late;
     int64_t block_ns; /* start of the present block of WATCHED_CALLS */
     int32_t block_calls;
-    int64_t block_gap_ns; /* longest gap in it */
-    real rate_hz;         /* of the last block; 0 before its end */
-    int64_t gap_ns;       /* longest gap of the last block */
+    int64_t block_gap_ns;     /* longest gap in it */
+    real rate_hz;             /* of the last block; 0 before its end */
+    int64_t gap_ns;           /* longest gap of the last block */
     bool over[WATCHED_CALLS]; /* whether each of the last calls took too long; a ring */
     int32_t at;
     int32_t over_count;

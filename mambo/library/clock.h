@@ -1,5 +1,5 @@
-/* The two clocks of the library. They are exported, so that the program that loads the library may replace them: the stand-in
- * for the firmware flies in virtual time. */
+/* The two clocks of the library. They are exported, so that the program that loads the library may replace them: the
+ * stand-in for the firmware flies in virtual time. */
 #ifndef DMRAC_MAMBO_CLOCK_H
 #define DMRAC_MAMBO_CLOCK_H
 

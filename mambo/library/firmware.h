@@ -1,8 +1,8 @@
-/* The firmware's side of the library: what it calls, and the structures that it hands over. Written from public facts about
- * the Mambo; docs/real_mambo.md lists which of them only hardware can confirm.
+/* The firmware's side of the library: what it calls, and the structures that it hands over. Written from public facts
+ * about the Mambo; docs/real_mambo.md lists which of them only hardware can confirm.
  *
- * The acquisition is read by offsets that the configuration image gives, so that a firmware with another layout needs no new
- * library. It has ACQUISITION_BYTES. */
+ * The acquisition is read by offsets that the configuration image gives, so that a firmware with another layout needs
+ * no new library. It has ACQUISITION_BYTES. */
 #ifndef DMRAC_FIRMWARE_H
 #define DMRAC_FIRMWARE_H
 
@@ -17,7 +17,8 @@ typedef enum { MOTORS_NONE = 0, MOTORS_START = 1, MOTORS_STOP = 2, MOTORS_RUN = 
 /* Turns the ultrasonic sensor on. */
 #define ULTRASOUND_START 16
 
-/* What the library writes. On the drone, pointers have 4 bytes: motors_speed stands at byte 4, ultrasound_command at 12. */
+/* What the library writes. On the drone, pointers have 4 bytes: motors_speed stands at byte 4, ultrasound_command
+ * at 12. */
 typedef struct {
     int32_t command;       /* a MotorWord */
     int16_t *motors_speed; /* [4], motors 1 to 4 of the firmware; its memory is the firmware's */

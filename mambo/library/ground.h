@@ -1,5 +1,5 @@
-/* The link to the ground station: MAVLink 2 telemetry out, commands in. A smaller onboard/links/ground.py: at most one message a
- * call, answers and texts first. */
+/* The link to the ground station: MAVLink 2 telemetry out, commands in. A smaller onboard/links/ground.py: at most one
+ * message a call, answers and texts first. */
 #ifndef DMRAC_MAMBO_GROUND_H
 #define DMRAC_MAMBO_GROUND_H
 
@@ -9,8 +9,8 @@
 typedef struct {
     Mavlink mavlink;
     int64_t read_events; /* of the autopilot */
-    LoggedEvent event; /* whose text is being sent, in chunks */
-    size_t text_at;    /* of it; 0: none is being sent */
+    LoggedEvent event;   /* whose text is being sent, in chunks */
+    size_t text_at;      /* of it; 0: none is being sent */
     uint32_t text_id;
     bool has_answer;
     uint8_t answer[10]; /* payload of COMMAND_ACK that waits */

@@ -196,10 +196,10 @@ bool image_read(const uint8_t *bytes, size_t size, Image *out, ImageFault *fault
     }
     bool settings_fit = settings_decode(parts[0].bytes, parts[0].size, &out->settings);
     bool core_fits = config_decode(parts[1].bytes, parts[1].size, &out->core);
-    return is_in_range(parts + 0, SETTINGS_IMAGE_BYTES, settings_ranges, settings_range_count, settings_guards, fault) &&
+    return is_in_range(parts + 0, SETTINGS_IMAGE_BYTES, settings_ranges, settings_range_count, settings_guards,
+                       fault) &&
            is_in_range(parts + 1, CONFIG_IMAGE_BYTES, core_ranges, core_range_count, core_guards, fault) &&
            ((settings_fit && core_fits) || refuse(fault, OTHER_VERSION)) &&
-           read_features(parts + 2, out->start, fault) &&
-           copy_key(parts + 3, out->key, &out->key_size, "key", fault) &&
+           read_features(parts + 2, out->start, fault) && copy_key(parts + 3, out->key, &out->key_size, "key", fault) &&
            copy_key(parts + 4, out->ground_key, &out->ground_key_size, "ground key", fault);
 }

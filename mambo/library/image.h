@@ -1,4 +1,5 @@
-/* The configuration image that `dmrac mambo config` makes: read, checked, and refused by name. mambo/image.py describes it. */
+/* The configuration image that `dmrac mambo config` makes: read, checked, and refused by name. mambo/image.py describes
+ * it. */
 #ifndef DMRAC_IMAGE_H
 #define DMRAC_IMAGE_H
 
@@ -24,8 +25,8 @@ typedef struct {
     int32_t ground_key_size; /* 0: none */
 } Image;
 
-/* False if the image is damaged, of another version, or has a number out of its range; `fault` names it, and `out` must not
- * be used then. */
+/* False if the image is damaged, of another version, or has a number out of its range; `fault` names it, and `out` must
+ * not be used then. */
 bool image_read(const uint8_t *bytes, size_t size, Image *out, ImageFault *fault);
 
 #endif

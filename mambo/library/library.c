@@ -144,7 +144,8 @@ static void receive(Library *self, int64_t now_ns) {
     for (int32_t i = 0; i < most && (size = udp_receive(&self->ground_socket, datagram)) >= 0; i++) {
         ground_receive(&self->ground, &self->autopilot, datagram, (size_t)size, now_ns);
     }
-    for (int32_t i = 0; !self->autopilot.busy && i < most && (size = udp_receive(&self->offboard, datagram)) >= 0; i++) {
+    for (int32_t i = 0; !self->autopilot.busy && i < most && (size = udp_receive(&self->offboard, datagram)) >= 0;
+         i++) {
         autopilot_receive_offboard(&self->autopilot, datagram, (size_t)size, now_ns);
     }
 }

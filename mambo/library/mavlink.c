@@ -79,9 +79,8 @@ size_t mavlink_write(Mavlink *self, MavlinkMessage message, const uint8_t *paylo
     while (size > 1 && payload[size - 1] == 0) {
         size--;
     }
-    const uint8_t header[HEADER] = {
-        MARKER, (uint8_t)size, self->has_key ? SIGNED : 0, 0, self->sequence++, OWN_SYSTEM, OWN_COMPONENT,
-        (uint8_t)message, 0, 0};
+    const uint8_t header[HEADER] = {MARKER,     (uint8_t)size, self->has_key ? SIGNED : 0, 0, self->sequence++,
+                                    OWN_SYSTEM, OWN_COMPONENT, (uint8_t)message,           0, 0};
     memcpy(out, header, HEADER);
     memcpy(out + HEADER, payload, size);
     uint16_t crc = checksum(out + 1, HEADER - 1 + size, (uint8_t)extra_of(message));

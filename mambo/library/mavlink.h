@@ -1,5 +1,5 @@
-/* MAVLink 2 frames of the few messages of the ground station, with signatures. The twin of protocol/mavlink/frames.py and
- * signing.py for these messages. */
+/* MAVLink 2 frames of the few messages of the ground station, with signatures. The twin of protocol/mavlink/frames.py
+ * and signing.py for these messages. */
 #ifndef DMRAC_MAVLINK_H
 #define DMRAC_MAVLINK_H
 

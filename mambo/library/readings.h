@@ -1,11 +1,12 @@
-/* From the firmware's acquisition structure and flow calls to the core's readings: axes, signs, units, times, and what is new.
+/* From the firmware's acquisition structure and flow calls to the core's readings: axes, signs, units, times, and what
+ * is new.
  *
- * IMU: five samples of 1 kHz come with each call; their mean is one reading. Its time is that of an even clock that follows
- * the calls: the scheduler's jitter is not in the samples. An acquisition that repeats to the bit is no reading; after
- * `frozen_calls` of them the sensors count as frozen.
- * Flow: the firmware gives m/s. The core wants angles, with the camera's own rotation: angle = rotation + v dt / d, with d the
- * distance along body z and the rotation of the gyroscope since the last flow.
- * Ultrasonic and pressure are readings when they change, the battery once a second. */
+ * IMU: five samples of 1 kHz come with each call; their mean is one reading. Its time is that of an even clock that
+ * follows the calls: the scheduler's jitter is not in the samples. An acquisition that repeats to the bit is no
+ * reading; after `frozen_calls` of them the sensors count as frozen. Flow: the firmware gives m/s. The core wants
+ * angles, with the camera's own rotation: angle = rotation + v dt / d, with d the distance along body z and the
+ * rotation of the gyroscope since the last flow. Ultrasonic and pressure are readings when they change, the battery
+ * once a second. */
 #ifndef DMRAC_MAMBO_READINGS_H
 #define DMRAC_MAMBO_READINGS_H
 
@@ -53,15 +54,15 @@ typedef struct {
     int64_t period_ns;
     int32_t frozen_after;
     bool started;
-    int64_t sample_ns; /* time of the last IMU sample */
+    int64_t sample_ns;                     /* time of the last IMU sample */
     uint8_t latest[2 * FIFO_SAMPLES * 12]; /* the IMU of the last call, as it came */
-    int32_t repeats;   /* calls in a row with the same IMU */
-    float pressure;    /* of the last call, as it came */
-    float altitude;    /* the same */
+    int32_t repeats;                       /* calls in a row with the same IMU */
+    float pressure;                        /* of the last call, as it came */
+    float altitude;                        /* the same */
     int64_t battery_ns;
-    int64_t flow_ns;   /* of the last flow call; NEVER_NS before */
-    real rotation[2];  /* rad, about body x and y, since the last flow */
-    real rotation_s;   /* s of it */
+    int64_t flow_ns;  /* of the last flow call; NEVER_NS before */
+    real rotation[2]; /* rad, about body x and y, since the last flow */
+    real rotation_s;  /* s of it */
     int64_t dropped[DROPPED_COUNT];
 } SensorReader;
 

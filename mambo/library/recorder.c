@@ -53,9 +53,9 @@ void recorder_add_acquisition(Recorder *self, const uint8_t *acquisition, int64_
         int32_t place;
         int32_t size;
     } fields[] = {
-        {layout->accelerometer, 12},       {layout->gyroscope, 12},  {layout->fifo_accelerometer, 60},
-        {layout->fifo_gyroscope, 60},      {layout->pressure, 4},    {layout->altitude, 4},
-        {layout->battery_voltage, 4},      {layout->battery_percent, 4},
+        {layout->accelerometer, 12},  {layout->gyroscope, 12},      {layout->fifo_accelerometer, 60},
+        {layout->fifo_gyroscope, 60}, {layout->pressure, 4},        {layout->altitude, 4},
+        {layout->battery_voltage, 4}, {layout->battery_percent, 4},
     };
     uint8_t *to = sample;
     for (unsigned i = 0; i < sizeof fields / sizeof fields[0]; i++) {

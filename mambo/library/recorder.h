@@ -1,7 +1,8 @@
-/* Records of a run for the laptop: acquisitions, flow, events and ticks. The 200 Hz call only copies them to a ring; the
- * firmware's other threads write the ring to a file. mambo/recording.py reads the file.
+/* Records of a run for the laptop: acquisitions, flow, events and ticks. The 200 Hz call only copies them to a ring;
+ * the firmware's other threads write the ring to a file. mambo/recording.py reads the file.
  *
- *     "DMRR", version (32-bit), then records: kind (8-bit), 0 (8-bit), size of the content (16-bit), time (64-bit, ns), content */
+ *     "DMRR", version (32-bit), then records: kind (8-bit), 0 (8-bit), size of the content (16-bit), time (64-bit, ns),
+ * content */
 #ifndef DMRAC_MAMBO_RECORDER_H
 #define DMRAC_MAMBO_RECORDER_H
 
@@ -14,8 +15,8 @@
 #define RECORDER_RING_BYTES (256 * 1024)
 
 typedef enum {
-    RECORD_SAMPLE = 1, /* floats: accelerometer 3, gyroscope 3, FIFO accelerometer 15, FIFO gyroscope 15, pressure, altitude,
-                          battery voltage; then the battery's per cent, 32-bit */
+    RECORD_SAMPLE = 1, /* floats: accelerometer 3, gyroscope 3, FIFO accelerometer 15, FIFO gyroscope 15, pressure,
+                          altitude, battery voltage; then the battery's per cent, 32-bit */
     RECORD_WHOLE = 2,  /* the acquisition structure */
     RECORD_FLOW = 3,   /* floats vx, vy, vz; defined, 32-bit; float quality */
     RECORD_EVENT = 4,  /* text */

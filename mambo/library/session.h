@@ -4,8 +4,8 @@
 
 #include <stdint.h>
 
-/* The larger of the wall clock's number and the last one + 1, which the file at `path` holds as text; it is written anew.
- * dmrac mambo start writes the laptop's time there. */
+/* The larger of the wall clock's number and the last one + 1, which the file at `path` holds as text; it is written
+ * anew. dmrac mambo start writes the laptop's time there. */
 uint64_t next_session(const char *path, int64_t wall_clock_ns);
 
 #endif

@@ -1,5 +1,5 @@
-/* What the library did in its last call, for whoever loads it: the stand-in for the firmware, and a debugger. The firmware
- * does not know it. mambo/fake/wire.py reads the numbers in this order. */
+/* What the library did in its last call, for whoever loads it: the stand-in for the firmware, and a debugger. The
+ * firmware does not know it. mambo/fake/wire.py reads the numbers in this order. */
 #ifndef DMRAC_MAMBO_VIEW_H
 #define DMRAC_MAMBO_VIEW_H
 
@@ -8,12 +8,12 @@
 #include "record/tick.h"
 
 typedef struct {
-    int64_t state;    /* LibraryState */
-    int64_t mode;     /* FlightMode of the core */
-    int64_t check;    /* ArmingCheck */
-    int64_t stage;    /* BudgetStage */
+    int64_t state; /* LibraryState */
+    int64_t mode;  /* FlightMode of the core */
+    int64_t check; /* ArmingCheck */
+    int64_t stage; /* BudgetStage */
     int64_t calls;
-    int64_t missed;   /* periods without a call */
+    int64_t missed; /* periods without a call */
     int64_t twice;
     int64_t late;
     int64_t over_budget;
@@ -25,7 +25,7 @@ typedef struct {
     int64_t samples_taken;
     int64_t samples_dropped;
     int64_t samples_repeated;
-    int64_t dropped[5];   /* readings, by Dropped */
+    int64_t dropped[5];                /* readings, by Dropped */
     int64_t rejected[REJECTION_COUNT]; /* datagrams of offboard, by Rejection */
     double tick[TICK_FIELDS];
 } DmracView;
