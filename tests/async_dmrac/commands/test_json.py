@@ -17,6 +17,8 @@ NO_TABLE = {
     "view": "shows a flight",
     "report": "writes a page",
     "completion": "prints a script",
+    "core": "prints one line for each library",
+    "mambo": "prints lines; the certificate of the check is a JSON file",
 }
 """The commands without `--json`, and why. A new command has the option, or stands here."""
 
