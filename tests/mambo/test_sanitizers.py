@@ -8,7 +8,7 @@ import pytest
 
 from mambo.build import build, compile_inside, native_target
 from mambo.fake.firmware_process import FirmwareProcess
-from onboard.c.library import BuildError
+from onboard.c.compile import BuildError
 from tests.mambo.rig import Rig, board, write
 
 OPTIONS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
