@@ -11,6 +11,7 @@ PACKAGES: Final = {
     "flight_log": "writer.py",
     "offboard": "core.py",
     "onboard": "core.py",
+    "mambo": "vehicles.py",
     "protocol": "messages.py",
     "runtime": "sockets.py",
     "sim_vehicle": "vehicle.py",

@@ -95,7 +95,7 @@ class UntrainedFeatures(FeatureInputs):
     """What a flight starts with, until the first version comes."""
 
     start: Literal["constant", "random"] = Field(
-        default="constant",
+        default="random",  # as in recorded flights of before there was the other
         description="network features before the first version: the constant 1 alone, or random layers",
     )
 

@@ -15,7 +15,7 @@ from onboard.control.laws.law import ChannelState
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from onboard.control.slope import SlopeLimits, SlopeShares
-from protocol.feature_config import FeatureInputs, SignalScale
+from protocol.feature_config import SignalScale, UntrainedFeatures
 from protocol.feature_set import ChannelFeatures
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
@@ -254,7 +254,7 @@ def flying_augmentation(swap_config):
         swap=swap_config,
     )
     scales = {name: SignalScale(offset=0.0, scale=1.0) for name in INPUTS}
-    inputs = FeatureInputs(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
+    inputs = UntrainedFeatures(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
     gains = ChannelGains(natural_frequency_rad_s=(4.0, 4.0, 5.0), damping=0.8)
     loop = SlopeLimits.of("position", gains, gains, SlopeShares(place=1.0, motion=1.0, turn=1.0))
     augmentation = AdaptiveAugmentation(config, gains, inputs, "position", np.random.default_rng(0), loop)

@@ -17,7 +17,7 @@ from onboard.control.posterior_swap import posterior
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from onboard.control.slope import SlopeLimits, SlopeShares
-from protocol.feature_config import FeatureInputs, SignalScale
+from protocol.feature_config import SignalScale, UntrainedFeatures
 from protocol.signals import SIGNAL_COUNT
 from tests.onboard.control.laws.test_kalman_last_layer import config, law
 from tests.onboard.control.test_feature_swap import INPUTS, ROWS, channel
@@ -30,7 +30,7 @@ def flying(swap_config, seconds=2.0, **over):
     """An augmentation that has adapted along a path, its channel, and nu at the last tick."""
     settings_ = AdaptiveConfig(kind="adaptive", features="network", law=config(**over), swap=swap_config)
     scales = {name: SignalScale(offset=0.0, scale=1.0) for name in INPUTS}
-    inputs = FeatureInputs(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
+    inputs = UntrainedFeatures(position_inputs=INPUTS, attitude_inputs=INPUTS, hidden=(16,), count=10, scales=scales)
     augmentation = AdaptiveAugmentation(
         settings_,
         GAINS,
