@@ -36,7 +36,7 @@ def test_log_faults_have_one_line_and_a_status(flight_folder: Path, capsys: pyte
     assert run("log", "export", flight_folder, "--npz", "-o", flight_folder / "onboard.mcap") == 2
     assert "onboard.mcap: File exists" in capsys.readouterr().err
     cut = flight_folder / "onboard.mcap"
-    cut.write_bytes(cut.read_bytes()[:20_000])
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     assert run("log", "check", flight_folder) == 1
     assert "onboard.mcap: not closed" in capsys.readouterr().out
 

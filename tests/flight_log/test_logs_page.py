@@ -21,4 +21,4 @@ def test_the_commands_run(command: str, full_flight: Path, tmp_path: Path, monke
 def test_the_python_runs(full_flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [text] = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     exec(text.replace("FLIGHT", str(full_flight)), {})
-    assert capsys.readouterr().out.splitlines() == ["m 0.10000000000000009 mode FLYING <fast>", "0.123456 () ()"]
+    assert capsys.readouterr().out.splitlines() == ["m 0.10000008344650269 mode FLYING <fast>", "0.123456 () ()"]

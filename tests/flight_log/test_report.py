@@ -122,7 +122,7 @@ def test_the_curves_of_a_comparison_have_the_right_values(full_flight: Path) -> 
     assert time_s[0] == pytest.approx(-2.02)
     position = true_position(flight, tick)
     error = np.linalg.norm(position - tick.vector("target_n", "target_e", "target_d"), axis=1)
-    np.testing.assert_allclose(smoothed(error, time_s), 0.1, rtol=1e-9)
+    np.testing.assert_allclose(smoothed(error, time_s), 0.1, rtol=1e-6)
 
 
 def test_flights_that_cannot_be_compared_raise(full_flight: Path, tmp_path: Path) -> None:

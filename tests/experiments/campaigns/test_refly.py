@@ -158,7 +158,7 @@ def test_differences_are_reported(tmp_path: Path) -> None:
 
 def test_flights_of_other_settings_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = flown(tmp_path / "flown")
-    monkeypatch.setattr(flown_module, "fingerprint", lambda tree: "another")
+    monkeypatch.setattr(flown_module, "fingerprint", lambda tree, core: "another")
     with pytest.raises(ConfigError, match=r"flown: its flights were made with other settings.*cannot be repeated"):
         pick(campaign, None, 0)
 

@@ -94,7 +94,7 @@ def test_published_rows_are_extended_on_another_machine(tmp_path: Path) -> None:
 
 def test_published_rows_of_other_settings_are_not_extended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(published(tmp_path), folder=tmp_path / "elsewhere")
-    monkeypatch.setattr(flown, "fingerprint", lambda tree: "another")
+    monkeypatch.setattr(flown, "fingerprint", lambda tree, core: "another")
     with pytest.raises(ConfigError, match=r"features.parquet: .* made with other settings.*--only features"):
         copy_published(plan, "features", extended=True)
     assert not (plan.folder / "features").exists()
