@@ -21,7 +21,7 @@ def service(tmp_path: Path):
     network: Any = SimpleNamespace(
         offboard_link="127.0.0.1:0", radio_offboard="127.0.0.1:9", motion_capture="127.0.0.1:0"
     )
-    core: Any = SimpleNamespace(final_checkpoint=lambda: b"last", screens=SCREENS)
+    core: Any = SimpleNamespace(final_checkpoint=lambda: b"last", screens=SCREENS, versions_kept=3)
     nothing: Any = SimpleNamespace()
     made = VehicleService(core, network, nothing, tmp_path, nothing, nothing)
     yield made
@@ -64,6 +64,8 @@ def test_a_full_disk_at_the_end_is_one_line(
 
 class Core:
     """Requests a round of training whenever none is outstanding, and a checkpoint with each."""
+
+    versions_kept = 3
 
     def __init__(self, name: str) -> None:
         self.name, self.outstanding = name, 0
@@ -138,7 +140,10 @@ def test_failed_writes_are_reported_and_do_not_affect_training(tmp_path: Path) -
 def test_a_core_that_keeps_failing_is_given_up_with_a_message(tmp_path: Path) -> None:
     reports, broken = Reports(), Core("broken")
     service = served(
-        SimpleNamespace(final_checkpoint=broken.final_checkpoint, screens=SCREENS), reports, tmp_path, None
+        SimpleNamespace(final_checkpoint=broken.final_checkpoint, screens=SCREENS, versions_kept=3),
+        reports,
+        tmp_path,
+        None,
     )
     for _ in range(ESCAPES_MAX):
         assert not service.given_up
