@@ -29,10 +29,8 @@ def condition_assignments(name: str, scenario: str) -> tuple[str, ...]:
             f"--condition: {name!r} sets the speed of a fan_jet, and scenario {scenario} has none;"
             f" allowed is {AS_CONFIGURED}, or a scenario with one, such as figure8_wind"
         )
-    if name == "calm":
-        changed = []
-    else:
-        changed = [one | {"speed_m_s": JET_M_S[name]} if one["kind"] == "fan_jet" else one for one in disturbances]
+    jet = {"speed_m_s": JET_M_S[name]}
+    changed = [one | jet if one["kind"] == "fan_jet" else one for one in disturbances if name != "calm"]
     if name == "chip":
-        changed = [*changed, CHIP]
+        changed.append(CHIP)
     return (f"vehicle.disturbances={json.dumps(changed)}",)

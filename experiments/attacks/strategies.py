@@ -128,4 +128,5 @@ def _forward(now: Array) -> Array:
     """[2], unit vector of the flight over ground."""
     velocity = now[list(input_indices(("velocity_n", "velocity_e")))]
     speed = float(np.linalg.norm(velocity))
-    return velocity / speed if speed > 1e-6 else np.array([1.0, 0.0])
+    forward: Array = velocity / speed if speed > 1e-6 else np.array([1.0, 0.0])
+    return forward

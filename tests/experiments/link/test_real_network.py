@@ -94,7 +94,9 @@ def configs(tmp_path: Path, with_radio: bool) -> tuple[Path, Path]:
     """The configuration for onboard and offboard, and that for the simulated vehicle."""
     key = tmp_path / "flight.key"
     write_key(key)
-    config = resolve("figure8_calm", Choices("dmrac", 4, DURATION_S, ("radio={up: {}, down: {}}",)))
+    config = resolve(
+        "figure8_calm", Choices("dmrac", 4, DURATION_S, ("radio={up: {}, down: {}}", "offboard.gate.first_samples=0"))
+    )
     radio = {
         "radio_onboard": "127.0.0.1:15570",
         "radio_offboard": f"{LINK[0]}:15572",

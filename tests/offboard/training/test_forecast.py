@@ -5,16 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from offboard.config import GateConfig
 from offboard.data.buffer import SampleTable
 from offboard.training.forecast import LAG_S, RATE, Forecast, left_by_bias
+from offboard.training.gate import Verdict
+from offboard.training.job import TrainingResult
 from offboard.training.network import InputPlan, feature_set, initial_state
 from offboard.training.network import phi as features_at
+from offboard.training.vehicle_learner import VehicleLearner
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
-from tests.offboard.flights import offboard_config
+from tests.offboard.flights import figure8_through_jet, offboard_config
 
-CONFIG = offboard_config()
-NETWORKS = CONFIG.features.trained
+GATE = GateConfig()
+NETWORKS = offboard_config().features.trained
 PERIOD_NS = 20_000_000
 ROUND_NS = 500_000_000
 
@@ -46,7 +50,7 @@ def flight(truth: FeatureSet, seconds: float) -> SampleTable:
 
 def passed_after(maps: FeatureSet, truth: FeatureSet, seconds: float, **gate: float) -> list[bool]:
     """Whether a first version may fly after each round, if all candidates are `maps`."""
-    forecast, table = Forecast(CONFIG.gate.model_copy(update=gate)), flight(truth, seconds)
+    forecast, table = Forecast(GATE.model_copy(update=gate)), flight(truth, seconds)
     passed = []
     for made_ns in range(ROUND_NS, round(seconds * 1e9), ROUND_NS):
         known = table.take(table.time_ns <= made_ns)
@@ -57,7 +61,7 @@ def passed_after(maps: FeatureSet, truth: FeatureSet, seconds: float, **gate: fl
 
 def test_maps_that_foretell_pass_once_there_is_evidence_of_it() -> None:
     passed = passed_after(a_map(), a_map(), 5.0)
-    rounds = round(CONFIG.gate.first_evidence_s * 1e9 / ROUND_NS)
+    rounds = round(GATE.first_evidence_s * 1e9 / ROUND_NS)
     assert passed.index(True) == rounds, "the first round's map has nothing after it, then one part comes per round"
     assert all(passed[rounds:]), "it stays so"
 
@@ -97,6 +101,46 @@ def test_a_bias_leaves_nothing_of_a_constant_and_all_of_what_comes_within_its_la
     later = time_s >= 1.0 + LAG_S[channel]
     assert np.all(np.diff(left[later]) < 0.0)
     assert left[-1] < 1e-3
+
+
+class Sends:
+    """A gate that finds every candidate good."""
+
+    def judge(self, *_: object) -> Verdict:
+        return Verdict.SEND
+
+    def note_sent(self, _now_ns: int) -> None:
+        pass
+
+
+def learner_after_a_round(**gate: float) -> tuple[VehicleLearner, TrainingResult]:
+    learner = VehicleLearner(offboard_config(gate=gate))
+    learner._gate = Sends()  # type: ignore[assignment]
+    job = None
+    for batch in figure8_through_jet(6.0).batches():
+        learner.receive(batch)
+        job = learner.job(0) if job is None else job
+    assert job is not None
+    return learner, job.run()
+
+
+def test_a_learner_sends_no_first_version_that_has_foretold_nothing() -> None:
+    learner, result = learner_after_a_round(first_samples=GATE.first_samples)
+    outcome = learner.receive_result(result, 10**9)
+    assert outcome.verdict is Verdict.UNPROVEN
+    assert outcome.to_send is None
+    assert learner.latest is None
+
+
+def test_a_learner_that_has_a_version_does_not_wait() -> None:
+    learner, result = learner_after_a_round(first_samples=GATE.first_samples)
+    learner.warm_start(result.candidate)
+    assert learner.receive_result(result, 10**9).verdict is Verdict.SEND
+
+
+def test_switched_off_the_first_candidate_is_sent() -> None:
+    learner, result = learner_after_a_round(first_samples=0)
+    assert learner.receive_result(result, 10**9).to_send is not None
 
 
 def test_a_gap_in_the_samples_is_bridged_by_their_times() -> None:
