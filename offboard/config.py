@@ -72,7 +72,7 @@ class TrainerConfig(ConfigRecord):
         default=True,
         description="one network for all vehicles of the process, a last layer for each; one vehicle: none",
     )
-    minimum_samples: int = Field(default=60, ge=8, description="training samples before the first round")
+    minimum_samples: int = Field(default=300, ge=8, description="training samples before the first round")
     refit_last_layer: bool = Field(default=True, description="end each round with a ridge regression of the last layer")
     ridges: tuple[float, ...] = Field(
         default=(0.03, 0.1, 0.3, 1.0, 10.0),
@@ -99,16 +99,6 @@ class GateConfig(ConfigRecord):
     margin: float = Field(default=0.03, ge=0.0, lt=1.0, description="share by which a channel's loss may rise")
     minimum_validation: int = Field(default=20, ge=2, description="least held-out labels of each channel")
     interval_s: float = Field(default=1.0, ge=0.0, description="s, least time between two versions")
-    first_ratio: float = Field(
-        default=0.75,
-        gt=0.0,
-        description="before the first version flies: error of the maps so far on samples that came after them, over"
-        " that without a map",
-    )
-    first_evidence_s: float = Field(default=1.8, gt=0.0, le=60.0, description="s of such samples")
-    first_samples: int = Field(
-        default=500, ge=0, description="labelled samples after which the first version may fly without it; 0: at once"
-    )
 
 
 class ExperienceConfig(ConfigRecord):

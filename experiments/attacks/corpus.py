@@ -74,7 +74,7 @@ def fly_corpus(
     """
     wanted = list(dict.fromkeys(flights))
     both = list(dict.fromkeys([*map(plain_flight, wanted), *wanted]))
-    pool = LocalPool(workers)
+    pool = LocalPool(workers, recycle=False)
     try:
         executor = pool.open()
         futures = {executor.submit(one.fly): one for one in both if journal.find(one) is None}

@@ -34,8 +34,6 @@ class Verdict(IntEnum):
     """It seems to explain more, but by less than a standard error."""
     CHANNEL_WORSE = 8
     """It explains more in one channel, but significantly less in the other."""
-    UNPROVEN = 9
-    """No version has flown yet, and the maps so far have not foretold what came after them (Forecast)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

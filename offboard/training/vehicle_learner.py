@@ -19,7 +19,6 @@ from offboard.data.labels import LabelledSample, LabelMaker
 from offboard.memory.memory import Condition, Memory, thinned
 from offboard.memory.memory_file import require_fit
 from offboard.memory.recorder import FlightRecorder
-from offboard.training.forecast import Forecast
 from offboard.training.gate import Gate, Verdict
 from offboard.training.job import TrainerState, TrainingJob, TrainingResult
 from offboard.training.network import InputPlan, NetworkState, feature_set, initial_state, phi, state_of
@@ -56,7 +55,6 @@ class VehicleLearner:
         self._contest = NO_CONTEST
         self._recorder = FlightRecorder()
         self._gate = Gate(config.gate, networks)
-        self._forecast = Forecast(config.gate)
         self._issued: dict[int, FeatureSet] = {}
         self.latest: FeatureSet | None = None
         """The newest version issued or loaded."""
@@ -67,7 +65,7 @@ class VehicleLearner:
         self.verdicts: Counter[str] = Counter()
         self.validation_losses: dict[str, float | None] = {f"validation_loss_{channel}": None for channel in CHANNELS}
         """Of the last round, (m/s^2)^2 and (rad/s^2)^2; None where the channel has no held-out sample."""
-        self._labelled_at_last_job, self._newest_of_job_ns = 0, 0
+        self._labelled_at_last_job = 0
         self._training_samples = 0
         self._condition = 0
         """Number of the flight; the samples of each are a condition of their own (offboard.data.buffer)."""
@@ -136,7 +134,7 @@ class VehicleLearner:
         enough = self._training_samples >= self._config.trainer.minimum_samples
         if not enough or self.labelled == self._labelled_at_last_job:
             return None
-        self._labelled_at_last_job, self._newest_of_job_ns = self.labelled, self._last_time_ns
+        self._labelled_at_last_job = self.labelled
         before_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
         return TrainingJob(
             network_config=self._config.features.trained,
@@ -158,8 +156,6 @@ class VehicleLearner:
     def receive_result(self, result: TrainingResult, now_ns: int) -> Outcome:
         """Continue from the trained networks; issue a version if the gate allows it."""
         verdict = self._gate.judge(result.candidate, result.evidence, now_ns)
-        if self.latest is None and not self._foretold(result.candidate) and verdict is Verdict.SEND:
-            verdict = Verdict.UNPROVEN
         self._state, self._contest = result.state, result.contest
         self._buffer.set_features(self._feature_function(result.state.network))
         self.verdicts[verdict.name.lower()] += 1
@@ -169,11 +165,6 @@ class VehicleLearner:
             return Outcome(verdict, None)
         self._gate.note_sent(now_ns)
         return Outcome(verdict, self.issue(result.candidate))
-
-    def _foretold(self, candidate: FeatureSet) -> bool:
-        """Whether the maps of this flight may fly, this candidate taken note of."""
-        self._forecast.enter(candidate, self._newest_of_job_ns, self._newest.rows(), self.labelled)
-        return self._forecast.passed
 
     def note_versions(self, *versions: int) -> None:
         """Onboard knows these versions: the next number must be higher."""

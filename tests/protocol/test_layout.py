@@ -9,7 +9,7 @@ from protocol.feature_config import feature_digest
 from protocol.messages import FeatureChunk, TimeSyncReply, TimeSyncRequest
 
 MS = 1_000_000
-LEARNING = ("offboard.trainer.minimum_samples=16", "offboard.gate.first_samples=0", "offboard.gate.trigger=0.0")
+LEARNING = ("offboard.trainer.minimum_samples=16", "offboard.gate.trigger=0.0")
 CHUNK = FeatureChunk(1, 0, 1, bytes(16), b"x")
 
 

@@ -11,7 +11,7 @@ from tests.experiments.processes import Processes, on_ports
 pytestmark = pytest.mark.realtime
 
 DURATION_S = 16.0
-AT_ONCE = ("offboard.gate.first_samples=0",)
+AT_ONCE = ("offboard.trainer.minimum_samples=60",)
 """The first version does not wait: a flight is short."""
 NUMBERS = (1, 2)
 

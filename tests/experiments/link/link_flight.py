@@ -21,7 +21,6 @@ LEARNING = (
     "offboard.trainer.minimum_samples=16",
     "offboard.trainer.batches=20",
     "offboard.gate.minimum_validation=2",
-    "offboard.gate.first_samples=0",
     "offboard.gate.trigger=0.0",
     "offboard.gate.margin=0.0",
     "offboard.gate.significance=0.0",

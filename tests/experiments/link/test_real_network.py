@@ -95,7 +95,8 @@ def configs(tmp_path: Path, with_radio: bool) -> tuple[Path, Path]:
     key = tmp_path / "flight.key"
     write_key(key)
     config = resolve(
-        "figure8_calm", Choices("dmrac", 4, DURATION_S, ("radio={up: {}, down: {}}", "offboard.gate.first_samples=0"))
+        "figure8_calm",
+        Choices("dmrac", 4, DURATION_S, ("radio={up: {}, down: {}}", "offboard.trainer.minimum_samples=60")),
     )
     radio = {
         "radio_onboard": "127.0.0.1:15570",

@@ -33,7 +33,6 @@ CONTROLLERS = ("none", "pid", "l1", "indi", "repetitive", "ilc", "bias", "mrac",
 BRIEF = ("pid", "dmrac")
 LEARNING = (
     "offboard.trainer.minimum_samples=100",
-    "offboard.gate.first_samples=0",
     "onboard.guidance.trajectory.settle_s=0.0",
 )
 """So that a short flight gets trained features."""
