@@ -84,10 +84,9 @@ static void multiply_transition(const real A[9], const real B[9], const real dt_
     add_block(B, P, ATTITUDE, GYRO_BIAS, line, element);
 }
 
-/* P <- (P + P^T) / 2. Rounding makes the products a little unsymmetric, and what is not symmetric grows: it doubles in
- * about 2 s of flight. numpy's core does not do this (README, known differences). */
+/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^3. */
 static void make_symmetric(real P[N * N]) {
-    for (int i = 0; i < N; i++) {
+    for (int i = 1; i < N; i++) {
         for (int j = 0; j < i; j++) {
             P[i * N + j] = P[j * N + i] = REAL(0.5) * (P[i * N + j] + P[j * N + i]);
         }
@@ -107,13 +106,13 @@ static void predict_covariance(ErrorStateFilter *self, const ImuNoise *noise) {
     }
     multiply_transition(A, B, dt_I, self->P, N, 1);
     multiply_transition(A, B, dt_I, self->P, 1, N);
-    make_symmetric(self->P);
     const real Q[4] = {noise->accelerometer * noise->accelerometer * sample_s * dt,
                        noise->gyroscope * noise->gyroscope * sample_s * dt, noise->gyro_walk * noise->gyro_walk * dt,
                        noise->accelerometer_walk * noise->accelerometer_walk * dt};
     for (int i = VELOCITY; i < N; i++) {
         self->P[i * N + i] += Q[i / 3 - 1];
     }
+    make_symmetric(self->P);
     self->collected = 0;
     self->collected_s = REAL(0.0);
     vector_zero(self->collected_dv);
