@@ -84,36 +84,14 @@ static void multiply_transition(const real A[9], const real B[9], const real dt_
     add_block(B, P, ATTITUDE, GYRO_BIAS, line, element);
 }
 
-#ifdef DMRAC_FLOAT
-/* Relative growth of the variances at each prediction: more than the rounding of P - K h P, far less than the process noise. */
-#define ROUNDING_GROWTH REAL(1e-5)
-
-/* Largest correlation of two errors. */
-#define CORRELATION_MAX REAL(0.9999)
-
-/* In float the rounding of many corrections makes P asymmetric and a variance negative after some tens of seconds; the filter
- * then leaves the measurements. Let the variances grow by more than the rounding and keep each above a floor (position,
- * velocity, attitude, gyroscope bias, accelerometer bias, in units of the state); make P symmetric, and bound correlations. */
-static void keep_positive(ErrorStateFilter *self) {
-    static const real floor[N / 3] = {REAL(2.5e-9), REAL(1e-7), REAL(1e-9), REAL(1e-11), REAL(1e-9)};
-    real sigma[N];
-    for (int i = 0; i < N; i++) {
-        real *variance = self->P + i * N + i;
-        *variance = real_max(*variance + ROUNDING_GROWTH * real_abs(*variance), floor[i / 3]);
-        sigma[i] = real_sqrt(*variance);
+/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^3. */
+static void make_symmetric(real P[N * N]) {
+    for (int i = 1; i < N; i++) {
         for (int j = 0; j < i; j++) {
-            real limit = CORRELATION_MAX * sigma[i] * sigma[j];
-            real mean = REAL(0.5) * (self->P[i * N + j] + self->P[j * N + i]);
-            self->P[i * N + j] = self->P[j * N + i] = real_clip(mean, -limit, limit);
+            P[i * N + j] = P[j * N + i] = REAL(0.5) * (P[i * N + j] + P[j * N + i]);
         }
     }
 }
-#else
-/* In double nothing is needed. */
-static void keep_positive(ErrorStateFilter *self) {
-    (void)self;
-}
-#endif
 
 /* ErrorStateFilter._predict_covariance: P <- Phi P Phi^T + Q over the collected samples. Phi differs from the identity in
  * four blocks only: dt I, A = -[f dt]x, and twice B = -R dt. */
@@ -134,10 +112,10 @@ static void predict_covariance(ErrorStateFilter *self, const ImuNoise *noise) {
     for (int i = VELOCITY; i < N; i++) {
         self->P[i * N + i] += Q[i / 3 - 1];
     }
+    make_symmetric(self->P);
     self->collected = 0;
     self->collected_s = REAL(0.0);
     vector_zero(self->collected_dv);
-    keep_positive(self);
 }
 
 /* ErrorStateFilter.predict */

@@ -18,7 +18,7 @@ from experiments.flights.training_worker import TrainingWorker, training_for
 from offboard.training.fleet import Fleet, FleetJob
 from sim_vehicle.lockstep import train_at_once
 
-AT_ONCE = ("offboard.gate.first_samples=0",)
+AT_ONCE = ("offboard.trainer.minimum_samples=60",)
 """The first version does not wait: a flight is short."""
 CONFIG = resolve("figure8_wind", Choices("dmrac", seed=4, duration_s=11.0, assignments=AT_ONCE))
 

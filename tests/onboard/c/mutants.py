@@ -82,6 +82,7 @@ MUTANTS: Final = (
         "f[2], -f[1], -f[2], zero, -f[0]",
         "test_estimator_blocks",
     ),
+    Mutant("stale", "estimation/error_state_filter.c", "    make_symmetric(self->P);\n", "", "test_estimator_blocks"),
     Mutant("stale", "estimation/state_history.c", "    stored->sums = self->sums;\n", "", "test_estimator_blocks"),
     Mutant(
         "gain",

@@ -34,7 +34,7 @@ class Both:
         self.now_ns = 10**10
         bias, sigmas = 0.05 * self.rng.normal(size=3), self.rng.uniform(0.01, 0.5, 15)
         self.theirs.start((*q,), (*bias.tolist(),), (*sigmas.tolist(),))
-        core.filter_start(self.ours, array(core, q), bias, sigmas)
+        core.filter_start(self.ours, *(array(core, one) for one in (q, bias, sigmas)))
         for _ in range(4):
             self.predict()
 
@@ -43,7 +43,8 @@ class Both:
         force, rate = 9.0 * self.rng.normal(size=3), self.rng.normal(size=3)
         noise = self.core.ImuNoise(*NOISE)
         self.theirs.predict(self.now_ns, DT, (*force.tolist(),), (*rate.tolist(),), NOISE, 0.005)
-        self.core.filter_predict(self.ours, self.now_ns, DT, force, rate, noise, 0.005)
+        given = array(self.core, force), array(self.core, rate)
+        self.core.filter_predict(self.ours, self.now_ns, DT, *given, noise, 0.005)
 
     def compare(self, rtol: float = 1e-12) -> None:
         for name in ("position", "velocity", "quaternion", "rotation", "gyro_bias", "accelerometer_bias"):
@@ -119,6 +120,21 @@ def test_a_history_that_is_full(core: Core) -> None:
     for back in (127, 128, 140):
         time_ns = both.now_ns - back * 5_000_000
         assert core.filter_at(both.ours, time_ns, past) == (both.theirs.at(time_ns) is not None)
+
+
+@pytest.mark.parametrize("precision", ["core", "core32"])
+def test_the_covariance_stays_symmetric(request: pytest.FixtureRequest, precision: str) -> None:
+    """What is not symmetric would grow from rounding and, in float, take over within half a minute of flight."""
+    both = Both(request.getfixturevalue(precision), 1, [1.0, 0.0, 0.0, 0.0])
+    ours, still, h = both.ours, array(both.core, np.zeros(3)), array(both.core, np.linspace(-1.0, 1.0, 15))
+    for _ in range(200):
+        both.predict()
+        P = view(ours.P).reshape(15, 15)
+        assert (P == P.T).all()
+        both.core.filter_correct_position(ours, still, 0.015, 5e-4**2, math.inf)
+        both.core.filter_correct_attitude(ours, still, 0.005**2, math.inf)
+        both.core.filter_correct_scalar(ours, h, 0.0, 0.01, math.inf)
+    assert np.linalg.eigvalsh(P.astype(float)).min() > 0.0
 
 
 @SETTINGS
