@@ -84,6 +84,15 @@ static void multiply_transition(const real A[9], const real B[9], const real dt_
     add_block(B, P, ATTITUDE, GYRO_BIAS, line, element);
 }
 
+/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^3. */
+static void make_symmetric(real P[N * N]) {
+    for (int i = 1; i < N; i++) {
+        for (int j = 0; j < i; j++) {
+            P[i * N + j] = P[j * N + i] = REAL(0.5) * (P[i * N + j] + P[j * N + i]);
+        }
+    }
+}
+
 /* ErrorStateFilter._predict_covariance: P <- Phi P Phi^T + Q over the collected samples. Phi differs from the identity in
  * four blocks only: dt I, A = -[f dt]x, and twice B = -R dt. */
 static void predict_covariance(ErrorStateFilter *self, const ImuNoise *noise) {
@@ -103,6 +112,7 @@ static void predict_covariance(ErrorStateFilter *self, const ImuNoise *noise) {
     for (int i = VELOCITY; i < N; i++) {
         self->P[i * N + i] += Q[i / 3 - 1];
     }
+    make_symmetric(self->P);
     self->collected = 0;
     self->collected_s = REAL(0.0);
     vector_zero(self->collected_dv);
