@@ -184,7 +184,7 @@ class ErrorStateFilter:
         Q[9:12] = gyro_walk * gyro_walk * dt
         Q[12:15] = accelerometer_walk * accelerometer_walk * dt
         self._P_diagonal += Q
-        # Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^3.
+        # Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^6.
         np.add(self.P, self._P_T, out=self._scratch)
         np.multiply(self._scratch, 0.5, out=self.P)
         self._collected, self._collected_s, self._collected_dv = 0, 0.0, ZERO
