@@ -75,6 +75,7 @@ class ErrorStateFilter:
     def _make_views(self) -> None:
         """Parts of the arrays under names of their own."""
         self._P_diagonal = self.P.reshape(-1)[:: ERROR_SIZE + 1]
+        self._P_T = self.P.T
         self._Phi_T = self._Phi.T
         self._Phi_velocity_bias = self._Phi[3:6, 12:15]
         self._Phi_attitude_bias = self._Phi[6:9, 9:12]
@@ -183,6 +184,9 @@ class ErrorStateFilter:
         Q[9:12] = gyro_walk * gyro_walk * dt
         Q[12:15] = accelerometer_walk * accelerometer_walk * dt
         self._P_diagonal += Q
+        # Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^6.
+        np.add(self.P, self._P_T, out=self._scratch)
+        np.multiply(self._scratch, 0.5, out=self.P)
         self._collected, self._collected_s, self._collected_dv = 0, 0.0, ZERO
 
     # -- corrections --------------------------------------------------------------------------------------------------
@@ -255,7 +259,7 @@ class ErrorStateFilter:
         variance: float,
         gate: float,
     ) -> float:
-        """Three measurements at once, innovation y, by the Cholesky factor G of S; P stays symmetric to the last bit.
+        """Three measurements at once, innovation y, by the Cholesky factor G of S; a symmetric P stays so.
 
         `HPHt`: the lower triangle, row by row.
         """

@@ -84,7 +84,7 @@ static void multiply_transition(const real A[9], const real B[9], const real dt_
     add_block(B, P, ATTITUDE, GYRO_BIAS, line, element);
 }
 
-/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^3. */
+/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^6. */
 static void make_symmetric(real P[N * N]) {
     for (int i = 1; i < N; i++) {
         for (int j = 0; j < i; j++) {

@@ -65,6 +65,20 @@ def test_prediction(core: Core, seed: int, q: list[float], every: int) -> None:
     Both(core, seed, q, every).compare()
 
 
+@pytest.mark.parametrize("precision", ["core", "core32"])
+def test_a_prediction_makes_the_covariance_symmetric(precision: str, request: pytest.FixtureRequest) -> None:
+    core = request.getfixturevalue(precision)
+    ours, noise, zero = core.ErrorStateFilter(), core.ImuNoise(*NOISE), array(core, [0.0] * 3)
+    core.filter_init(ours, 1)
+    core.filter_start(ours, array(core, [0.9, 0.1, -0.3, 0.3]), zero, array(core, [0.1] * 15))
+    P = view(ours.P).reshape(15, 15)
+    P[9, 6] += 1e-4
+    P[6, 9] -= 1e-4
+    for k in range(20):
+        core.filter_predict(ours, (k + 1) * 5_000_000, DT, array(core, [0.3, -0.2, -9.8]), zero, noise, 0.0)
+        np.testing.assert_array_equal(P, P.T)
+
+
 GATES = st.sampled_from([12.0, math.inf])
 
 
