@@ -35,6 +35,8 @@ RECENT_S: Final = 1.0
 """s that they cover."""
 COLLECTED_MAX: Final = 20_000
 """Newest samples of `update` that `fit` trains on."""
+SAMPLES_MIN: Final = 60
+"""Fewest labelled samples to train on. A flight waits for more, because it soon is where it has not been."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class Learner:
         self.rate_hz, self._dt, self._seed = float(rate_hz), 1.0 / rate_hz, seed
         self.law: Law = law or KalmanLaw()
         self._shape = tuple(hidden), features
-        self._trainer = trainer or TrainerConfig()
+        self._trainer = trainer or TrainerConfig(minimum_samples=SAMPLES_MIN)
         self._PB = np.zeros((2 * len(outputs), len(outputs))) if tracking is None else tracking.weights()
         self._share = 1.0 - exp(-self._dt / residual_filter_s) if residual_filter_s > 0.0 else 1.0
         self._block_s = block_s

@@ -68,7 +68,8 @@ def test_another_file_is_a_plain_error(tmp_path, content):
 class Pool:
     """Flies at once, here; notes what it flew."""
 
-    def __init__(self, _workers):
+    def __init__(self, _workers, recycle):
+        assert not recycle, "a pool that replaces its processes hangs while it has idle ones"
         self.flown = []
         Pool.last = self
 

@@ -109,8 +109,9 @@ from experiments.flights.scenario import Choices, resolve
 from experiments.flights.training_worker import TrainingWorker
 
 print("running", __name__)
+choices = Choices("dmrac", seed=4, duration_s=11.0, assignments=("offboard.trainer.minimum_samples=60",))
 with TrainingWorker() as worker:
-    fly_lockstep(resolve("figure8_wind", Choices("dmrac", seed=4, duration_s=11.0)), train=worker)
+    fly_lockstep(resolve("figure8_wind", choices), train=worker)
     [process] = worker._pool._processes.values()
 print("trained in", process.name, process.exitcode)
 """

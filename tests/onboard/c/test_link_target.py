@@ -21,11 +21,13 @@ ROOMS = ("protocol", "links", "numerics")
 SANITIZERS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
-def build(out: Path, *files: Path, options: tuple[str, ...] = SANITIZERS) -> Path:
+def build(
+    out: Path, *files: Path, options: tuple[str, ...] = SANITIZERS, command: tuple[str, ...] | None = None
+) -> Path:
     """The target, and what of the core it needs, as a program."""
     sources = [path for room in ROOMS for path in sorted((FOLDER / room).glob("*.c"))]
     flags = [*Variant("double", options).flags, *WARNINGS, "-Werror", f"-I{HERE}"]
-    run([*compiler(), *flags, *map(str, (*sources, *files)), "-lm", "-o", str(out)])
+    run([*(command or compiler()), *flags, *map(str, (*sources, *files)), "-lm", "-o", str(out)])
     return out
 
 
@@ -73,7 +75,7 @@ def test_files_are_run(plain_program: Path, tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
 def test_libfuzzer_takes_the_target(tmp_path: Path) -> None:
     options = ("-O1", "-g", "-fsanitize=fuzzer,address,undefined")
-    program = build(tmp_path / "link_fuzz", HERE / "link_target.c", options=options)
+    program = build(tmp_path / "link_fuzz", HERE / "link_target.c", options=options, command=("clang",))
     done = subprocess.run([str(program), "-runs=2000", "-seed=1"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-4000:]
 

@@ -29,6 +29,7 @@ SUBSTEPS = 5
 REST = (0.0, 0.0, 0.0)
 AIRFRAME = fill(AirframeConfig, read_vehicle("mambo").airframe, "mambo.yaml")
 FEATURES = load(FeaturesConfig, CONFIG_DIRECTORY / "features.yaml")
+RANDOM_START = FEATURES.model_copy(update={"untrained": FEATURES.untrained.model_copy(update={"start": "random"})})
 
 
 def _both(position: dict[str, Any], attitude: dict[str, Any]) -> dict[str, Any]:
@@ -66,9 +67,9 @@ def controller_tree(name: str, settings: dict[str, Any] | None = None) -> dict[s
     return merge({"class": tree["class"], "settings": tree["settings"]}, {"settings": over})
 
 
-def shipped_controller(name: str, settings: dict[str, Any] | None = None) -> Any:
+def shipped_controller(name: str, settings: dict[str, Any] | None = None, features: FeaturesConfig = FEATURES) -> Any:
     """A shipped controller, built."""
-    return fill(ControllerConfig, controller_tree(name, settings), name).build(AIRFRAME, FEATURES, seed=1)
+    return fill(ControllerConfig, controller_tree(name, settings), name).build(AIRFRAME, features, seed=1)
 
 
 class Rig:

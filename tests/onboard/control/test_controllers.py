@@ -24,6 +24,7 @@ from tests.onboard.control.fixture import (
     DT,
     FEATURES,
     FORCE,
+    RANDOM_START,
     TORQUE,
     Rig,
     column,
@@ -118,10 +119,12 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_place(path: str, wha
 
 
 def test_the_mean_reversion_leaves_little_of_a_constant_disturbance() -> None:
-    """b lets go of it at s_b while W takes it over; then s_w against the gain of W is left, about 4 %."""
+    """b lets go of it at s_b while W takes it over; then s_w against the gain of W is left, about 6 %
+    with the constant feature alone.
+    """
     rows = Rig(shipped_controller("dmrac"), FORCE, TORQUE).fly(14.0)
-    np.testing.assert_allclose(rows[-1]["position"], (0.0, 0.0, -1.0), atol=2e-3)
-    np.testing.assert_allclose(rows[-1]["position_nu"], FORCE, rtol=0.06)
+    np.testing.assert_allclose(rows[-1]["position"], (0.0, 0.0, -1.0), atol=3e-3)
+    np.testing.assert_allclose(rows[-1]["position_nu"], FORCE, rtol=0.08)
     np.testing.assert_allclose(rows[-1]["attitude_nu"], TORQUE, rtol=0.06)
 
 
@@ -325,7 +328,8 @@ def test_a_swap_in_flight_does_not_kick_the_vehicle() -> None:
         # Little in the bias, much in the features: what a naive swap would throw away.
         law = {"fast_bias": 0.05, "prior": 2.0}
         swap = {"augmentation": {"swap": {"naive": naive, "jump_max": 1e6}, "law": law}}
-        rig = Rig(shipped_controller("dmrac", {"position": swap, "attitude": swap}), FORCE, TORQUE)
+        settings = {"position": swap, "attitude": swap}
+        rig = Rig(shipped_controller("dmrac", settings, RANDOM_START), FORCE, TORQUE)
         rig.fly(2.0)
         start = random_channel(
             ("position_n", "velocity_e"), np.zeros(2), np.ones(2), (32, 32, 19), np.random.default_rng(9)
@@ -339,7 +343,7 @@ def test_a_swap_in_flight_does_not_kick_the_vehicle() -> None:
 
 def test_equal_seeds_make_equal_controllers() -> None:
     config = fill(ControllerConfig, controller_tree("dmrac"), "t")
-    one, other, third = (config.build(AIRFRAME, FEATURES, seed) for seed in (5, 5, 6))
+    one, other, third = (config.build(AIRFRAME, RANDOM_START, seed) for seed in (5, 5, 6))
     signals = np.random.default_rng(0).normal(size=(21, 2))
     features = [c.augmentations[0].features for c in (one, other, third)]
     Phi = [f.evaluate(f.select(signals)) for f in features]
