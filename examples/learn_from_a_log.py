@@ -9,7 +9,7 @@ import numpy as np
 import async_dmrac
 
 RATE_HZ = 50.0
-flight = async_dmrac.fly("figure8_wind", "l1", seed=3, duration_s=35.0, out="learn_from_a_log/flight")
+flight = async_dmrac.fly("figure8_wind", "bias", seed=3, duration_s=35.0, out="learn_from_a_log/flight")
 
 # %% Samples: every fourth tick on the path
 tick = flight["onboard/tick"]

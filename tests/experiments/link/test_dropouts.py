@@ -162,6 +162,8 @@ def test_sending_batches_twice_gives_more_labels() -> None:
 
 def test_a_narrow_link_gets_no_repeated_batches() -> None:
     """A full queue drops a tenth of the datagrams down; with twice the bytes the way up would drop some, too."""
-    narrow = fly_one(DropoutFlight("narrow", "figure8_wind", Choices("dmrac", 2, 12.0)))
+    narrow = fly_one(
+        DropoutFlight("narrow", "figure8_wind", Choices("dmrac", 2, 12.0, ("offboard.trainer.minimum_samples=60",)))
+    )
     assert narrow.lost_down > 0.1
     assert narrow.lost_up == 0.0

@@ -22,7 +22,7 @@ def test_a_flight_with_dropouts_in_both_precisions(tmp_path: Path, capsys: pytes
     double, single = json.loads(rows.read_text(encoding="utf-8"))
     assert (double["precision"], single["precision"]) == ("double", "float")
     assert double["ticks"] == single["ticks"] == 1600
-    assert 0.0 < double["motor_difference"] < 1e-12 < single["motor_difference"] < 2e-3
+    assert double["motor_difference"] < 1e-7 < single["motor_difference"] < 2e-3
     other = ["--scenarios", "dropouts", "--controllers", "pid", "--seconds", "9"]
     with pytest.raises(Exception, match=r"dropouts_pid: holds another flight than dropouts with pid, 9 s"):
         main([*other, *kept])
