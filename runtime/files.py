@@ -1,12 +1,13 @@
-"""Files of a process, written completely or not at all."""
+"""Files of a process: written completely or not at all, or line by line."""
 
 import errno
 import json
 import os
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from runtime.errors import StartError
 
@@ -35,6 +36,13 @@ def write_atomically(path: Path, content: bytes) -> None:
         with suppress(OSError):
             beside.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def append_json(file: BinaryIO, entry: Mapping[str, Any]) -> None:
+    """Append one line of JSON to a file that is open for bytes; it is on the disk when this returns. Raises OSError."""
+    file.write(json.dumps(entry).encode() + b"\n")
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def sync_folder(folder: Path) -> None:

@@ -79,8 +79,9 @@ def fly_corpus(
         executor = pool.open()
         futures = {executor.submit(one.fly): one for one in both if journal.find(one) is None}
         for future in as_completed(futures):
-            journal.add(futures[future], future.result())
-            report(futures[future], future.result())
+            flight, outcome = futures[future], future.result()
+            journal.add(flight, outcome)
+            report(flight, outcome)
     finally:
         pool.close()
     return [_row(case, [one for one in wanted if one.case == case], journal) for case in _cases(wanted)]

@@ -5,13 +5,13 @@ The first line says which code and settings flew. Flights of other ones are not 
 
 import hashlib
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 from configs.loader import ConfigError
 from experiments.attacks.attack_flight import AttackFlight, AttackOutcome
+from runtime.files import append_json
 
 FILE: Final = "attacks.jsonl"
 
@@ -68,10 +68,8 @@ class Journal:
     def _write(self, entry: dict[str, Any]) -> None:
         if self._path is None:
             return
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        with self._path.open("ab") as file:
+            append_json(file, entry)
 
     def find(self, flight: AttackFlight) -> AttackOutcome | None:
         """The outcome of a flight, if it has been flown."""

@@ -8,7 +8,6 @@ between rename and deletion) counts once, by its key.
 """
 
 import json
-import os
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -16,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from experiments.campaigns.flight_row import SCHEMA, Row
-from runtime.files import sync_folder, write_atomically
+from runtime.files import append_json, sync_folder, write_atomically
 
 PARQUET: Final = "flights.parquet"
 JOURNAL: Final = "flights.journal"
@@ -47,9 +46,7 @@ class CampaignStore:
 
     def append(self, row: Row) -> None:
         """Store one row; it is on the disk when this returns."""
-        self._journal.write(json.dumps(row).encode() + b"\n")
-        self._journal.flush()
-        os.fsync(self._journal.fileno())
+        append_json(self._journal, row)
         self.done.add(row["key"])
         self._waiting += 1
         if self._waiting >= MERGE_EVERY:
