@@ -3,8 +3,8 @@
 Two entrants per channel: the prior's inner layers with their last layer refitted towards theta, and the networks that
 the round has trained on this flight, from the start that they would have without a prior: a prior of another condition
 may be a bad one. In the first round, held-out samples say who leads. Later, each round's entrants are tried on the
-samples that arrive after them (`Contest`). Whoever leads there is the round's candidate, which the gate then judges like
-any other.
+samples that arrive after them (`Contest`). Whoever leads there is the round's candidate, which the gate then judges
+like any other.
 """
 
 from dataclasses import dataclass, replace

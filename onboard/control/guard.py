@@ -15,10 +15,10 @@ at all, the loop with its feed-forward. The decision uses measurements of this v
    refusal for the trainer.
 4. **Proof**: a version is good when evidence says so: `proof_s` in which it disagreed with the bias-only law and was no
    worse. Time alone proves nothing. The newest good version and its W are kept, whatever the trainer does.
-5. **Audition**: a version that arrives on the ground, or while a simpler law flies, runs beside the bias-only law first.
-   It flies after `audition_s` of evidence. Without evidence, after `agreement_s` in the air in which it said what the
-   bias says: it then changes nothing, and is on probation like a version that arrives in flight. A map that failed, and
-   any version after `losses_max` in a row that lost to the bias, need evidence.
+5. **Audition**: a version that arrives on the ground, or while a simpler law flies, runs beside the bias-only law
+   first. It flies after `audition_s` of evidence. Without evidence, after `agreement_s` in the air in which it said
+   what the bias says: it then changes nothing, and is on probation like a version that arrives in flight. A map that
+   failed, and any version after `losses_max` in a row that lost to the bias, need evidence.
 6. **Memory**: the content of a version that was taken back is never accepted again, under no number. After
    `strikes_max` of them no version is accepted for the rest of the session.
 
@@ -68,7 +68,8 @@ class GuardConfig(ConfigRecord):
         int, Field(ge=1, le=10**6, description="versions taken back, after which no other is accepted")
     ] = 3
     losses_max: Annotated[
-        int, Field(ge=1, le=10**6, description="versions in a row that lost when the next came, before each is auditioned")
+        int,
+        Field(ge=1, le=10**6, description="versions in a row that lost when the next came, before each is auditioned"),
     ] = 3
 
 
