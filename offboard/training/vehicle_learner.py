@@ -246,9 +246,10 @@ class VehicleLearner:
         self.latest = features
 
     def recall(self, memory: Memory) -> None:
-        """Start from a memory: its inner layers and theta are the latest version, and every round starts from them.
+        """Start from a memory: its inner layers and theta are the latest version, and an entrant of every round.
 
-        A memory whose inner layers have not been learnt yet changes nothing.
+        The networks of this flight start as they would without it. A memory whose inner layers have not been learnt
+        yet changes nothing.
 
         Raises
         ------
@@ -259,7 +260,7 @@ class VehicleLearner:
         if memory.learnt == 0:
             return
         self._memory = memory
-        self.warm_start(memory.version())
+        self.latest = memory.version()
 
     def condition(self, name: str) -> Condition:
         """The flight so far as a condition of a memory."""

@@ -116,12 +116,33 @@ def test_old_samples_and_none_decide_nothing() -> None:
     assert NO_CONTEST.continued(samples(version, 1.0)) is NO_CONTEST
 
 
-def test_the_first_rounds_fly_the_refitted_prior() -> None:
+def test_in_the_first_round_held_out_samples_say_who_leads() -> None:
+    job = job_after()
+    known, other = refit(job, prior()), memory().version()
+    held_out = samples(known, 0.01)
+    assert NO_CONTEST.opened(other, known, held_out).trained_leads == (True, True)
+    assert NO_CONTEST.opened(known, other, held_out).trained_leads == (False, False)
+
+
+def test_the_first_candidate_is_the_one_that_leads_in_each_channel() -> None:
     result = job_after().run()
-    assert result.contest.refitted is not None
-    expected = result.contest.refitted
-    for channel, other in zip(result.candidate.channels, expected.channels, strict=True):
-        assert channel.same_as(other)
+    contest = result.contest
+    assert contest.refitted is not None
+    assert contest.trained is not None
+    for at, leads in enumerate(contest.trained_leads):
+        leader = contest.trained if leads else contest.refitted
+        mine, expected = result.candidate.by_channel[at], leader.by_channel[at]
+        assert mine is not None
+        assert expected is not None
+        assert mine.same_as(expected)
+
+
+def test_the_networks_of_the_flight_start_as_without_a_memory() -> None:
+    """What another condition taught may be a bad start."""
+    remembering, cold = VehicleLearner(offboard_config()), VehicleLearner(offboard_config())
+    remembering.recall(memory())
+    for mine, other in zip(remembering._state.network.weights, cold._state.network.weights, strict=True):
+        np.testing.assert_array_equal(mine, other)
 
 
 def test_a_channel_that_flies_better_flies_on() -> None:
