@@ -28,6 +28,15 @@ def memory(learnt: int = 2) -> Memory:
     return Memory(FEATURES, prior(), (condition("a"), condition("b", seed=1)), learnt)
 
 
+def knowing() -> Memory:
+    """A memory whose theta is not zero in the position channel."""
+    start = memory()
+    network = start.prior.network
+    last_layer = network.last_layer.copy()
+    last_layer[0] += 0.3
+    return replace(start, prior=replace(start.prior, network=replace(network, last_layer=last_layer)))
+
+
 def recalling(batches: int = 120) -> VehicleLearner:
     learner = VehicleLearner(offboard_config())
     learner.recall(memory())
@@ -159,10 +168,23 @@ def test_a_channel_that_flies_better_flies_on() -> None:
     assert mixed.attitude.same_as(candidate.attitude)  # the new one
 
 
-def test_a_memory_is_the_first_version_and_every_round_starts_from_it() -> None:
-    learner = recalling()
+def test_what_a_memory_knows_is_the_first_version() -> None:
+    learner = VehicleLearner(offboard_config())
+    learner.recall(knowing())
     assert learner.latest is not None
     assert learner.latest.version == 1
+    assert learner.latest.position is not None
+    assert learner.latest.attitude is None, "its theta is zero"
+
+
+def test_inner_layers_alone_are_no_version() -> None:
+    learner = VehicleLearner(offboard_config())
+    learner.recall(memory())
+    assert learner.latest is None
+
+
+def test_a_memory_is_in_every_round() -> None:
+    learner = recalling()
     job = learner.job(0)
     assert job is not None
     assert job.prior is not None
