@@ -21,8 +21,9 @@ from experiments.results.tables import TARGET_HEADER, Table
 from runtime.files import write_atomically
 
 CAMPAIGNS: Final = (
-    *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),
-    *("sim_to_real", "features", "dropouts", "shared_trainer", "paper_preset", "ablations"),
+    *("wind_figure8", "wind_lissajous", "chip_in_flight", "retention", "transfer", "memory", "rotor_chip", "steady_wind"),
+    *("cloth_circle", "survival", "second_vehicle", "sim_to_real", "features", "dropouts", "shared_trainer"),
+    *("paper_preset", "ablations"),
 )
 """In the order of docs/results.md."""
 
