@@ -102,7 +102,8 @@ def generated() -> dict[str, str]:
 def flags(target: Target, generated_root: Path) -> list[str]:
     """Options of the compiler, but for the output. `generated_root` holds the folder `generated`."""
     includes = [f"-I{path}" for path in (FOLDER / "library", CORE_FOLDER, generated_root)]
-    numbers = ["-DDMRAC_FLOAT", "-DDMRAC_Q15_FEATURES", f"-DPARAMETERS_MAX={PARAMETERS_MAX}"]
+    whole = ["-DDMRAC_Q15_FEATURES", "-DDMRAC_WHOLE_COVARIANCE"]
+    numbers = ["-DDMRAC_FLOAT", *whole, f"-DPARAMETERS_MAX={PARAMETERS_MAX}"]
     hidden = ["-fPIC", "-fvisibility=hidden", "-ffunction-sections", "-fdata-sections"]
     return [*core_build.LANGUAGE, *numbers, "-O2", "-g0", *hidden, *target.options, *includes]
 

@@ -83,7 +83,7 @@ class KalmanLaw:
         """W, b and S become the posterior on the recent states."""
         states, between = np.repeat(now[:, None], 3, axis=1), config.ring_period_ticks * self._dt
         times = self._dt, between, 0.5 * between
-        plan = plan_posterior_swap(config, self.law, old, new, new.channel, NO_LIMITS, recent, states, times)
+        plan = plan_posterior_swap(config, self.law, old, new, NO_LIMITS, recent, states, times)
         if not plan.refusal:
             self.law.adopt(plan.theta, plan.X, plan.S)
             self.law.close_gap(new.evaluate(new.select(states)))

@@ -56,15 +56,12 @@ static SlopeBound *slope_bound_of(Autopilot *self, int channel) {
     return bounds && law->adaptive.slope_bound.count > 0 ? &law->adaptive.slope_bound : NULL;
 }
 
-/* Spread the work over the calls: the two channels bound their slopes in different calls, and such a call leaves what
- * has come to the next one. Never two in a row: on the floor the bounds stand still. */
+/* Spread the work over the calls: the two channels bound their slopes in different ones. */
 static void spread(Autopilot *self) {
     SlopeBound *position = slope_bound_of(self, 0), *attitude = slope_bound_of(self, 1);
     if (position && attitude && position->ticks == attitude->ticks) {
         attitude->ticks = (attitude->ticks + SLOPE_PERIOD_TICKS / 2) % SLOPE_PERIOD_TICKS;
     }
-    bool bounds = (position && position->ticks == 0) || (attitude && attitude->ticks == 0);
-    self->busy = bounds && !self->busy;
 }
 
 bool autopilot_begin(Autopilot *self, const HalCommand *command, int64_t now_ns) {
@@ -117,12 +114,7 @@ void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, cons
         core_receive_flow(&self->core, readings.flows + i);
     }
     if (readings.has_range) {
-        self->range = readings.range;
-        self->range_waits = true;
-    }
-    if (self->range_waits && !self->busy) {
-        self->range_waits = false;
-        core_receive_range(&self->core, &self->range);
+        core_receive_range(&self->core, &readings.range);
     }
     if (readings.has_battery) {
         self->battery = readings.battery;
@@ -135,18 +127,19 @@ void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, cons
     self->frozen = frozen;
 }
 
-void autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t size, int64_t now_ns) {
+bool autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t size, int64_t now_ns) {
     BudgetStage stage = self->calls.stage;
     bool no_features = stage == BUDGET_NO_TRAINING || (flies(self) && !self->features_in_flight);
     if (stage >= BUDGET_NO_OFFBOARD || (no_features && size > SHORT_DATAGRAM_BYTES)) {
         self->datagrams_left_out++;
-        return;
+        return false;
     }
     Received received;
     core_receive_offboard(&self->core, datagram, size, now_ns, &received);
     if (received.has_pose) {
         arming_checks_note_pose(&self->arming, &received.pose.pose, now_ns);
     }
+    return received.has_pose || received.has_chunk;
 }
 
 void autopilot_command(Autopilot *self, Command command, int64_t now_ns, ArmingRefusal *refusal) {

@@ -32,9 +32,6 @@ typedef struct {
     BatteryReading battery; /* the newest */
     FlightMode mode;        /* of the last step */
     bool frozen;
-    bool busy; /* this call bounds a slope: flow, echo and datagrams wait for the next one */
-    bool range_waits;
-    RangeReading range; /* that waits */
     int64_t datagrams_left_out;
     CoreOutput output;
     Events events;
@@ -43,13 +40,13 @@ typedef struct {
 /* False for a key of a size that is not allowed; `self` must not be used then. */
 bool autopilot_init(Autopilot *self, const Image *image, uint64_t session);
 
-/* A call of the firmware begins: `busy` says whether it is one that reads neither flow nor datagrams. False if it is
- * the last one again: the commands of that one are still right. */
+/* A call of the firmware begins. False if it is the last one again: the commands of that one are still right. */
 bool autopilot_begin(Autopilot *self, const HalCommand *command, int64_t now_ns);
 
 void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, const FlowCall *calls, int32_t call_count,
                                int64_t now_ns);
-void autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t size, int64_t now_ns);
+/* Whether it held a pose or a chunk of features: those cost much of a call, so the next datagram is left to the next one. */
+bool autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t size, int64_t now_ns);
 /* A command of the pilot; `refusal` says why it is refused, or that it is not. */
 void autopilot_command(Autopilot *self, Command command, int64_t now_ns, ArmingRefusal *refusal);
 

@@ -144,9 +144,10 @@ static void receive(Library *self, int64_t now_ns) {
     for (int32_t i = 0; i < most && (size = udp_receive(&self->ground_socket, datagram)) >= 0; i++) {
         ground_receive(&self->ground, &self->autopilot, datagram, (size_t)size, now_ns);
     }
-    for (int32_t i = 0; !self->autopilot.busy && i < most && (size = udp_receive(&self->offboard, datagram)) >= 0;
-         i++) {
-        autopilot_receive_offboard(&self->autopilot, datagram, (size_t)size, now_ns);
+    for (int32_t i = 0; i < most && (size = udp_receive(&self->offboard, datagram)) >= 0; i++) {
+        if (autopilot_receive_offboard(&self->autopilot, datagram, (size_t)size, now_ns)) {
+            break;
+        }
     }
 }
 
@@ -186,14 +187,14 @@ void library_control(Library *self, const uint8_t *acquisition, HalCommand *comm
         return;
     }
     command->ultrasound_command = self->calls++ == 0 ? ULTRASOUND_START : 0;
-    int32_t call_count = self->autopilot.busy ? 0 : flow_queue_take(&self->flows, calls);
+    int32_t call_count = flow_queue_take(&self->flows, calls);
     recorder_add_acquisition(&self->recorder, acquisition, now_ns);
     for (int32_t i = 0; i < call_count; i++) {
         recorder_add(&self->recorder, RECORD_FLOW, calls[i].time_ns, calls[i].velocity, FLOW_RECORD_BYTES);
     }
     if (self->mode == BOARD_MODE_FLY) {
         fly(self, acquisition, calls, call_count, command, now_ns);
-    } else if (self->mode == BOARD_MODE_BENCH) {
+    } else if (self->mode == BOARD_MODE_BENCH && self->autopilot.ended == CHECK_PASSED) {
         bench_step(&self->bench, &self->autopilot.motors, command, now_ns);
     } else {
         motors_stop(&self->autopilot.motors, command);

@@ -32,7 +32,12 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
         "RESIDUAL_FILTER_S=BOUND_RESIDUAL_FILTER_S",
         *("ESTIMATE_SIGMAS", "SPREAD", "OVERSHOOT"),
     ),
-    "onboard.control.version_test": ("BOX_POINTS", "BOX_AXES", "PATH_POINTS", "STEP_MIN_M"),
+    "onboard.control.posterior_swap": (
+        *("STATES_PER_PART", "SLOPES_PER_PART", "UPDATES_PER_PART", "SLOPE_STRIDE", "FOLLOWED_MAX"),
+    ),
+    "onboard.control.version_test": (
+        *("AHEAD_PER_PART", "CHECKED_PER_PART", "BOX_POINTS", "BOX_AXES", "PATH_POINTS", "STEP_MIN_M"),
+    ),
     "onboard.control.watch": ("STRIDE=WATCH_STRIDE",),
     "onboard.control.guard": ("LOSES_S",),
     "onboard.flight.guidance": ("RETURN_M_S2",),

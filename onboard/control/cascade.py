@@ -184,6 +184,18 @@ class CascadedController:
         """Swap the features of both channels in one tick, or refuse."""
         return self.guard.offer(features)
 
+    def begin_features(self, features: FeatureSet) -> None:
+        """Start to prepare a swap."""
+        self.guard.begin(features)
+
+    def advance_features(self) -> str | None:
+        """One part of it, as of `PreparingController`."""
+        return self.guard.advance()
+
+    def cancel_features(self) -> None:
+        """Forget the version that is being prepared, if any."""
+        self.guard.cancel()
+
     def take_falls(self) -> list[Fall]:
         """What the guard did since the last call."""
         return self.guard.take_falls()

@@ -1,13 +1,16 @@
 """From chunks to a complete feature version, and what became of it: in use, or refused and why.
 
-The core decodes a version and swaps it in the same tick, the one in which its last chunk arrives.
+The core decodes a version in the tick in which its last chunk arrives. From the next tick on a controller that can
+prepares it, in parts (onboard.control.preparation), and swaps it in one tick; any other one swaps it at once. The
+version that is being prepared is finished first. Of those that come meanwhile the newest waits: if the newest one went
+first, versions at 40 Hz would keep any of them from ever flying.
 """
 
 from collections import deque
 from typing import Final, NamedTuple
 
 from onboard.control.guard import Fall
-from onboard.control.interface import Controller, GuardedController, LearningController
+from onboard.control.interface import Controller, GuardedController, LearningController, PreparingController
 from protocol.feature_set import FeatureSet
 from protocol.messages import REFUSALS, FeatureChunk
 from protocol.transfer import FeatureReceiver
@@ -36,6 +39,9 @@ class FeatureReception:
     def __init__(self) -> None:
         self._receiver = FeatureReceiver()
         self._complete: FeatureSet | None = None
+        self._preparing: FeatureSet | None = None
+        self._void = False
+        """Whether the version that is being prepared is one of a peer that has restarted."""
         self._refused: deque[tuple[int, int]] = deque(maxlen=REFUSALS_KEPT)
         """Versions refused and the reasons, indices into REFUSALS. The first is being reported; the last one stays."""
         self._reports = 0
@@ -60,23 +66,42 @@ class FeatureReception:
     def restart(self) -> None:
         """Start over for a new session of the peer: its versions may count from 1 again."""
         self._receiver.reset()
-        self._complete = None
+        self._complete, self._void = None, self._preparing is not None
         self._refused.clear()
         self._reports = 0
 
     def swap(self, controller: Controller, now_ns: int) -> tuple[list[Event], list[Event]]:
-        """Offer the complete version that waits, if any, and take note of what the guard did.
+        """Offer the complete version that waits, or go on with the one before, and note what the guard did.
 
         Returns events, and those of them that the pilot should see.
         """
         events: list[Event] = []
-        features, self._complete = self._complete, None
-        if features is not None:
-            learner = controller if isinstance(controller, LearningController) else None
-            refusal = "not_accepting" if learner is None else learner.offer_features(features)
-            events.append((now_ns, self.conclude(features, refusal, now_ns)))
+        features = self._preparing or self._complete
+        answer = None if features is None else self._answer(controller, features)
+        if features is not None and answer is not None:
+            events.append((now_ns, self.conclude(features, answer, now_ns)))
         falls = controller.take_falls() if isinstance(controller, GuardedController) else []
         return events, [(now_ns, self._fall_back(fall, now_ns)) for fall in falls]
+
+    def _answer(self, controller: Controller, features: FeatureSet) -> str | None:
+        """The controller's answer to a version; None while it prepares it."""
+        if isinstance(controller, PreparingController):
+            return self._prepared(controller)
+        self._complete = None
+        return controller.offer_features(features) if isinstance(controller, LearningController) else "not_accepting"
+
+    def _prepared(self, controller: PreparingController) -> str | None:
+        """One part of the version that is being prepared, and its answer; the next one begins when it is over."""
+        if self._void:
+            controller.cancel_features()
+            self._preparing, self._void = None, False
+        answer = None if self._preparing is None else controller.advance_features()
+        if answer is not None:
+            self._preparing = None
+        elif self._preparing is None and self._complete is not None:
+            self._preparing, self._complete = self._complete, None
+            controller.begin_features(self._preparing)
+        return answer
 
     def _fall_back(self, fall: Fall, now_ns: int) -> str:
         """The guard has taken a version back, or lets one fly again."""

@@ -48,6 +48,8 @@ class RecentStates:
         self._residuals: Array = np.zeros((size, outputs))
         self._filled = 0
         self._next = 0
+        self.pushes = 0
+        """States added so far, those that were replaced counted too."""
 
     def push(self, signals: Array, residual: Sequence[float] | None = None) -> None:
         """Add one signal vector, [SIGNAL_COUNT], and the filtered residual there; they replace the oldest."""
@@ -55,12 +57,17 @@ class RecentStates:
         self._residuals[self._next] = 0.0 if residual is None else residual
         self._next = (self._next + 1) % self._ring.shape[0]
         self._filled = min(self._filled + 1, self._ring.shape[0])
+        self.pushes += 1
 
     def columns(self, now: Array) -> Array:
         """[SIGNAL_COUNT, n + m]: the n of the ring and the m of `now`, unordered; no column while the ring is empty."""
         if self._filled == 0:
             return np.zeros((self._ring.shape[1], 0))
         return np.hstack([self._ring[: self._filled].T, now])
+
+    def newest(self) -> tuple[Array, Array]:
+        """The last one added: signal vector [SIGNAL_COUNT] and residual [3]."""
+        return self._ring[self._next - 1], self._residuals[self._next - 1]
 
     def in_order(self) -> tuple[Array, Array]:
         """Signal vectors [SIGNAL_COUNT, n] and residuals [n, 3], the oldest first."""

@@ -27,10 +27,12 @@ class Features(Protocol):
     """Phi of one channel."""
 
     feature_count: int
-    lipschitz: float
-    """Lipschitz constant of Phi in the scaled inputs."""
     inputs: tuple[str, ...]
     """Names of the signals that it sees."""
+
+    @property
+    def lipschitz(self) -> float:
+        """Lipschitz constant of Phi in the scaled inputs."""
 
     def select(self, signals: Array) -> Array:
         """Scaled inputs z of signal vectors: [SIGNAL_COUNT] or [SIGNAL_COUNT, n] to [m] or [m, n]."""
@@ -98,7 +100,11 @@ class NetworkFeatures(_Selection):
         ]
         self._prepare(2)
         self.feature_count = channel.feature_count
-        self.lipschitz = channel.lipschitz_bound()
+
+    @property
+    def lipschitz(self) -> float:
+        """Lipschitz constant of Phi in the scaled inputs."""
+        return self.channel.lipschitz_bound()
 
     def _prepare(self, columns: int) -> None:
         """Allocate the arrays for this number of columns: the inputs of each layer with a row of ones, and Phi."""

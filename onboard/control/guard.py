@@ -9,7 +9,8 @@ at all, the loop with its feed-forward. The decision uses measurements of this v
 
 1. **Room** (onboard.control.room): nu_ad is bounded per axis by what the actuators give beside the loop's own need.
 2. **Test** (onboard.control.version_test): a version is tested before it flies, and the map that flies every `check_s`
-   on what is ahead by then. Swaps a second, and their summed jump, are limited.
+   on what is ahead by then. Swaps a second, and their summed jump, are limited. A version is prepared over many ticks
+   (onboard.control.preparation) and swapped in one.
 3. **Probation** (onboard.control.watch): the map is compared with the bias-only law in every tick. Worse for 0.3 s:
    back to the last good version with its W, then to the bias-only law, then to none. Each step is an event and a
    refusal for the trainer.
@@ -25,7 +26,7 @@ at all, the loop with its feed-forward. The decision uses measurements of this v
 What is left after all of it: for 0.3 s a wrong nu_ad within its room can act. docs/guard.md has promises and figures.
 """
 
-import hashlib
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from enum import IntEnum
@@ -36,10 +37,9 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
-from onboard.control.feature_swap import SwapPlan
-from onboard.control.features import Features
 from onboard.control.laws.adaptive import AdaptiveAugmentation, Learnt
 from onboard.control.laws.law import Augmentation, ChannelState
+from onboard.control.preparation import Plan, Preparation
 from onboard.control.records import ChannelTelemetry, ControlInputs
 from onboard.control.reference_model import ChannelGains
 from onboard.control.room import Room, RoomConfig
@@ -49,9 +49,6 @@ from protocol.conventions import Array
 from protocol.feature_set import FeatureSet
 from protocol.geometry import Vector3, vector
 from protocol.signals import CHANNELS
-
-Plan = tuple[int, Features, SwapPlan]
-"""Channel, features, and what flies with them."""
 
 
 class GuardConfig(ConfigRecord):
@@ -105,13 +102,14 @@ class Kept(NamedTuple):
 
 
 def content_of(features: FeatureSet) -> bytes:
-    """Digest of what a version would fly: the same for the same content under another number."""
-    digest = hashlib.blake2b(digest_size=16)
+    """CRC-32 and Adler-32 of what a version would fly: the same for the same content under another number."""
+    crc, adler = 0, 1
     for channel in features.by_channel:
         for array in () if channel is None else (channel.offset, channel.scale, *channel.parameters):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        digest.update(b"|")
-    return digest.digest()
+            numbers = np.ascontiguousarray(array).tobytes()
+            crc, adler = zlib.crc32(numbers, crc), zlib.adler32(numbers, adler)
+        crc, adler = zlib.crc32(b"|", crc), zlib.adler32(b"|", adler)
+    return crc.to_bytes(4, "little") + adler.to_bytes(4, "little")
 
 
 class Guard:
@@ -151,6 +149,9 @@ class Guard:
         self._time_s, self._next_check_s = 0.0, 0.0
         self._due: list[int] = []
         self._adapting = False
+        self._offered: FeatureSet | None = None
+        """The version that is being prepared."""
+        self._work: Preparation | None = None
 
     def _watch(self, channel: int, learner: AdaptiveAugmentation, gains: ChannelGains) -> ChannelWatch:
         law = learner.last_layer.config
@@ -228,16 +229,19 @@ class Guard:
         )
 
     def _look_ahead(self) -> None:
-        """Check the map that flies on what is ahead now, one channel in a tick."""
+        """Check the map that flies on what is ahead now, some states in a tick, one channel after the other."""
         if not self._config.test.enabled or self.version == 0:
             return
         if not self._due and self._time_s >= self._next_check_s:
             self._next_check_s = self._time_s + self._config.test.check_s
             self._due = list(self._learners)
         if self._due:
-            channel = self._due.pop()
+            channel = self._due[-1]
             learner, test = self._learners[channel], self._tests[channel]
-            if not test.still_good(learner.features, learner.prior_layer, learner.signals_now):
+            good = test.look(learner.features, learner.prior_layer, learner.signals_now)
+            if good is not None:
+                self._due.pop()
+            if good is False:
                 self._fall(f"steep or high ahead in {CHANNELS[channel]}")
 
     # --- back and up -------------------------------------------------------------------------------------------------
@@ -272,9 +276,13 @@ class Guard:
         return any(one.loses(LOSES_S) for one in self._watches.values())
 
     def _enter(self, level: Level) -> None:
+        """Another law flies, or another version: what was measured of the one before is void."""
         self.level = level
         for one in self._watches.values():
             one.restart()
+        for test in self._tests.values():
+            test.looks = False
+        self._due, self._next_check_s = [], self._time_s
 
     def _say(self, refused: int, text: str) -> None:
         self._falls.append(Fall(refused, self.version, f"guard: {text}"))
@@ -296,35 +304,72 @@ class Guard:
     # --- versions ----------------------------------------------------------------------------------------------------
 
     def offer(self, features: FeatureSet) -> str:
-        """Test a version and swap to it, in both channels or none; returns "" or the refusal."""
+        """Prepare a version and swap to it, all parts at once; returns "" or the refusal."""
+        self.begin(features)
+        while (answer := self.advance()) is None:
+            pass
+        return answer
+
+    def begin(self, features: FeatureSet) -> None:
+        """Start to prepare a version; `advance` goes on."""
+        self._offered, self._work = features, None
+
+    def cancel(self) -> None:
+        """Forget the version that is being prepared, if any."""
+        self._offered = self._work = None
+
+    def advance(self) -> str | None:
+        """One part: None while it goes on; "" if the version has been swapped in, in both channels, or the refusal."""
+        work, features = self._work, self._offered
+        assert features is not None
+        answer: str | None = None
+        if work is None or work.replaces != (self.version, self._content):
+            content = content_of(features)
+            answer = self._unwanted(features, content) or None
+            tests = self._tests if self._config.test.enabled else {}
+            flying = self.version, self._content
+            self._work = None if answer else Preparation(features, content, flying, self._learners, tests)
+        elif work.step():
+            answer = work.refusal or self._conclude(work)
+        if answer is not None:
+            self.cancel()
+        return answer
+
+    def _unwanted(self, features: FeatureSet, content: bytes) -> str:
+        """The refusal of a version that need not be prepared."""
         if not any(features.by_channel[i] is not None for i in self._learners):
             return "not_accepting"
-        content = content_of(features)
         if content in self._refused:
             return "taken_back"
-        if self._strikes >= self._config.strikes_max:
-            return "not_trusted"
-        plans, refusal = self._plans(features)
-        refusal = refusal or self._too_often(plans)
-        watched = self._config.watch.enabled and self.level is Level.MAP and not self._proven
-        if plans and not refusal and watched and self._loses():
-            self._losses += 1
-            self._take_back("misfit of the version before")
-            plans, refusal = self._plans(features)
+        return "not_trusted" if self._strikes >= self._config.strikes_max else ""
+
+    def _conclude(self, work: Preparation) -> str | None:
+        """The swap, or its refusal; None if the version before was taken back, and the preparation starts again."""
+        plans, refusal = work.plans()
+        jump = sum(plan.swap.step / self._learners[plan.channel].jump_max for plan in plans)
+        refusal = refusal or self._too_often(jump)
         if refusal:
             return refusal
         if not plans:
-            self._renumber(features.version)
+            self._renumber(work.features.version)
             return ""
+        if self._config.watch.enabled and self.level is Level.MAP and not self._proven and self._loses():
+            self._losses += 1
+            self._take_back("misfit of the version before")
+            return None
+        self._commit(work, plans)
+        self._swaps.append((self._time_s, jump))
+        return ""
+
+    def _commit(self, work: Preparation, plans: Sequence[Plan]) -> None:
         if self._proven and self.level is Level.MAP:
             self._good = Kept(self.version, self._content, self._learnt())
-        for channel, new, plan in plans:
-            self._learners[channel].commit(new, plan)
-        self.version, self._content, self._proven = features.version, content, False
+        for plan in plans:
+            self._learners[plan.channel].commit(plan.features, plan.swap)
+        self.version, self._content, self._proven = work.features.version, work.content, False
         self._needs_evidence = self._losses >= self._config.losses_max
         at_once = self._adapting and self.level is Level.MAP and not self._needs_evidence
         self._enter(Level.MAP if at_once or not self._config.watch.enabled else Level.BIAS)
-        return ""
 
     def _renumber(self, version: int) -> None:
         """What flies has come again under another number: a later refusal names the one that the trainer knows."""
@@ -332,32 +377,13 @@ class Guard:
             self._good = self._good._replace(version=version)
         self.version = version
 
-    def _plans(self, features: FeatureSet) -> tuple[list[Plan], str]:
-        plans: list[Plan] = []
-        for i, learner in self._learners.items():
-            channel = features.by_channel[i]
-            if channel is None or learner.flies(channel):
-                continue  # a swap would forget S
-            new, plan = learner.plan(channel)
-            refusal = plan.refusal
-            if not refusal and self._config.test.enabled:
-                refusal = self._tests[i].refusal(new, learner.prior_of(plan), learner.signals_now, *learner.recent)
-            if refusal:
-                return [], refusal
-            plans.append((i, new, plan))
-        return plans, ""
-
-    def _too_often(self, plans: Sequence[Plan]) -> str:
-        """Whether one more swap would be too many in a second, or too much."""
-        jump = sum(plan.step / self._learners[i].jump_max for i, _, plan in plans)
+    def _too_often(self, jump: float) -> str:
+        """Whether one more swap would be too many in a second, or too much. jump: as a share of jump_max."""
         while self._swaps and self._swaps[0][0] < self._time_s - 1.0:
             self._swaps.popleft()
         jumps = sum(one for _, one in self._swaps) + jump
-        if len(self._swaps) + 1 > self._config.swaps_per_s_max or jumps > self._config.jumps_max:
-            return "swap_rate"
-        if plans:
-            self._swaps.append((self._time_s, jump))
-        return ""
+        often = len(self._swaps) + 1 > self._config.swaps_per_s_max or jumps > self._config.jumps_max
+        return "swap_rate" if often else ""
 
 
 def _within(nu: Vector3, room: Vector3) -> Vector3:

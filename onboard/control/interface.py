@@ -53,6 +53,20 @@ class LearningController(Protocol):
 
 
 @runtime_checkable
+class PreparingController(LearningController, Protocol):
+    """A learning controller that prepares a swap over many ticks."""
+
+    def begin_features(self, features: FeatureSet) -> None:
+        """Start to prepare a version, in place of the one that is being prepared."""
+
+    def advance_features(self) -> str | None:
+        """One part, once a tick: None while it goes on; "" if the version is in use now, or the refusal."""
+
+    def cancel_features(self) -> None:
+        """Forget the version that is being prepared, if any."""
+
+
+@runtime_checkable
 class GuardedController(Protocol):
     """A controller that may take a version back (onboard.control.guard)."""
 

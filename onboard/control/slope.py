@@ -103,22 +103,21 @@ def largest_shares(channel: ChannelFeatures, theta: Array, limits: SlopeLimits, 
     return found
 
 
-def bounded_theta(channel: ChannelFeatures, limits: SlopeLimits, signals: Array, Phi: Array) -> tuple[Array, Array]:
-    """theta [k, 3] with the slope of every axis at these states within its limit, and the shares before, [3].
+def flattened(theta: Array, shares: Array, Phi: Array) -> tuple[Array, Array]:
+    """theta [k, 3] with the slope of every axis within its limit, and the factor of each axis, [3].
 
     An axis with too steep a map is flattened about its mean over the states: its rows but that of the constant are
     scaled, and the constant takes up the change of the mean.
 
     Parameters
     ----------
+    shares: [3], the largest slope of each axis (`largest_shares`).
     Phi: [k, n], features of the same states.
     """
-    theta = channel.last_layer
-    shares = largest_shares(channel, theta, limits, signals)
     factor = 1.0 / np.maximum(shares, 1.0)
     if (factor == 1.0).all():
-        return theta, shares
+        return theta, factor
     flat = theta.copy()
     flat[:-1] *= factor
     flat[-1] += (1.0 - factor) * (theta[:-1].T @ Phi[:-1].mean(axis=1))
-    return flat, shares
+    return flat, factor

@@ -13,6 +13,9 @@ The path ahead is a line through it, with points so close that no cliff lies bet
 - **slope over the box and the last second**, the derivative, as a share of its limit.
 
 theta of law (2a), whose nu_cmd fades to it where nothing was measured; W of law (2).
+
+The states ahead are looked at in parts, one a tick (`Ahead`). What has been seen by the last one was in reach at the
+first one, some 0.06 s before; the box reaches farther than that.
 """
 
 from typing import Annotated, Final
@@ -27,6 +30,10 @@ from protocol.conventions import Array
 from protocol.signals import SIGNAL_INDEX
 
 Size = Annotated[float, Field(gt=0, le=1e4)]
+AHEAD_PER_PART: Final = 4
+"""States ahead that one part looks at, of a version that is to fly: features and slope."""
+CHECKED_PER_PART: Final = 5
+"""The same of the map that flies: features alone."""
 BOX_POINTS: Final = 32
 BOX_AXES: Final = 15
 PATH_POINTS: Final = 16
@@ -73,6 +80,47 @@ def ahead(config: VersionTestConfig, now: Array) -> tuple[Array, Array]:
     return line, box
 
 
+class Ahead:
+    """A map on the path and the box ahead, in parts."""
+
+    def __init__(self, config: VersionTestConfig, limits: SlopeLimits) -> None:
+        self._config, self._limits = config, limits
+        self._place_limit = next(limit for names, limit in limits.groups if names == PLACE)
+        self._states: Array = np.zeros((0, PATH_POINTS + BOX_POINTS))
+        self._nu: Array = np.zeros((3, PATH_POINTS + BOX_POINTS))
+        self._seen, self._over = 0, 0.0
+
+    def begin(self, now: Array) -> None:
+        """Start at the present state, [SIGNAL_COUNT]."""
+        self._states = np.hstack(ahead(self._config, now))
+        self._seen, self._over = 0, 0.0
+
+    def step(self, features: Features, theta: Array, most: int, with_slope: bool) -> bool:
+        """Look at so many states, with theta [k, 3]; whether all have been seen."""
+        states = self._states[:, self._seen : self._seen + most]
+        self._nu[:, self._seen : self._seen + most] = theta.T @ features.evaluate(features.select(states))
+        if with_slope and isinstance(features, NetworkFeatures):
+            shares = largest_shares(features.channel, theta, self._limits, states)
+            self._over = float(np.maximum(self._over, shares.max()))
+        self._seen += most
+        return self._seen >= PATH_POINTS + BOX_POINTS
+
+    def found(self) -> tuple[float, float, float]:
+        """The largest change from here, the slope along the path and that over the states, as shares of their limits.
+
+        NaN if the map is not finite.
+        """
+        nu, path = self._nu, self._states[PLACES, :2]
+        spread = float(np.abs(nu - nu[:, :1]).max())
+        apart = float(np.linalg.norm(path[:, 1] - path[:, 0]))
+        steps = np.abs(np.diff(nu[:, :PATH_POINTS], axis=1)).max(axis=1) / apart
+        return spread, float((steps / self._place_limit).max()), self._over
+
+    def change_to(self, nu: Array) -> float:
+        """The largest change of the map from here to where it is nu [3, n]."""
+        return float(np.abs(nu - self._nu[:, :1]).max()) if nu.shape[1] else 0.0
+
+
 class VersionTest:
     """The test of one channel's maps."""
 
@@ -80,28 +128,45 @@ class VersionTest:
         self._config, self._slope_limits = config, limits
         self._limits = config.bound_max[channel], config.spread_max[channel]
         self._slopes = config.path_slope[channel], config.box_slope[channel]
-        self._place_limit = next(limit for names, limit in limits.groups if names == PLACE)
         self._misfit_floor = config.misfit_floor[channel]
+        self.ahead, self._look = Ahead(config, limits), Ahead(config, limits)
+        self.looks = False
+        """Whether the map that flies is being checked."""
         self.found: tuple[float, ...] = (0.0,) * 5
         """Bound, spread, slope along the path, slope over the box, misfit over what is allowed, of the last test."""
 
     def refusal(self, features: Features, theta: Array, now: Array, recent: Array, residuals: Array) -> str:
         """The refusal (protocol.messages.REFUSALS) of a map theta'Phi, theta [k, 3], before it flies; "" for none.
 
+        All parts at once.
+
         Parameters
         ----------
         now: [SIGNAL_COUNT], the present state.
         recent: [SIGNAL_COUNT, n], those of the last second. residuals: [n, 3], measured there.
         """
-        path, box = ahead(self._config, now)
-        spread, along = self._reach(features, theta, path, np.hstack([recent, box]))
-        size = float(np.linalg.norm(theta[:-1], axis=0).max()) * (theta.shape[0] - 1) ** 0.5
+        self.ahead.begin(now)
+        while not self.ahead.step(features, theta, AHEAD_PER_PART, with_slope=True):
+            pass
         over = 0.0
         if isinstance(features, NetworkFeatures):
-            over = float(
-                largest_shares(features.channel, theta, self._slope_limits, np.hstack([path, box, recent])).max()
-            )
-        misfit = self._misfit(features, theta, recent, residuals)
+            over = float(largest_shares(features.channel, theta, self._slope_limits, recent).max())
+        Phi = features.evaluate(features.select(recent))
+        return self.verdict(theta, Phi, residuals, over)
+
+    def verdict(self, theta: Array, Phi: Array, residuals: Array, over: float) -> str:
+        """The refusal, once `ahead` has seen all states.
+
+        Parameters
+        ----------
+        Phi: [k, n], features of the recent states. residuals: [n, 3], measured there.
+        over: the largest slope at the recent states, share of its limit.
+        """
+        nu = theta.T @ Phi
+        spread, along, box = self.ahead.found()
+        spread, over = float(np.maximum(spread, self.ahead.change_to(nu))), float(np.maximum(over, box))
+        size = float(np.linalg.norm(theta[:-1], axis=0).max()) * (theta.shape[0] - 1) ** 0.5
+        misfit = self._misfit(nu.T, residuals)
         self.found = size, spread, along, over, misfit
         if misfit > 1.0:
             return "misfit"
@@ -109,26 +174,20 @@ class VersionTest:
             return "reach"
         return "slope" if along > self._slopes[0] or over > self._slopes[1] else ""
 
-    def still_good(self, features: Features, theta: Array, now: Array) -> bool:
-        """Whether the map that flies passes on the path and the box ahead of here."""
-        path, box = ahead(self._config, now)
-        spread, along = self._reach(features, theta, path, box)
+    def look(self, features: Features, theta: Array, now: Array) -> bool | None:
+        """One part of a check of the map that flies on what is ahead; after the last one whether it is good, else None."""
+        if not self.looks:
+            self._look.begin(now)
+        self.looks = not self._look.step(features, theta, CHECKED_PER_PART, with_slope=False)
+        if self.looks:
+            return None
+        spread, along, _ = self._look.found()
         self.found = 0.0, spread, along, 0.0, 0.0
         return spread <= self._limits[1] and along <= self._slopes[0]
 
-    def _misfit(self, features: Features, theta: Array, recent: Array, residuals: Array) -> float:
-        """Misfit over the last second, as a share of what is allowed."""
-        if recent.shape[1] == 0:
+    def _misfit(self, nu: Array, residuals: Array) -> float:
+        """Misfit over the last second, as a share of what is allowed. nu, residuals: [n, 3]."""
+        if nu.shape[0] == 0:
             return 0.0
-        nu = (theta.T @ features.evaluate(features.select(recent))).T
         sizes = [float(np.sqrt(np.square(one).sum(axis=1).mean())) for one in (nu - residuals, residuals)]
         return sizes[0] / (self._config.misfit * sizes[1] + self._misfit_floor)
-
-    def _reach(self, features: Features, theta: Array, path: Array, states: Array) -> tuple[float, float]:
-        """The largest change from here, and the largest slope along the path as a share of its limit."""
-        n = path.shape[1]
-        nu = theta.T @ features.evaluate(features.select(np.hstack([path, states])))
-        spread = float(np.abs(nu - nu[:, :1]).max())
-        apart = float(np.linalg.norm(path[PLACES, 1] - path[PLACES, 0]))
-        steps = np.abs(np.diff(nu[:, :n], axis=1)).max(axis=1) / apart
-        return spread, float((steps / self._place_limit).max())

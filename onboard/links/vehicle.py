@@ -24,16 +24,19 @@ from configs.loader import ConfigRecord
 from onboard.links.health import LinkHealth, LinkHealthConfig
 from onboard.links.vehicle_clock import VehicleClock
 from protocol.conventions import NEVER_NS, Array
+from protocol.geometry import ZERO, Vector3
 from protocol.mavlink import vehicle as wire
 from protocol.mavlink.frames import Frame, FrameReader, FrameWriter
 from protocol.mavlink.signing import SigningClock
-from protocol.mavlink.vehicle import BatteryReading, ImuReading, SensorReading
+from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, SensorReading
 
 FROZEN: Final = {"imu": "IMU", "flow": "optical flow", "range": "ultrasonic", "pressure": "pressure"}
 """Name of each sensor in the event."""
 BATTERY_MAX_V: Final = 60.0
 OTHER_VEHICLE: Final = 2**24
 """Kind of the datagrams of a second vehicle: no message id is so large."""
+VELOCITY_FLOW_S: Final = 1.0 / 60.0
+"""Time over which a flow in m/s is taken to be measured: its message does not say it."""
 _CONFLICT_NS: Final = 5 * 10**9
 _CONFLICT_COUNT: Final = 20
 _EVENT_PERIOD_NS: Final = 10**9
@@ -97,6 +100,7 @@ class VehicleLink:
             wire.IMU: self._imu,
             wire.FLOWS[0]: self._flow,
             wire.FLOWS[1]: self._flow,
+            wire.VELOCITY_FLOW: self._velocity_flow,
             wire.RANGE: self._range,
             wire.BATTERY_STATUS: self._battery,
             wire.SYSTEM_STATUS: self._battery,
@@ -110,6 +114,8 @@ class VehicleLink:
         self._events: list[tuple[int, str]] = []
         self._reported_ns: dict[str, int] = {}
         self._restarted_ns = NEVER_NS
+        self._gyroscope: Vector3 = ZERO
+        """Of the newest good IMU sample, rad/s."""
         self._imus = RepeatCounter(config.frozen_samples)
         self._flows = RepeatCounter(config.frozen_flows)
         self._ranges = RepeatCounter(config.frozen_ranges)
@@ -215,6 +221,7 @@ class VehicleLink:
             return self._refuse_frozen("imu", now_ns)
         if pressure_pa is not None:
             pressure_pa = self._checked_pressure(pressure_pa, now_ns)
+        self._gyroscope = gyroscope
         time_ns = self._clock.to_onboard(stamp_ns, now_ns)
         self.health.add(stamp_ns, now_ns - time_ns, now_ns, inertial)
         return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
@@ -251,12 +258,23 @@ class VehicleLink:
         reading = wire.decode_flow(frame.fields)
         if reading is None or not 1e-3 <= reading.integration_s <= 0.5:
             return self._refuse("flow_time")
+        return self._checked_flow(reading, reading[2:6], now_ns)
+
+    def _velocity_flow(self, frame: Frame, now_ns: int) -> Reading | None:
+        """OPTICAL_FLOW: the camera's rotation has been taken out with the gyroscope, so it is put in again with it."""
+        flow = wire.decode_velocity_flow(frame.fields)
+        if flow is None or not flow.distance_m <= self._config.distance_max_m:
+            return self._refuse("flow_distance")
+        return self._checked_flow(flow.over(VELOCITY_FLOW_S, self._gyroscope), flow[1:3], now_ns)
+
+    def _checked_flow(self, reading: FlowReading, sent: tuple[float, ...], now_ns: int) -> Reading | None:
+        """The reading if its angles are within limits and the values `sent` change."""
         limit = self._config.flow_rate_max_rad_s * reading.integration_s
         angles = reading[2:6]
         for value in angles:
             if not -limit <= value <= limit:
                 return self._refuse_sensor("flow", value, now_ns)
-        if self._flows.frozen(angles) and any(angles):  # a camera that sees nothing gives zeros
+        if self._flows.frozen(sent) and any(sent):  # a camera that sees nothing gives zeros
             return self._refuse_frozen("flow", now_ns)
         self.last_flow_ns = now_ns
         return reading._replace(time_ns=self._slow_time(reading.time_ns, now_ns))

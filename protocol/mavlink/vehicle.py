@@ -15,6 +15,7 @@ from protocol.mavlink.frames import Fields, Message
 IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_SENSOR
 FLOWS: Final = (mavlink.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD)
 """Two messages with the same fields."""
+VELOCITY_FLOW: Final[int] = mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW
 RANGE: Final[int] = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 HEARTBEAT: Final[int] = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 BATTERY_STATUS: Final[int] = mavlink.MAVLINK_MSG_ID_BATTERY_STATUS
@@ -97,6 +98,35 @@ def decode_flow(f: Fields) -> FlowReading | None:
     if f[0] > _MICROSECONDS_MAX:
         return None
     return FlowReading(f[0] * 1000, f[1] * 1e-6, f[2], f[3], f[4], f[5], f[11])
+
+
+class VelocityFlow(NamedTuple):
+    """OPTICAL_FLOW: velocity over ground, without the camera's rotation, at a distance."""
+
+    time_ns: int
+    velocity_x: float
+    """m/s, along body x."""
+    velocity_y: float
+    """m/s, along body y."""
+    distance_m: float
+    """To the floor along body +z; it was used to find the velocity."""
+    quality: int
+    """0 (worst) to 255."""
+
+    def over(self, integration_s: float, rate: Vector3) -> FlowReading:
+        """The angles that a camera sees that turns with this rate, rad/s, for a time that ends at `time_ns`."""
+        rotation_x, rotation_y = rate[0] * integration_s, rate[1] * integration_s
+        angle = integration_s / self.distance_m
+        flow_x, flow_y = rotation_x - self.velocity_y * angle, rotation_y + self.velocity_x * angle
+        return FlowReading(self.time_ns, integration_s, flow_x, flow_y, rotation_x, rotation_y, self.quality)
+
+
+def decode_velocity_flow(f: Fields) -> VelocityFlow | None:
+    """None if the time is too large or the distance is unknown: without it the velocity says nothing about angles."""
+    # time_usec, flow_comp_m_x, flow_comp_m_y, ground_distance, flow_x, flow_y (pixels), sensor_id, quality, ...
+    if f[0] > _MICROSECONDS_MAX or not f[3] > 0.0:
+        return None
+    return VelocityFlow(f[0] * 1000, f[1], f[2], f[3], f[7])
 
 
 class RangeReading(NamedTuple):

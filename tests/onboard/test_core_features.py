@@ -164,7 +164,7 @@ def test_of_too_many_refusals_the_oldest_are_dropped():
     assert reception.status[-2:] == (REFUSALS_KEPT, REFUSALS.index("probation"))
 
 
-def test_a_version_is_swapped_in_the_tick_of_its_last_chunk():
+def test_a_version_is_prepared_over_many_ticks_and_swapped_in_one():
     loop = Loop("dmrac", peer=Peer()).fly(1.0)
     chunks = split(encode_feature_set(features(), "float32"), 1, 300)
     loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS) for chunk in chunks[:-1]]
@@ -172,7 +172,49 @@ def test_a_version_is_swapped_in_the_tick_of_its_last_chunk():
     assert loop.core.summary()["features"]["version"] == 0
     assert isinstance(chunks[-1], FeatureChunk)
     loop.extra = [loop.peer.endpoint.encode(chunks[-1], loop.now_ns + CLOCK_NS)]
+    ticks = 0
+    while loop.core.summary()["features"]["version"] == 0:
+        loop.step()
+        ticks += 1
+        assert ticks < 100
+    assert ticks > 20
+    assert loop.column("feature_version")[-1] == 1
+
+
+def test_the_version_in_preparation_is_finished_first_and_the_newest_of_the_others_comes_next():
+    loop = Loop("dmrac", peer=Peer()).fly(1.0)
+    for number in (1, 2, 3):
+        loop.extra = [
+            loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS)
+            for chunk in split(encode_feature_set(features(number), "float32"), number, 1000)
+        ]
+        loop.step()
+    loop.fly(1.0)
+    assert [text for text in loop.said("in use") if "features" in text] == [
+        "features 1 in use, parent 0, 100 samples",
+        "features 3 in use, parent 0, 100 samples",
+    ]
+    assert loop.core.summary()["features"]["swaps"] == 2
+
+
+def test_a_version_in_preparation_is_void_when_the_peer_restarts():
+    loop = Loop("dmrac", peer=Peer(session=2)).fly(1.0)
+    chunks = split(encode_feature_set(features(), "float32"), 1, 1000)
+    loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS) for chunk in chunks]
+    loop.fly(0.05)
+    loop.join(Peer(session=3))
+    loop.fly(1.0)
+    assert loop.said("offboard restarted")
+    assert loop.core.summary()["features"]["version"] == 0
+
+
+def test_a_version_is_swapped_in_while_offboard_is_silent():
+    loop = Loop("dmrac", peer=Peer()).fly(1.0)
+    chunks = split(encode_feature_set(features(), "float32"), 1, 1000)
+    loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS) for chunk in chunks]
     loop.step()
+    loop.peer = None
+    loop.fly(1.0)
     assert loop.core.summary()["features"]["version"] == 1
 
 

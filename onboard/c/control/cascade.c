@@ -35,6 +35,16 @@ bool cascade_accepts_features(const Cascade *self) {
     return augmentation_learns(self->augmentations + PLACE) || augmentation_learns(self->augmentations + TURN);
 }
 
+/* CascadedController.begin_features, .cancel_features */
+void cascade_begin_features(Cascade *self) {
+    guard_begin(&self->guard);
+}
+
+/* CascadedController.advance_features */
+bool cascade_advance_features(Cascade *self, const FeatureSet *features, Refusal *refusal) {
+    return guard_advance(&self->guard, self->augmentations, features, refusal);
+}
+
 /* CascadedController.offer_features */
 Refusal cascade_offer_features(Cascade *self, const FeatureSet *features) {
     return guard_offer(&self->guard, self->augmentations, features);

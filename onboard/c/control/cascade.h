@@ -50,7 +50,13 @@ void cascade_reset(Cascade *self, const ControlInputs *inputs);
 /* Whether a channel has network features. */
 bool cascade_accepts_features(const Cascade *self);
 
-/* Swap the features of both channels in one tick, or refuse. */
+/* Start to prepare a swap of the features of both channels, in place of the one that is being prepared. */
+void cascade_begin_features(Cascade *self);
+
+/* One part of it; whether it is over. Then REFUSAL_NONE: they are in use. */
+bool cascade_advance_features(Cascade *self, const FeatureSet *features, Refusal *refusal);
+
+/* All parts at once. */
 Refusal cascade_offer_features(Cascade *self, const FeatureSet *features);
 
 /* What the guard did since the last call: at most FALLS_MAX. Returns their number. */

@@ -51,6 +51,7 @@ void reception_receive(FeatureReception *self, const FeatureChunk *chunk) {
 void reception_restart(FeatureReception *self) {
     receiver_reset(&self->receiver);
     self->waits = false;
+    self->is_void = self->prepares;
     self->refused_count = 0;
     self->reports = 0;
 }
@@ -79,17 +80,33 @@ static void follow(FeatureReception *self, const Fall *fall, int64_t now_ns) {
     }
 }
 
+/* FeatureReception._prepared: one part of the version that is being prepared; whether it is over */
+static bool prepare(FeatureReception *self, Cascade *controller, Refusal *refusal) {
+    if (self->is_void) {
+        self->prepares = self->is_void = false;
+    }
+    if (self->prepares) {
+        self->prepares = !cascade_advance_features(controller, &self->preparing, refusal);
+        return !self->prepares;
+    }
+    if (self->waits) {
+        self->preparing = self->complete;
+        self->prepares = true;
+        self->waits = false;
+        cascade_begin_features(controller);
+    }
+    return false;
+}
+
 /* FeatureReception.swap */
 void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome) {
-    const FeatureSet *features = &self->complete;
+    const FeatureSet *features = &self->preparing;
     memset(outcome, 0, sizeof *outcome);
-    outcome->offered = self->waits;
-    self->waits = false;
+    outcome->offered = prepare(self, controller, &outcome->refusal);
     if (outcome->offered) {
         outcome->version = features->version;
         outcome->parent = features->parent;
         outcome->samples = features->samples;
-        outcome->refusal = cascade_offer_features(controller, features);
         conclude(self, outcome, now_ns);
     }
     outcome->fall_count = cascade_take_falls(controller, outcome->falls);

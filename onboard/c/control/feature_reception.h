@@ -9,9 +9,9 @@
 #define REFUSALS_KEPT 8 /* that wait to be reported; of more the oldest are dropped */
 #define REPORTS 3       /* statuses that name a refusal before they name the next one: a status may be lost */
 
-/* What a tick did with a version that waited, and what the guard did. onboard/c/event_text.py makes numpy's texts of it. */
+/* What a tick did with a version, and what the guard did. onboard/c/event_text.py makes numpy's texts of it. */
 typedef struct {
-    bool offered; /* whether a version waited */
+    bool offered; /* whether a version is in use now, or refused */
     int64_t version;
     int64_t parent;
     int64_t samples;
@@ -23,8 +23,11 @@ typedef struct {
 /* The feature versions that arrive, and the one in use. */
 typedef struct {
     FeatureReceiver receiver;
-    FeatureSet complete; /* that waits for the next swap */
+    FeatureSet complete; /* that waits */
     bool waits;
+    FeatureSet preparing; /* the one before it */
+    bool prepares;
+    bool is_void;                            /* whether that is one of a peer that has restarted */
     int64_t version;                         /* in use; 0 for the start features */
     int64_t swapped_ns;                      /* NEVER_NS for the start features */
     int64_t refused_versions[REFUSALS_KEPT]; /* the first is being reported; the last one stays */
@@ -48,13 +51,13 @@ typedef struct {
 
 void reception_init(FeatureReception *self);
 
-/* Add one chunk. A version that is complete and valid waits for the next swap. */
+/* Add one chunk. A version that is complete and valid waits. */
 void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
 
 /* Start over for a new session of the peer: its versions may count from 1 again. */
 void reception_restart(FeatureReception *self);
 
-/* Offer the version that waits to the controller, if any, and take note of what the guard did. */
+/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. */
 void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome);
 
 /* Time since the features in use were swapped in, s; -1 for the start features. */

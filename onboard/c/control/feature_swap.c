@@ -10,6 +10,7 @@
 void recent_init(RecentStates *self, int32_t size) {
     self->size = size;
     self->filled = self->next = 0;
+    self->pushes = 0;
 }
 
 /* RecentStates.push */
@@ -18,6 +19,7 @@ void recent_push(RecentStates *self, const real signals[SIGNAL_COUNT], const rea
     memcpy(self->residuals + self->next * 3, residual, 3 * sizeof(real));
     self->next = (self->next + 1) % self->size;
     self->filled = self->filled < self->size ? self->filled + 1 : self->size;
+    self->pushes++;
 }
 
 /* RecentStates.columns */

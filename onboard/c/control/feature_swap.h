@@ -18,6 +18,7 @@ typedef struct {
     int32_t size;
     int32_t filled;
     int32_t next;
+    int64_t pushes; /* states added so far, those that were replaced counted too */
 } RecentStates;
 
 void recent_init(RecentStates *self, int32_t size);

@@ -19,15 +19,41 @@ static void take_selection(Features *self, const FeatureSelection *selection) {
     }
 }
 
+/* The rows of a layer. */
+static const real *rows_of(const Network *network, int32_t inputs, int32_t layer) {
+    const real *rows = network->parameters;
+    for (int32_t l = 0; l < layer; l++) {
+        rows += network->width[l] * (inputs + 1);
+        inputs = network->width[l];
+    }
+    return rows;
+}
+
 /* NetworkFeatures.__init__ */
 void features_init_network(Features *self, const FeatureSelection *selection, const Network *network) {
+    features_take_network(self, selection, network);
+    for (int32_t l = 0; l < network->layers; l++) {
+        features_take_layer(self, l);
+    }
+}
+
+void features_take_network(Features *self, const FeatureSelection *selection, const Network *network) {
     self->kind = ADAPTIVE_FEATURES_NETWORK;
     take_selection(self, selection);
     self->network = *network;
     self->feature_count = network_feature_count(network);
     memset(self->last_layer, 0, sizeof self->last_layer);
 #ifdef DMRAC_Q15_FEATURES
-    self->q15 = q15_rows(network, selection->count, self->rows, self->bits);
+    self->q15 = true;
+#endif
+}
+
+void features_take_layer(Features *self, int32_t layer) {
+#ifdef DMRAC_Q15_FEATURES
+    self->q15 = whole_take_layer(&self->whole, &self->network, self->selection.count, layer) && self->q15;
+#else
+    (void)self;
+    (void)layer;
 #endif
 }
 
@@ -70,6 +96,18 @@ void features_init_bias(Features *self) {
     self->kind = ADAPTIVE_FEATURES_BIAS;
     self->selection.count = 0;
     self->feature_count = 1;
+}
+
+real features_layer_norm(const Features *self, int32_t layer, NormWorkspace *work) {
+#ifdef DMRAC_Q15_FEATURES
+    if (self->q15) {
+        return q15_layer_norm(self, layer, work);
+    }
+#endif
+    const Network *network = &self->network;
+    int32_t inputs = layer > 0 ? network->width[layer - 1] : self->selection.count;
+    const real *rows = rows_of(network, self->selection.count, layer);
+    return largest_singular_value(rows, network->width[layer], inputs, inputs + 1, work->numbers);
 }
 
 /* ChannelFeatures.lipschitz_bound */

@@ -32,6 +32,13 @@ typedef struct {
     real parameters[PARAMETERS_MAX];
 } Network;
 
+/* Inner layers in 16-bit whole numbers (features_q15.h). */
+typedef struct {
+    int32_t pairs[PARAMETERS_MAX / 2];       /* rows of W, two numbers in each */
+    int32_t biases[LAYERS_MAX * WIDTH_MAX];  /* b of each row, all layers one after the other, as its sums are */
+    int8_t bits[LAYERS_MAX * WIDTH_MAX];     /* fractional bits of each row of W */
+} WholeNetwork;
+
 /* One channel of a trained feature version. */
 typedef struct {
     FeatureSelection selection;
@@ -57,11 +64,16 @@ typedef struct {
     real last_layer[FEATURES_MAX * 3]; /* theta_n that came with the network; zero for a flight's first features */
     real exponent[RBF_COUNT * (2 * INPUTS_MAX + 1)]; /* of the radial functions, linear in [z; z^2; 1] */
 #ifdef DMRAC_Q15_FEATURES
-    bool q15;                            /* the network is evaluated in 16-bit whole numbers (features_q15.h) */
-    int16_t rows[PARAMETERS_MAX];        /* rows of W and then b */
-    int8_t bits[LAYERS_MAX * WIDTH_MAX]; /* fractional bits of each row, all layers one after the other */
+    bool q15; /* the network is evaluated in 16-bit whole numbers */
+    WholeNetwork whole;
 #endif
 } Features;
+
+/* Memory of a search for a spectral norm. */
+typedef struct {
+    real numbers[2 * WIDTH_MAX * WIDTH_MAX];
+    int32_t whole[WIDTH_MAX * WIDTH_MAX];
+} NormWorkspace;
 
 /* A number of the Halton sequence (Halton 1960) in [0, 1): by its index, from 1, and its dimension, 0 to INPUTS_MAX - 1. */
 real halton(int index, int dimension);
@@ -69,7 +81,10 @@ real halton(int index, int dimension);
 /* k of a network. */
 int32_t network_feature_count(const Network *network);
 
-/* Take over a network; `selection` and `network` are copied. `last_layer` is zero. */
+/* Take over a network; `selection` and `network` are copied. `last_layer` is zero. The same without the layers, which
+ * features_take_layer takes over one after the other, in their order, before the features are evaluated. */
+void features_take_network(Features *self, const FeatureSelection *selection, const Network *network);
+void features_take_layer(Features *self, int32_t layer);
 void features_init_network(Features *self, const FeatureSelection *selection, const Network *network);
 /* Gaussians on a Halton grid over the unit box. `width` in scaled units, for one input; it grows with sqrt(m). */
 void features_init_radial(Features *self, const FeatureSelection *selection, real width);
@@ -78,6 +93,9 @@ void features_init_bias(Features *self);
 /* Lipschitz constant of Phi in the scaled inputs: the product of the layers' spectral norms. `work`: 2 WIDTH_MAX^2
  * numbers. */
 real network_lipschitz(const Network *network, int32_t inputs, real *work);
+
+/* The spectral norm of a layer's W, which has been taken over. In 16-bit whole numbers it is exact to about 1 %. */
+real features_layer_norm(const Features *self, int32_t layer, NormWorkspace *work);
 
 /* Scaled inputs z [m] of a signal vector, clipped to +-INPUT_LIMIT. */
 void features_select(const Features *self, const real signals[SIGNAL_COUNT], real *z);

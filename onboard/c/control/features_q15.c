@@ -1,6 +1,7 @@
 #include "control/features_q15.h"
 
 #include <stddef.h>
+#include <string.h>
 
 #include "numerics/elementary.h"
 
@@ -8,6 +9,10 @@
 #define OUTPUT_BITS 15
 #define SUM_BITS 16
 #define STEP_BITS 11 /* of a number with SUM_BITS, within one step of the table: 1/32 */
+#define SUM_GUARD_BITS 6   /* of a sum of up to WIDTH_MAX products */
+#define DIRECTION_MAX 4000 /* of a vector: no sum of WIDTH_MAX squares exceeds 32 bits */
+#define SIZE_MAX_Q REAL(32767.0)
+#define SUM_MAX_Q REAL(65000.0) /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
 
 /* tanh(i / 32) 2^15, rounded, at most 32767. */
 static const int16_t TANH[TANH_POINTS] = {
@@ -29,74 +34,165 @@ static const int16_t TANH[TANH_POINTS] = {
     32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767,
     32767};
 
-/* x / 2^shift, rounded to the nearest; a negative shift multiplies. */
-static int64_t shifted(int64_t x, int shift) {
-    if (shift <= 0) {
-        return x * ((int64_t)1 << -shift);
-    }
-    int64_t half = (int64_t)1 << (shift - 1);
-    return x >= 0 ? (x + half) >> shift : -((half - x) >> shift);
+/* Two numbers of 16 bits in one of 32, so that a processor loads both at once. */
+static int32_t pair_of(int32_t low, int32_t high) {
+    return (int32_t)(((uint32_t)high << 16) | ((uint32_t)low & 0xffff));
 }
 
-int16_t tanh_q15(int64_t x) {
-    int64_t size = x < 0 ? -x : x;
-    int64_t place = size >> STEP_BITS;
-    int32_t value = TANH[TANH_POINTS - 1];
+static int32_t low_of(int32_t pair) {
+    return (int16_t)pair;
+}
+
+static int32_t high_of(int32_t pair) {
+    return pair >> 16;
+}
+
+static int32_t number_of(const int32_t *pairs, int32_t i) {
+    return i % 2 == 0 ? low_of(pairs[i / 2]) : high_of(pairs[i / 2]);
+}
+
+static int32_t dot_of_pairs(const int32_t *a, const int32_t *b, int32_t pairs) {
+    int32_t sum = 0;
+    for (int32_t i = 0; i < pairs; i++) {
+        int32_t x = a[i], y = b[i];
+        sum += low_of(x) * low_of(y) + high_of(x) * high_of(y);
+    }
+    return sum;
+}
+
+static int32_t pairs_for(int32_t numbers) {
+    return (numbers + 1) / 2;
+}
+
+/* x / 2^shift, rounded; a negative shift multiplies, up to the largest number. */
+static int32_t shifted(int32_t x, int32_t shift) {
+    if (shift > 0) {
+        return shift > 31 ? 0 : ((x >> (shift - 1)) + 1) >> 1;
+    }
+    int32_t most = INT32_MAX >> -shift;
+    return x > most ? INT32_MAX : x < -most ? -INT32_MAX : x * (int32_t)(1U << -shift);
+}
+
+int16_t tanh_q15(int32_t x) {
+    int32_t size = x < 0 ? -x : x, place = size >> STEP_BITS, value = TANH[TANH_POINTS - 1];
     if (place < TANH_POINTS - 1) {
-        int32_t rest = (int32_t)(size - (place << STEP_BITS));
-        int32_t step = TANH[place + 1] - TANH[place];
+        int32_t rest = size - (place << STEP_BITS), step = TANH[place + 1] - TANH[place];
         value = TANH[place] + ((step * rest + (1 << (STEP_BITS - 1))) >> STEP_BITS);
     }
     return (int16_t)(x < 0 ? -value : value);
 }
 
-/* Fractional bits with which every number of a row fits into 16 bits; -1 if none. */
-static int bits_of(const real *row, int count) {
-    real largest = REAL(0.0);
-    for (int i = 0; i < count; i++) {
-        largest = real_max(largest, real_abs(row[i]));
+/* --- a network, rounded --- */
+
+/* Where a layer begins. */
+typedef struct {
+    int32_t parameters; /* in Network */
+    int32_t row;        /* in the biases and bits */
+    int32_t pair;       /* in the pairs */
+    int32_t inputs;
+} Place;
+
+static Place place_of(const Network *network, int32_t inputs, int32_t layer) {
+    Place place = {0, 0, 0, inputs};
+    for (int32_t l = 0; l < layer; l++) {
+        place.parameters += network->width[l] * (place.inputs + 1);
+        place.row += network->width[l];
+        place.pair += network->width[l] * pairs_for(place.inputs);
+        place.inputs = network->width[l];
     }
-    int bits = OUTPUT_BITS;
-    for (real limit = REAL(0.999); bits >= 0 && !(largest < limit); limit *= REAL(2.0)) {
-        bits--;
-    }
-    return bits;
+    return place;
 }
 
-bool q15_rows(const Network *network, int32_t inputs, int16_t *rows, int8_t *bits) {
-    int at = 0, row = 0;
-    for (int l = 0; l < network->layers; l++) {
-        for (int i = 0; i < network->width[l]; i++, row++) {
-            int row_bits = bits_of(network->parameters + at, inputs + 1);
-            if (row_bits < 0) {
-                return false;
-            }
-            bits[row] = (int8_t)row_bits;
-            for (int j = 0; j <= inputs; j++, at++) {
-                real scaled = network->parameters[at] * (real)((int32_t)1 << row_bits);
-                rows[at] = (int16_t)real_floor(scaled + REAL(0.5));
-            }
+static int32_t rounded(real x) {
+    return (int32_t)(x < REAL(0.0) ? x - REAL(0.5) : x + REAL(0.5));
+}
+
+/* Fractional bits with which every number of a row fits into 16 bits, and every sum into 32; -1 if none. */
+static int32_t bits_of(const real *row, int32_t count) {
+    real largest = REAL(0.0), sum = REAL(0.0), scale = (real)(1 << OUTPUT_BITS);
+    for (int32_t i = 0; i < count; i++) {
+        real size = real_abs(row[i]);
+        largest = size > largest ? size : largest;
+        sum += size;
+    }
+    for (int32_t bits = OUTPUT_BITS; bits >= 0; bits--, scale *= REAL(0.5)) {
+        if (largest * scale < SIZE_MAX_Q && sum * scale < SUM_MAX_Q) { /* NaN is not */
+            return bits;
         }
-        inputs = network->width[l];
+    }
+    return -1;
+}
+
+bool whole_take_layer(WholeNetwork *self, const Network *network, int32_t inputs, int32_t layer) {
+    Place at = place_of(network, inputs, layer);
+    int32_t below_bits = layer > 0 ? OUTPUT_BITS : INPUT_BITS, *pair = self->pairs + at.pair;
+    const real *row = network->parameters + at.parameters;
+    for (int32_t i = 0; i < network->width[layer]; i++, row += at.inputs + 1) {
+        int32_t bits = bits_of(row, at.inputs + 1);
+        if (bits < 0) {
+            return false;
+        }
+        real scale = (real)((int32_t)1 << bits);
+        self->bits[at.row + i] = (int8_t)bits;
+        self->biases[at.row + i] = rounded(row[at.inputs] * scale) * ((int32_t)1 << below_bits);
+        for (int32_t j = 0; j < at.inputs; j += 2) {
+            *pair++ = pair_of(rounded(row[j] * scale), j + 1 < at.inputs ? rounded(row[j + 1] * scale) : 0);
+        }
     }
     return true;
 }
 
-bool features_q15_init(FeaturesQ15 *self, const Features *source) {
-    const Network *network = &source->network;
-    self->selection = source->selection;
-    self->layers = network->layers;
-    for (int i = 0; i < source->selection.count; i++) {
-        self->inverse[i] = source->inverse[i];
-    }
-    for (int l = 0; l < network->layers; l++) {
-        self->width[l] = network->width[l];
-    }
-    return q15_rows(network, source->selection.count, self->parameters, self->bits);
+/* --- features --- */
+
+static int32_t rounded_input(real z) {
+    return rounded(z * (real)(1 << INPUT_BITS));
 }
 
-static int16_t rounded_input(real z) {
-    return (int16_t)real_floor(z * (real)(1 << INPUT_BITS) + REAL(0.5));
+/* The output of one row of a layer, of `below` with `below_bits` fractional bits. */
+static int32_t output_of(const int32_t *row, int32_t bias, int32_t bits, const int32_t *below, int32_t pairs,
+                         int32_t below_bits) {
+    return tanh_q15(shifted(bias + dot_of_pairs(row, below, pairs), bits + below_bits - SUM_BITS));
+}
+
+/* Outputs of a layer, in pairs. */
+static void evaluate_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *below,
+                           int32_t below_bits, int32_t *above) {
+    int32_t pairs = pairs_for(at->inputs);
+    const int32_t *row = self->pairs + at->pair, *bias = self->biases + at->row;
+    const int8_t *bits = self->bits + at->row;
+    for (int32_t i = 0; i < width; i += 2, row += 2 * pairs) {
+        int32_t low = output_of(row, bias[i], bits[i], below, pairs, below_bits), high = 0;
+        if (i + 1 < width) {
+            high = output_of(row + pairs, bias[i + 1], bits[i + 1], below, pairs, below_bits);
+        }
+        *above++ = pair_of(low, high);
+    }
+}
+
+/* Outputs of all layers of `network` at inputs z, in pairs; returns those of the last one. */
+static const int32_t *evaluate_all(const WholeNetwork *self, const Network *network, int32_t inputs,
+                                   const int32_t *z, int32_t levels[2][PAIRS_MAX]) {
+    Place at = {0, 0, 0, inputs};
+    const int32_t *below = z;
+    for (int32_t l = 0; l < network->layers; l++) {
+        int32_t width = network->width[l], *above = levels[l % 2];
+        evaluate_layer(self, &at, width, below, l > 0 ? OUTPUT_BITS : INPUT_BITS, above);
+        at = (Place){0, at.row + width, at.pair + width * pairs_for(at.inputs), width};
+        below = above;
+    }
+    return below;
+}
+
+bool features_q15_init(FeaturesQ15 *self, const Features *source) {
+    self->selection = source->selection;
+    self->network = source->network;
+    memcpy(self->inverse, source->inverse, sizeof self->inverse);
+    for (int32_t l = 0; l < source->network.layers; l++) {
+        if (!whole_take_layer(&self->whole, &source->network, source->selection.count, l)) {
+            return false;
+        }
+    }
+    return true;
 }
 
 /* Features.select, rounded */
@@ -104,151 +200,280 @@ void features_q15_select(const FeaturesQ15 *self, const real signals[SIGNAL_COUN
     for (int i = 0; i < self->selection.count; i++) {
         real scaled = (signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i];
         scaled = real_max(real_min(scaled, INPUT_LIMIT), -INPUT_LIMIT);
-        z[i] = rounded_input(scaled);
-    }
-}
-
-/* One layer: `above` [count], 15 fractional bits, of `below` [inputs], `below_bits` of them. */
-static void layer(const int16_t *row, const int8_t *bits, int count, const int16_t *below, int inputs, int below_bits,
-                  int16_t *above) {
-    for (int i = 0; i < count; i++) {
-        int64_t sum = (int64_t)row[inputs] * ((int64_t)1 << below_bits);
-        for (int j = 0; j < inputs; j++) {
-            sum += (int32_t)row[j] * below[j];
-        }
-        above[i] = tanh_q15(shifted(sum, bits[i] + below_bits - SUM_BITS));
-        row += inputs + 1;
-    }
-}
-
-static void evaluate(const int16_t *row, const int8_t *bits, int layers, const int32_t *width, int inputs,
-                     const int16_t *z, int16_t *Phi) {
-    int16_t levels[2][WIDTH_MAX];
-    const int16_t *below = z;
-    int below_bits = INPUT_BITS;
-    for (int l = 0; l < layers; l++) {
-        int16_t *above = l == layers - 1 ? Phi : levels[l % 2];
-        layer(row, bits, width[l], below, inputs, below_bits, above);
-        row += width[l] * (inputs + 1);
-        bits += width[l];
-        inputs = width[l];
-        below_bits = OUTPUT_BITS;
-        below = above;
+        z[i] = (int16_t)rounded_input(scaled);
     }
 }
 
 /* Features.evaluate */
 void features_q15_evaluate(const FeaturesQ15 *self, const int16_t *z, int16_t *Phi) {
-    evaluate(self->parameters, self->bits, self->layers, self->width, self->selection.count, z, Phi);
-    Phi[self->width[self->layers - 1]] = TANH[TANH_POINTS - 1];
+    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX], m = self->selection.count;
+    int32_t count = self->network.width[self->network.layers - 1];
+    for (int32_t i = 0; i < m; i += 2) {
+        inputs[i / 2] = pair_of(z[i], i + 1 < m ? z[i + 1] : 0);
+    }
+    const int32_t *out = evaluate_all(&self->whole, &self->network, m, inputs, levels);
+    for (int32_t i = 0; i < count; i++) {
+        Phi[i] = (int16_t)number_of(out, i);
+    }
+    Phi[count] = TANH[TANH_POINTS - 1];
 }
 
 #ifdef DMRAC_Q15_FEATURES
 
+static void round_inputs(const Features *self, const real *z, int32_t *pairs) {
+    int32_t m = self->selection.count;
+    for (int32_t i = 0; i < m; i += 2) {
+        pairs[i / 2] = pair_of(rounded_input(z[i]), i + 1 < m ? rounded_input(z[i + 1]) : 0);
+    }
+}
+
 void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
     const Network *network = &self->network;
-    int16_t rounded[INPUTS_MAX], out[WIDTH_MAX];
-    int inputs = self->selection.count, count = network->width[network->layers - 1];
-    for (int i = 0; i < inputs; i++) {
-        rounded[i] = rounded_input(z[i]);
-    }
-    evaluate(self->rows, self->bits, network->layers, network->width, inputs, rounded, out);
-    for (int i = 0; i < count; i++) {
-        Phi[i] = (real)out[i] * (REAL(1.0) / (real)(1 << OUTPUT_BITS));
+    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX], count = network->width[network->layers - 1];
+    round_inputs(self, z, inputs);
+    const int32_t *out = evaluate_all(&self->whole, network, self->selection.count, inputs, levels);
+    for (int32_t i = 0; i < count; i++) {
+        Phi[i] = (real)number_of(out, i) * (REAL(1.0) / (real)(1 << OUTPUT_BITS));
     }
     Phi[count] = REAL(1.0);
 }
 
 /* --- the slope: J of a layer in whole numbers with a common unit --- */
 
-/* J [count, n] of a layer; a number of it is value times `unit`. */
+/* J' [n, outputs] of a layer, in pairs; a number of it is value times `unit`. */
 typedef struct {
-    int16_t values[WIDTH_MAX * INPUTS_MAX];
+    int32_t rows[INPUTS_MAX][PAIRS_MAX];
     real unit;
 } WholeSlopes;
 
-/* dz/dx of the inputs, zero where one is clipped. */
-static void slopes_of_inputs(const Features *self, const real *z, const int32_t *inputs, int32_t n, WholeSlopes *out) {
+/* dz/dx of the inputs, zero where one is clipped: a number for each. */
+static void slopes_of_inputs(const Features *self, const real *z, const int32_t *inputs, int32_t n, int32_t *values,
+                             real *unit) {
     real largest = REAL(0.0);
     for (int32_t j = 0; j < n; j++) {
         largest = real_max(largest, self->inverse[inputs[j]]);
     }
     for (int32_t j = 0; j < n; j++) {
         bool moves = real_abs(z[inputs[j]]) < INPUT_LIMIT;
-        real share = REAL(16384.0) * (self->inverse[inputs[j]] / largest);
-        out->values[j] = (int16_t)(moves ? real_floor(share + REAL(0.5)) : REAL(0.0));
+        values[j] = moves ? rounded(REAL(16384.0) * (self->inverse[inputs[j]] / largest)) : 0;
     }
-    out->unit = largest / REAL(16384.0);
+    *unit = largest / REAL(16384.0);
 }
 
-/* Bring the sums of a layer to 16 bits. */
-static void fit(const int32_t *sums, int32_t count, real unit, WholeSlopes *out) {
-    int32_t largest = 1;
-    int shift = 0;
-    for (int32_t i = 0; i < count; i++) {
-        int32_t size = sums[i] < 0 ? -sums[i] : sums[i];
-        largest = size > largest ? size : largest;
+/* Bring the sums [n, WIDTH_MAX] of a layer to 16 bits. */
+static void fit(int32_t sums[INPUTS_MAX][WIDTH_MAX], int32_t n, int32_t width, real unit, WholeSlopes *out) {
+    int32_t largest = 1, shift = 0;
+    for (int32_t j = 0; j < n; j++) {
+        for (int32_t i = 0; i < width; i++) {
+            int32_t size = sums[j][i] < 0 ? -sums[j][i] : sums[j][i];
+            largest = size > largest ? size : largest;
+        }
     }
-    for (; largest > 32767; largest >>= 1) {
+    for (; largest > 32766; largest >>= 1) {
         shift++;
     }
     for (; largest < 16384; largest <<= 1) {
         shift--;
     }
-    for (int32_t i = 0; i < count; i++) {
-        out->values[i] = (int16_t)shifted(sums[i], shift);
+    for (int32_t j = 0; j < n; j++) {
+        for (int32_t i = 0; i < width; i += 2) {
+            int32_t high = i + 1 < width ? shifted(sums[j][i + 1], shift) : 0;
+            out->rows[j][i / 2] = pair_of(shifted(sums[j][i], shift), high);
+        }
     }
     out->unit = shift >= 0 ? unit * (real)((int32_t)1 << shift) : unit / (real)((int32_t)1 << -shift);
 }
 
-static int32_t narrowed(int64_t x) {
-    return x > INT32_MAX ? INT32_MAX : x < -INT32_MAX ? -INT32_MAX : (int32_t)x;
+static int32_t fewest_bits(const int8_t *bits, int32_t count) {
+    int32_t fewest = OUTPUT_BITS;
+    for (int32_t i = 0; i < count; i++) {
+        fewest = bits[i] < fewest ? bits[i] : fewest;
+    }
+    return fewest;
 }
 
-/* D W J of one layer: for an output the sum over the inputs below; the first layer's inputs are those of the slope alone. */
-static void slopes_of_layer(const int16_t *row, const int8_t *bits, int count, int inputs, const int16_t *outputs,
-                            const int32_t *first_inputs, int32_t n, WholeSlopes *slopes) {
-    int32_t sums[WIDTH_MAX * INPUTS_MAX];
-    for (int i = 0; i < count; i++, row += inputs + 1) {
-        int32_t steepness = (1 << OUTPUT_BITS) - (((int32_t)outputs[i] * outputs[i]) >> OUTPUT_BITS);
+/* D W J of one layer, whose outputs are given: for each input the sum over the outputs below; the first layer has one number
+ * for each input. */
+static void slopes_of_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *outputs,
+                            const int32_t *first, const int32_t *inputs, int32_t n, WholeSlopes *slopes) {
+    int32_t sums[INPUTS_MAX][WIDTH_MAX], pairs = pairs_for(at->inputs);
+    const int32_t *row = self->pairs + at->pair;
+    const int8_t *bits = self->bits + at->row;
+    int32_t fewest = fewest_bits(bits, width);
+    for (int32_t i = 0; i < width; i++, row += pairs) {
+        int32_t h = number_of(outputs, i), steepness = (1 << OUTPUT_BITS) - ((h * h) >> OUTPUT_BITS);
+        int32_t shift = OUTPUT_BITS + bits[i] - fewest;
         for (int32_t j = 0; j < n; j++) {
-            int64_t sum = 0;
-            if (first_inputs) {
-                sum = (int32_t)row[first_inputs[j]] * slopes->values[j];
-            } else {
-                for (int m = 0; m < inputs; m++) {
-                    sum += (int32_t)row[m] * slopes->values[m * n + j];
-                }
-            }
-            sums[i * n + j] = narrowed(shifted(shifted(sum, bits[i]) * steepness, OUTPUT_BITS));
+            int32_t sum = first ? number_of(row, inputs[j]) * first[j] : dot_of_pairs(row, slopes->rows[j], pairs);
+            sums[j][i] = (int32_t)(((int64_t)sum * steepness) >> shift);
         }
     }
-    fit(sums, count * n, slopes->unit, slopes);
+    fit(sums, n, width, slopes->unit / (real)((int32_t)1 << fewest), slopes);
+}
+
+static void slopes_of_network(const Features *self, const real *z, const int32_t *inputs, int32_t n,
+                              WholeSlopes *slopes) {
+    const Network *network = &self->network;
+    int32_t levels[2][PAIRS_MAX], rounded_z[PAIRS_MAX], first[INPUTS_MAX];
+    Place at = {0, 0, 0, self->selection.count};
+    const int32_t *below = rounded_z;
+    round_inputs(self, z, rounded_z);
+    slopes_of_inputs(self, z, inputs, n, first, &slopes->unit);
+    for (int32_t l = 0; l < network->layers; l++) {
+        int32_t width = network->width[l], *above = levels[l % 2];
+        evaluate_layer(&self->whole, &at, width, below, l > 0 ? OUTPUT_BITS : INPUT_BITS, above);
+        slopes_of_layer(&self->whole, &at, width, above, l == 0 ? first : NULL, inputs, n, slopes);
+        at = (Place){0, at.row + width, at.pair + width * pairs_for(at.inputs), width};
+        below = above;
+    }
 }
 
 void q15_slope_real(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J) {
-    const Network *network = &self->network;
-    const int16_t *row = self->rows;
-    const int8_t *bits = self->bits;
-    int16_t levels[2][WIDTH_MAX];
     WholeSlopes slopes;
-    int count = self->selection.count, below_bits = INPUT_BITS;
-    for (int i = 0; i < count; i++) {
-        levels[1][i] = rounded_input(z[i]);
+    int32_t count = self->feature_count - 1;
+    slopes_of_network(self, z, inputs, n, &slopes);
+    for (int32_t i = 0; i < count; i++) {
+        for (int32_t j = 0; j < n; j++) {
+            J[i * n + j] = slopes.unit * (real)number_of(slopes.rows[j], i);
+        }
     }
-    slopes_of_inputs(self, z, inputs, n, &slopes);
-    for (int l = 0; l < network->layers; l++) {
-        int16_t *above = levels[l % 2];
-        layer(row, bits, network->width[l], levels[1 - l % 2], count, below_bits, above);
-        slopes_of_layer(row, bits, network->width[l], count, above, l == 0 ? inputs : NULL, n, &slopes);
-        row += network->width[l] * (count + 1);
-        bits += network->width[l];
-        count = network->width[l];
-        below_bits = OUTPUT_BITS;
+}
+
+void q15_map_slope(const Features *self, const real *theta, const real *z, const int32_t *inputs, int32_t n,
+                   real *slope) {
+    WholeSlopes slopes;
+    int32_t count = self->feature_count - 1, weights[PAIRS_MAX];
+    slopes_of_network(self, z, inputs, n, &slopes);
+    for (int axis = 0; axis < 3; axis++) {
+        real largest = REAL(0.0), sum = REAL(0.0);
+        for (int32_t i = 0; i < count; i++) {
+            real size = real_abs(theta[3 * i + axis]);
+            largest = size > largest ? size : largest;
+            sum += size;
+        }
+        real scale = real_min(SIZE_MAX_Q / largest, SUM_MAX_Q / sum) * REAL(0.999);
+        bool sensible = largest > REAL(0.0) && real_is_finite(sum) && real_is_finite(scale);
+        for (int32_t i = 0; sensible && i < count; i += 2) {
+            int32_t high = i + 1 < count ? rounded(theta[3 * (i + 1) + axis] * scale) : 0;
+            weights[i / 2] = pair_of(rounded(theta[3 * i + axis] * scale), high);
+        }
+        for (int32_t j = 0; j < n; j++) {
+            int32_t along = sensible ? dot_of_pairs(weights, slopes.rows[j], pairs_for(count)) : 0;
+            slope[axis * n + j] = sensible ? (real)along * (slopes.unit / scale) : REAL(0.0) * sum;
+        }
     }
-    for (int32_t i = 0; i < count * n; i++) {
-        J[i] = slopes.unit * (real)slopes.values[i];
+}
+
+/* --- the spectral norm of a layer --- */
+
+/* W W' or W'W, whichever is smaller, [n, n], of rows that have one number of fractional bits. */
+static void gram_of_layer(const int32_t *rows, const int8_t *bits, int32_t width, int32_t inputs, int32_t *out) {
+    int32_t pairs = pairs_for(inputs), n = width <= inputs ? width : inputs, fewest = fewest_bits(bits, width);
+    for (int32_t i = 0; i < n; i++) {
+        for (int32_t j = 0; j <= i; j++) {
+            int32_t sum = 0;
+            if (width <= inputs) {
+                const int32_t *a = rows + i * pairs, *b = rows + j * pairs;
+                sum = dot_of_pairs(a, b, pairs) >> (bits[i] + bits[j] - 2 * fewest);
+            } else {
+                for (int32_t m = 0; m < width; m++) {
+                    int32_t product = number_of(rows + m * pairs, i) * number_of(rows + m * pairs, j);
+                    sum += product >> (2 * (bits[m] - fewest) + SUM_GUARD_BITS);
+                }
+            }
+            out[i * n + j] = out[j * n + i] = sum;
+        }
     }
+}
+
+/* Bring a positive semidefinite matrix to a trace of at most 2^15, so that no number of its square exceeds 32 bits. */
+static void fit_matrix(const int32_t *sums, int32_t n, int32_t *rows) {
+    int32_t pairs = pairs_for(n), shift = 0;
+    int64_t trace = 1;
+    for (int32_t i = 0; i < n; i++) {
+        trace += sums[i * n + i];
+    }
+    for (; trace > 32000; trace >>= 1) {
+        shift++;
+    }
+    for (int32_t i = 0; i < n; i++) {
+        for (int32_t j = 0; j < n; j += 2) {
+            int32_t high = j + 1 < n ? sums[i * n + j + 1] >> shift : 0;
+            rows[i * pairs + j / 2] = pair_of(sums[i * n + j] >> shift, high);
+        }
+    }
+}
+
+/* out = M v, brought to 16 bits. */
+static void turn_vector(const int32_t *rows, int32_t n, const int32_t *v, int32_t *out) {
+    int32_t sums[WIDTH_MAX], largest = 1, shift = 0, pairs = pairs_for(n);
+    for (int32_t i = 0; i < n; i++) {
+        sums[i] = dot_of_pairs(rows + i * pairs, v, pairs);
+        int32_t size = sums[i] < 0 ? -sums[i] : sums[i];
+        largest = size > largest ? size : largest;
+    }
+    for (; largest > DIRECTION_MAX; largest >>= 1) {
+        shift++;
+    }
+    for (int32_t i = 0; i < n; i += 2) {
+        out[i / 2] = pair_of(shifted(sums[i], shift), i + 1 < n ? shifted(sums[i + 1], shift) : 0);
+    }
+}
+
+/* The direction of the largest singular value, in pairs: of W's inputs or outputs, whichever are fewer. */
+static void main_direction(const int32_t *rows, const int8_t *bits, int32_t width, int32_t inputs, int32_t *sums,
+                           int32_t *v) {
+    int32_t n = width <= inputs ? width : inputs, pairs = pairs_for(n), best = 0;
+    int32_t power[WIDTH_MAX * PAIRS_MAX], before[PAIRS_MAX];
+    gram_of_layer(rows, bits, width, inputs, sums);
+    fit_matrix(sums, n, power);
+    for (int step = 0; step < NORM_SQUARINGS; step++) {
+        for (int32_t i = 0; i < n; i++) {
+            for (int32_t j = 0; j <= i; j++) {
+                sums[i * n + j] = sums[j * n + i] = dot_of_pairs(power + i * pairs, power + j * pairs, pairs);
+            }
+        }
+        fit_matrix(sums, n, power);
+    }
+    for (int32_t i = 1; i < n; i++) {
+        best = number_of(power + i * pairs, i) > number_of(power + best * pairs, best) ? i : best;
+    }
+    memcpy(v, power + best * pairs, (size_t)pairs * sizeof *v);
+    for (int step = 0; step < NORM_STEPS; step++) {
+        memcpy(before, v, (size_t)pairs * sizeof *v);
+        turn_vector(power, n, before, v);
+    }
+}
+
+real q15_layer_norm(const Features *self, int32_t layer, NormWorkspace *work) {
+    Place at = place_of(&self->network, self->selection.count, layer);
+    const int32_t *rows = self->whole.pairs + at.pair;
+    const int8_t *bits = self->whole.bits + at.row;
+    int32_t width = self->network.width[layer], pairs = pairs_for(at.inputs), v[PAIRS_MAX], x[PAIRS_MAX];
+    main_direction(rows, bits, width, at.inputs, work->whole, v);
+    if (width <= at.inputs) { /* v is a direction of the outputs: W'v is one of the inputs */
+        real sums[WIDTH_MAX], largest = REAL(0.0);
+        for (int32_t j = 0; j < at.inputs; j++) {
+            int64_t sum = 0;
+            for (int32_t i = 0; i < width; i++) {
+                sum += ((int64_t)number_of(rows + i * pairs, j) * number_of(v, i)) >> bits[i];
+            }
+            sums[j] = (real)sum;
+            largest = real_max(largest, real_abs(sums[j]));
+        }
+        real scale = largest > REAL(0.0) ? (real)DIRECTION_MAX / largest : REAL(0.0);
+        for (int32_t j = 0; j < at.inputs; j += 2) {
+            x[j / 2] = pair_of(rounded(sums[j] * scale), j + 1 < at.inputs ? rounded(sums[j + 1] * scale) : 0);
+        }
+    } else {
+        memcpy(x, v, sizeof v);
+    }
+    real of_v = (real)dot_of_pairs(x, x, pairs), of_W = REAL(0.0);
+    for (int32_t i = 0; i < width; i++) {
+        real y = (real)dot_of_pairs(rows + i * pairs, x, pairs) / (real)((int32_t)1 << bits[i]);
+        of_W += y * y;
+    }
+    return of_v > REAL(0.0) ? real_sqrt(of_W / of_v) : REAL(0.0);
 }
 
 #endif

@@ -91,7 +91,9 @@ static void enter(Guard *self, Level level) {
     self->level = level;
     for (int channel = 0; channel < 2; channel++) {
         watch_restart(self->watches + channel);
+        self->tests[channel].looks = self->due[channel] = false;
     }
+    self->next_check_s = self->time_s;
 }
 
 /* Guard._say: a fall, of the law and the version that fly now */
@@ -195,7 +197,7 @@ static bool may_fly(const Guard *self, const WatchConfig *config) {
     return !trusts_none(self) && (has_evidence || agrees) && stands;
 }
 
-/* Guard._look_ahead: check the map that flies on what is ahead now, one channel in a tick, attitude first */
+/* Guard._look_ahead: check the map that flies on what is ahead now, some states in a tick, attitude first */
 static void look_ahead(Guard *self, Augmentation *augmentations) {
     if (!self->config.test.enabled || self->version == 0) {
         return;
@@ -207,9 +209,12 @@ static void look_ahead(Guard *self, Augmentation *augmentations) {
     int channel = self->due[1] ? 1 : 0;
     if (self->due[channel]) {
         const Adaptive *learner = &augmentations[channel].adaptive;
+        VersionTest *test = self->tests + channel;
+        if (!version_test_look(test, &learner->features, adaptive_prior_layer(learner), learner->signals)) {
+            return;
+        }
         self->due[channel] = false;
-        if (!version_test_still_good(self->tests + channel, &learner->features, adaptive_prior_layer(learner),
-                                     learner->signals)) {
+        if (!test->good) {
             fall_back(self, augmentations, FALL_AHEAD, channel);
         }
     }
@@ -268,45 +273,20 @@ void guard_reset(Guard *self) {
 
 /* --- versions --- */
 
-/* Guard._plans, of one channel */
-static Refusal plan_channel(Guard *self, const Adaptive *learner, int32_t channel, const ChannelFeatures *offered) {
-    OfferWorkspace *work = &self->work;
-    Features *features = work->features + channel;
-    SwapPlan *plan = work->plans + channel;
-    adaptive_plan(learner, offered, features, &work->swap, plan);
-    work->planned[channel] = true;
-    if (plan->refusal != REFUSAL_NONE || !self->config.test.enabled) {
-        return plan->refusal;
-    }
-    int32_t n = adaptive_recent(learner, work->swap.states, work->swap.residuals);
-    return version_test_refusal(self->tests + channel, features, adaptive_prior_of(learner, plan), learner->signals,
-                                work->swap.states, work->swap.residuals, n);
-}
-
-/* Guard._plans: of the channels whose features would change; a swap to the same would forget S */
-static Refusal plan_all(Guard *self, const Augmentation *augmentations, const FeatureSet *features) {
-    Refusal refusal = REFUSAL_NONE;
-    self->work.planned[0] = self->work.planned[1] = false;
-    for (int channel = 0; channel < 2 && refusal == REFUSAL_NONE; channel++) {
-        const Adaptive *learner = &augmentations[channel].adaptive;
-        const ChannelFeatures *offered = features->channels + channel;
-        if (self->learns[channel] && features->covers[channel] && !adaptive_flies(learner, offered)) {
-            refusal = plan_channel(self, learner, channel, offered);
+/* The jumps of the plans, as shares of jump_max. */
+static real jump_of(const Guard *self, const Augmentation *augmentations) {
+    real jump = REAL(0.0);
+    for (int channel = 0; channel < 2; channel++) {
+        if (self->work.changes[channel]) {
+            jump += self->work.plans[channel].step / adaptive_jump_max(&augmentations[channel].adaptive);
         }
     }
-    return refusal;
+    return jump;
 }
 
 /* Guard._too_often: whether one more swap would be too many in a second, or too much */
-static Refusal too_often(Guard *self, const Augmentation *augmentations) {
-    real jump = REAL(0.0), jumps = REAL(0.0);
-    bool planned = false;
-    for (int channel = 0; channel < 2; channel++) {
-        if (self->work.planned[channel]) {
-            jump += self->work.plans[channel].step / adaptive_jump_max(&augmentations[channel].adaptive);
-            planned = true;
-        }
-    }
+static bool too_often(Guard *self, real jump) {
+    real jumps = REAL(0.0);
     while (self->swap_count > 0 && self->swap_times_s[self->swap_first] < self->time_s - 1.0) {
         self->swap_first = (self->swap_first + 1) % SWAPS_MAX;
         self->swap_count--;
@@ -314,30 +294,14 @@ static Refusal too_often(Guard *self, const Augmentation *augmentations) {
     for (int32_t i = 0; i < self->swap_count; i++) {
         jumps += self->swap_jumps[(self->swap_first + i) % SWAPS_MAX];
     }
-    if ((real)(self->swap_count + 1) > self->config.swaps_per_s_max || jumps + jump > self->config.jumps_max ||
-        self->swap_count == SWAPS_MAX) {
-        return REFUSAL_SWAP_RATE;
-    }
-    if (planned) {
-        int32_t last = (self->swap_first + self->swap_count++) % SWAPS_MAX;
-        self->swap_times_s[last] = self->time_s;
-        self->swap_jumps[last] = jump;
-    }
-    return REFUSAL_NONE;
+    return (real)(self->swap_count + 1) > self->config.swaps_per_s_max || jumps + jump > self->config.jumps_max ||
+           self->swap_count == SWAPS_MAX;
 }
 
-/* Carry out the plans, all of them. */
-static void commit_all(Guard *self, Augmentation *augmentations) {
-    for (int channel = 0; channel < 2; channel++) {
-        if (self->work.planned[channel]) {
-            adaptive_commit(&augmentations[channel].adaptive, self->work.features + channel,
-                            self->work.plans + channel);
-        }
-    }
-}
-
-static bool plans_any(const Guard *self) {
-    return self->work.planned[0] || self->work.planned[1];
+static void note_swap(Guard *self, real jump) {
+    int32_t last = (self->swap_first + self->swap_count++) % SWAPS_MAX;
+    self->swap_times_s[last] = self->time_s;
+    self->swap_jumps[last] = jump;
 }
 
 /* Guard._renumber: what flies has come again under another number */
@@ -348,43 +312,93 @@ static void renumber(Guard *self, int64_t version) {
     self->version = version;
 }
 
-/* Guard.offer */
-Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *features) {
-    uint8_t content[CONTENT_BYTES];
+/* Guard._unwanted: the refusal of a version that need not be prepared */
+static Refusal unwanted(const Guard *self, const FeatureSet *features, const uint8_t content[CONTENT_BYTES]) {
     if (!(self->learns[0] && features->covers[0]) && !(self->learns[1] && features->covers[1])) {
         return REFUSAL_NOT_ACCEPTING;
     }
-    feature_content(features, content);
     if (is_refused(self, content)) {
         return REFUSAL_TAKEN_BACK;
     }
-    if (trusts_none(self)) {
-        return REFUSAL_NOT_TRUSTED;
-    }
-    Refusal refusal = plan_all(self, augmentations, features);
-    refusal = refusal == REFUSAL_NONE ? too_often(self, augmentations) : refusal;
-    if (refusal == REFUSAL_NONE && plans_any(self) && self->level == LEVEL_MAP && !self->proven &&
-        self->config.watch.enabled && loses(self)) {
-        self->losses++;
-        take_back(self, augmentations, (Fall){.reason = FALL_BEFORE});
-        refusal = plan_all(self, augmentations, features);
-    }
-    if (refusal != REFUSAL_NONE) {
-        return refusal;
-    }
-    if (!plans_any(self)) {
-        renumber(self, features->version);
-        return REFUSAL_NONE;
-    }
+    return trusts_none(self) ? REFUSAL_NOT_TRUSTED : REFUSAL_NONE;
+}
+
+/* Guard._commit */
+static void commit(Guard *self, Augmentation *augmentations, int64_t version) {
+    Preparation *work = &self->work;
     if (self->proven && self->level == LEVEL_MAP) {
         keep_as_good(self, augmentations);
     }
-    commit_all(self, augmentations);
-    self->version = features->version;
-    memcpy(self->content, content, sizeof content);
+    for (int channel = 0; channel < 2; channel++) {
+        if (work->changes[channel]) {
+            adaptive_commit(&augmentations[channel].adaptive, preparation_features(work, channel),
+                            work->plans + channel);
+        }
+    }
+    self->version = version;
+    memcpy(self->content, work->content, sizeof self->content);
     self->proven = false;
     self->needs_evidence = self->losses >= self->config.losses_max;
     bool at_once = self->adapting && self->level == LEVEL_MAP && !self->needs_evidence;
     enter(self, at_once || !self->config.watch.enabled ? LEVEL_MAP : LEVEL_BIAS);
-    return REFUSAL_NONE;
+}
+
+/* Guard._conclude: false if the version before was taken back, and the preparation starts again */
+static bool conclude(Guard *self, Augmentation *augmentations, const FeatureSet *features, Refusal *refusal) {
+    *refusal = preparation_plans(&self->work, features, augmentations, self->tests);
+    if (*refusal != REFUSAL_NONE) {
+        return true;
+    }
+    real jump = jump_of(self, augmentations);
+    if (too_often(self, jump)) {
+        *refusal = REFUSAL_SWAP_RATE;
+    } else if (!(self->work.changes[0] || self->work.changes[1])) {
+        renumber(self, features->version);
+    } else if (self->config.watch.enabled && self->level == LEVEL_MAP && !self->proven && loses(self)) {
+        self->losses++;
+        take_back(self, augmentations, (Fall){.reason = FALL_BEFORE});
+        return false;
+    } else {
+        commit(self, augmentations, features->version);
+        note_swap(self, jump);
+    }
+    return true;
+}
+
+/* Guard.begin, Guard.cancel */
+void guard_begin(Guard *self) {
+    self->work.active = false;
+}
+
+/* Guard.advance */
+bool guard_advance(Guard *self, Augmentation *augmentations, const FeatureSet *features, Refusal *refusal) {
+    Preparation *work = &self->work;
+    bool over = false;
+    *refusal = REFUSAL_NONE;
+    if (!work->active || work->replaces != self->version ||
+        memcmp(work->replaces_content, self->content, sizeof self->content) != 0) {
+        feature_content(features, work->content);
+        *refusal = unwanted(self, features, work->content);
+        over = *refusal != REFUSAL_NONE;
+        work->active = true;
+        work->replaces = self->version;
+        memcpy(work->replaces_content, self->content, sizeof self->content);
+        if (!over) {
+            preparation_begin(work, features, augmentations, self->learns, self->config.test.enabled);
+        }
+    } else if (preparation_step(work, augmentations, self->tests)) {
+        *refusal = work->refusal;
+        over = *refusal != REFUSAL_NONE || conclude(self, augmentations, features, refusal);
+    }
+    work->active = work->active && !over;
+    return over;
+}
+
+/* Guard.offer */
+Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *features) {
+    Refusal refusal;
+    guard_begin(self);
+    while (!guard_advance(self, augmentations, features, &refusal)) {
+    }
+    return refusal;
 }

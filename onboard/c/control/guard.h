@@ -4,10 +4,9 @@
 #ifndef DMRAC_GUARD_H
 #define DMRAC_GUARD_H
 
-#include "control/feature_content.h"
 #include "control/laws/augmentation.h"
+#include "control/preparation.h"
 #include "control/room.h"
-#include "control/version_test.h"
 #include "control/watch.h"
 
 /* Falls that wait to be taken; those beyond are lost and counted. */
@@ -50,14 +49,6 @@ typedef struct {
     Learnt learnt[2];
 } Kept;
 
-/* Memory for an offer; it keeps nothing between two of them. */
-typedef struct {
-    bool planned[2];
-    Features features[2];
-    SwapPlan plans[2];
-    SwapWorkspace swap;
-} OfferWorkspace;
-
 typedef struct {
     GuardConfig config;
     Room room;
@@ -86,7 +77,7 @@ typedef struct {
     double next_check_s;
     bool due[2]; /* channels whose map is still to be checked */
     bool adapting;
-    OfferWorkspace work;
+    Preparation work; /* of the version that is being prepared */
 } Guard;
 
 /* augmentations: position and attitude channel, as in all functions below. */
@@ -106,7 +97,14 @@ int32_t guard_take_falls(Guard *self, Fall *falls);
 /* On the ground: what was measured in the air is void. Versions and their W stay. */
 void guard_reset(Guard *self);
 
-/* Test a version and swap to it, in both channels or none. */
+/* Start to prepare a version, in place of the one that is being prepared. */
+void guard_begin(Guard *self);
+
+/* One part of the preparation of `features`, the same in every call: whether it is over. Then REFUSAL_NONE: the version has been
+ * swapped in, in both channels. */
+bool guard_advance(Guard *self, Augmentation *augmentations, const FeatureSet *features, Refusal *refusal);
+
+/* All parts at once. */
 Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *features);
 
 #endif

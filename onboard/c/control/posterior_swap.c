@@ -5,32 +5,162 @@
 #include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
 
-/* posterior. W does not revert within the second, b is an Ornstein-Uhlenbeck process from its stationary variance on. */
-void posterior(const KalmanLastLayer *law, const real *theta, const real *Phi, int32_t columns, int32_t k,
-               const real *y, int32_t n, const SwapTimes *times, KalmanState *out) {
-    real noise = kalman_layer_residual_variance(law, times->tick);
+enum { NETWORK, FEATURES, SLOPES, FILTER };
+
+static int32_t quotient(int32_t count, int32_t size) {
+    return (count + size - 1) / size;
+}
+
+/* The first of the recent states whose slope is checked. */
+static int32_t first_checked(int32_t recent) {
+    return recent > 0 ? (recent - 1) % SLOPE_STRIDE : 0;
+}
+
+/* How many of them are checked. */
+static int32_t recent_checked(int32_t recent) {
+    return quotient(recent - first_checked(recent), SLOPE_STRIDE);
+}
+
+int32_t posterior_swap_column(const PosteriorSwap *self, int32_t i) {
+    return i < self->recent ? i : i + SWAP_NOW;
+}
+
+/* PosteriorSwap.__init__ */
+void posterior_swap_begin(PosteriorSwap *self, const KalmanLastLayer *law, const ChannelFeatures *channel,
+                          const RecentStates *recent, const real *now, real tick, real between) {
+    features_take_network(&self->features, &channel->selection, &channel->network);
+    memcpy(self->features.last_layer, channel->last_layer, sizeof self->features.last_layer);
+    int32_t k = self->features.feature_count, n = recent_in_order(recent, self->states, self->residuals);
+    memcpy(self->states + n * SIGNAL_COUNT, now, SWAP_NOW * SIGNAL_COUNT * sizeof(real));
+    memset(self->residuals + 3 * n, 0, 3 * SWAP_NOW * sizeof(real));
+    memcpy(self->theta, channel->last_layer, (size_t)(3 * k) * sizeof(real));
+    kalman_start(&law->config, REAL(0.0), k, &self->filter);
+    self->refusal = REFUSAL_NONE;
+    self->recent = n;
+    self->count = n + SWAP_NOW;
+    self->seen = recent->pushes;
+    self->stage = self->part = self->evaluated = self->used = 0;
+    self->shares[0] = self->shares[1] = self->shares[2] = REAL(0.0);
+    self->norms = REAL(1.0);
+    self->between = between;
+    self->noise = kalman_layer_residual_variance(law, tick);
+    self->parts[NETWORK] = 2 * channel->network.layers;
+    self->parts[FEATURES] = quotient(n + SWAP_NOW, STATES_PER_PART);
+    self->parts[SLOPES] = quotient(recent_checked(n) + SWAP_NOW, SLOPES_PER_PART);
+    self->parts[FILTER] = n > 0 ? quotient(n, UPDATES_PER_PART) : 1;
+}
+
+/* PosteriorSwap._network */
+static void step_network(PosteriorSwap *self, const SwapConfig *config, const KalmanLastLayer *law) {
+    int32_t layer = self->part / 2, count = 3 * self->features.feature_count;
+    if (self->part == 0 && norm(self->theta, count) > law->config.weight_norm_max) {
+        self->refusal = REFUSAL_WEIGHT_NORM;
+    } else if (self->part % 2 == 0) {
+        features_take_layer(&self->features, layer);
+    } else {
+        self->norms *= features_layer_norm(&self->features, layer, &self->work);
+        if (self->part + 1 == self->parts[NETWORK] && self->norms > config->lipschitz_max) {
+            self->refusal = REFUSAL_LIPSCHITZ;
+        }
+    }
+}
+
+/* PosteriorSwap._evaluate */
+static void evaluate_next(PosteriorSwap *self, int32_t most) {
+    real z[INPUTS_MAX];
+    for (int32_t i = 0; i < most && self->evaluated < self->count; i++) {
+        int32_t at = self->evaluated++;
+        features_select(&self->features, self->states + at * SIGNAL_COUNT, z);
+        features_evaluate(&self->features, z, self->Phi + at * FEATURES_MAX);
+    }
+}
+
+/* PosteriorSwap._slopes */
+static void step_slopes(PosteriorSwap *self, const SlopeLimits *limits) {
+    const Features *features = &self->features;
+    int32_t old = recent_checked(self->recent), first = self->part * SLOPES_PER_PART;
+    for (int32_t i = first; i < first + SLOPES_PER_PART && i < old + SWAP_NOW; i++) {
+        int32_t at = i < old ? first_checked(self->recent) + SLOPE_STRIDE * i : self->recent + i - old;
+        real shares[3];
+        largest_shares(features, features->last_layer, limits, self->states + at * SIGNAL_COUNT, 1, shares);
+        for (int axis = 0; axis < 3; axis++) {
+            self->shares[axis] = real_largest(self->shares[axis], shares[axis]);
+        }
+    }
+    if (self->part + 1 == self->parts[SLOPES]) {
+        flattened(self->shares, self->Phi, self->recent + SWAP_NOW, features->feature_count, self->theta);
+    }
+}
+
+/* PosteriorSwap._filter_on. W does not revert within the second, b is an Ornstein-Uhlenbeck process from its stationary
+ * variance on. */
+static void filter_on(PosteriorSwap *self, const KalmanLastLayer *law, int32_t most) {
+    int32_t k = self->features.feature_count;
     real phi[STATES_MAX], g[STATES_MAX], x[3], innovation[3];
-    kalman_start(&law->config, REAL(0.0), k, out);
+    if (law->config.composite_gain == REAL(0.0)) { /* a law that is off flies the trained map */
+        return;
+    }
     phi[k] = REAL(1.0);
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j < k; j++) {
-            phi[j] = Phi[j * columns + i];
+    for (int32_t i = 0; i < most; i++) {
+        int32_t at = posterior_swap_column(self, self->used);
+        if (at >= self->evaluated) {
+            return;
         }
-        if (i > 0) {
-            kalman_state_predict(out, times->between);
+        if (self->used > 0) {
+            kalman_state_predict(&self->filter, self->between);
         }
-        kalman_state_along(out, phi, k + 1, g, x);
+        memcpy(phi, self->Phi + at * FEATURES_MAX, (size_t)k * sizeof(real));
+        kalman_state_along(&self->filter, phi, k + 1, g, x);
         for (int axis = 0; axis < 3; axis++) {
             real of_theta = REAL(0.0);
-            for (int j = 0; j < k; j++) {
-                of_theta += theta[3 * j + axis] * phi[j];
+            for (int32_t j = 0; j < k; j++) {
+                of_theta += self->theta[3 * j + axis] * phi[j];
             }
-            innovation[axis] = y[3 * i + axis] - of_theta - x[axis];
+            innovation[axis] = self->residuals[3 * at + axis] - of_theta - x[axis];
         }
-        kalman_state_correct(out, g, innovation, noise + dot(phi, g, k + 1));
+        kalman_state_correct(&self->filter, g, innovation, self->noise + dot(phi, g, k + 1));
+        self->used++;
     }
-    if (n > 0) {
-        kalman_state_predict(out, times->since);
+}
+
+/* PosteriorSwap.step */
+bool posterior_swap_step(PosteriorSwap *self, const SwapConfig *config, const KalmanLastLayer *law,
+                         const SlopeLimits *limits) {
+    switch (self->stage) {
+        case NETWORK:
+            step_network(self, config, law);
+            break;
+        case FEATURES:
+            evaluate_next(self, STATES_PER_PART);
+            break;
+        case SLOPES:
+            step_slopes(self, limits);
+            break;
+        default:
+            filter_on(self, law, UPDATES_PER_PART);
+    }
+    if (++self->part == self->parts[self->stage]) {
+        self->stage++;
+        self->part = 0;
+    }
+    return self->refusal != REFUSAL_NONE || self->stage == SWAP_STAGES;
+}
+
+/* PosteriorSwap.follow */
+void posterior_swap_follow(PosteriorSwap *self, const KalmanLastLayer *law, const RecentStates *recent) {
+    if (recent->pushes > self->seen && self->count < self->recent + SWAP_NOW + FOLLOWED_MAX) {
+        int32_t newest = (recent->next + recent->size - 1) % recent->size;
+        self->seen = recent->pushes;
+        memcpy(self->states + self->count * SIGNAL_COUNT, recent->ring + newest * SIGNAL_COUNT,
+               SIGNAL_COUNT * sizeof(real));
+        memcpy(self->residuals + self->count * 3, recent->residuals + newest * 3, 3 * sizeof(real));
+        self->count++;
+    }
+    if (self->stage > FEATURES) {
+        evaluate_next(self, 1);
+    }
+    if (self->stage > FILTER) {
+        filter_on(self, law, 1);
     }
 }
 
@@ -38,91 +168,67 @@ void posterior(const KalmanLastLayer *law, const real *theta, const real *Phi, i
 static void keep_all(const KalmanLastLayer *law, const real *theta, KalmanState *out) {
     int count = 3 * law->feature_count;
     kalman_start(&law->config, law->config.prior_rate, law->feature_count, out);
-    memcpy(out->S, law->state.S, (size_t)(out->size * out->size) * sizeof(real));
+    memcpy(out->S, law->state.S, (size_t)(out->size * out->size) * sizeof out->S[0]);
     for (int i = 0; i < count; i++) {
         out->X[i] = law->theta[i] + law->state.X[i] - theta[i];
     }
     memcpy(out->X + count, law->state.X + count, 3 * sizeof(real));
 }
 
-static void first_plan(const SwapConfig *config, const KalmanLastLayer *law, const Features *new_features,
-                       SwapWorkspace *work, SwapPlan *plan) {
-    int count = 3 * new_features->feature_count;
-    memcpy(plan->W, new_features->last_layer, (size_t)count * sizeof(real));
-    memcpy(plan->theta, new_features->last_layer, (size_t)count * sizeof(real));
-    plan->jump = plan->step = REAL(0.0);
-    plan->refusal = REFUSAL_NONE;
-    if (network_lipschitz(&new_features->network, new_features->selection.count, work->square) >
-        config->lipschitz_max) {
-        plan->refusal = REFUSAL_LIPSCHITZ;
-    } else if (norm(new_features->last_layer, count) > law->config.weight_norm_max) {
-        plan->refusal = REFUSAL_WEIGHT_NORM;
-    }
-}
-
-/* The change of nu at the n states. Of a law that learns, the gap is closed in the new features; unless the swap is naive, b
- * takes up the change at the present state. The last three states are the present one, the path ahead, where nu is nu_cmd, and
- * the path now, whose change does not count. */
-static void changes(const KalmanLastLayer *law, bool naive, int32_t n, SwapWorkspace *work, SwapPlan *plan) {
-    const int32_t here = n - 3, ahead = n - 2, path = n - 1;
+/* _judged, but for the refusal: the change of nu here, which b takes up unless the swap is naive, and that of nu_cmd ahead,
+ * of a law that learns with the gap closed in the new features. Phi of the old and the new features [k, SWAP_NOW]. */
+static void changes(const KalmanLastLayer *law, bool naive, const real *old, const real *new_ones, SwapPlan *plan) {
     real *b = plan->posterior.X + 3 * (plan->posterior.size - 1);
     bool learns = law->config.composite_gain > REAL(0.0);
-    kalman_layer_at(law, work->Phi, n, work->nu);
-    kalman_evaluate(&law->config, plan->theta, &plan->posterior, work->Phi_bar, n, work->change);
+    real before[3 * SWAP_NOW], after[3 * SWAP_NOW], here[3], ahead[3];
+    kalman_layer_at(law, old, SWAP_NOW, before);
+    kalman_evaluate(&law->config, plan->theta, &plan->posterior, new_ones, SWAP_NOW, after);
     for (int axis = 0; axis < 3; axis++) {
-        real *row = work->change + axis * n;
+        real *row = after + SWAP_NOW * axis;
         if (learns) {
-            row[ahead] += row[here] - row[path];
+            row[1] += row[0] - row[2];
         }
-        for (int i = 0; i < n; i++) {
-            row[i] -= work->nu[axis * n + i];
-        }
-        real taken_up = learns && !naive ? row[here] : REAL(0.0);
-        b[axis] -= taken_up;
-        for (int i = 0; i < n; i++) {
-            row[i] -= taken_up;
-        }
-        row[path] = REAL(0.0);
-    }
-    plan->jump = largest_column(work->change, n);
-    plan->step = column_norm(work->change, n, ahead);
-}
-
-static bool all_finite(const real *values, int count) {
-    for (int i = 0; i < count; i++) {
-        if (!real_is_finite(values[i])) {
-            return false;
+        here[axis] = row[0] - before[SWAP_NOW * axis];
+        ahead[axis] = row[1] - before[SWAP_NOW * axis + 1];
+        if (learns && !naive) {
+            b[axis] -= here[axis];
+            ahead[axis] -= here[axis];
+            here[axis] -= here[axis]; /* NaN stays */
         }
     }
-    return true;
+    plan->step = norm(ahead, 3);
+    plan->jump = real_largest(norm(here, 3), plan->step);
 }
 
-/* plan_posterior_swap */
-void plan_posterior_swap(const SwapConfig *config, const KalmanLastLayer *law, const Features *old,
-                         const Features *new_features, const SlopeLimits *limits, const RecentStates *recent,
-                         const real *now, const SwapTimes *times, SwapWorkspace *work, SwapPlan *plan) {
-    int k = new_features->feature_count;
+/* PosteriorSwap.plan */
+void posterior_swap_plan(PosteriorSwap *self, const SwapConfig *config, const KalmanLastLayer *law, const Features *old,
+                         const real *now, real since, SwapPlan *plan) {
+    int32_t k = self->features.feature_count;
     KalmanState *state = &plan->posterior;
-    first_plan(config, law, new_features, work, plan);
+    real Phi[FEATURES_MAX * SWAP_NOW], Phi_bar[FEATURES_MAX * SWAP_NOW];
+    memcpy(plan->theta, self->theta, (size_t)(3 * k) * sizeof(real));
+    memcpy(plan->W, self->theta, (size_t)(3 * k) * sizeof(real));
+    plan->jump = plan->step = REAL(0.0);
+    plan->refusal = self->refusal;
     if (plan->refusal != REFUSAL_NONE) {
         return;
     }
-    int kept = recent_in_order(recent, work->states, work->residuals), n = kept + 3;
-    memcpy(work->states + kept * SIGNAL_COUNT, now, 3 * SIGNAL_COUNT * sizeof(real));
-    features_of_states(old, work->states, n, work->Phi);
-    features_of_states(new_features, work->states, n, work->Phi_bar);
-    bounded_theta(new_features, new_features->last_layer, limits, work->states, work->Phi_bar, n, plan->theta);
-    bool off = law->config.composite_gain == REAL(0.0); /* a law that is off flies the trained map */
+    evaluate_next(self, FOLLOWED_MAX);
+    filter_on(self, law, FOLLOWED_MAX);
+    if (self->used > 0) {
+        kalman_state_predict(&self->filter, since);
+    }
+    *state = self->filter;
     if (config->naive && law->feature_count == k) {
         keep_all(law, plan->theta, state);
-    } else {
-        posterior(law, plan->theta, work->Phi_bar, n, k, work->residuals, off ? 0 : kept, times, state);
     }
-    changes(law, config->naive, n, work, plan);
+    features_of_states(old, now, SWAP_NOW, Phi);
+    features_of_states(&self->features, now, SWAP_NOW, Phi_bar);
+    changes(law, config->naive, Phi, Phi_bar, plan);
     for (int i = 0; i < 3 * k; i++) {
         plan->W[i] = plan->theta[i] + state->X[i];
     }
-    if (!real_is_finite(plan->jump) || !all_finite(state->S, state->size * state->size)) {
+    if (!real_is_finite(plan->jump) || !kalman_state_is_finite(state)) {
         plan->refusal = REFUSAL_NOT_FINITE;
     } else if (norm(state->X, 3 * state->size) > law->config.weight_norm_max) {
         plan->refusal = REFUSAL_WEIGHT_NORM;

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "control/features_q15.h"
 #include "control/reference_model.h"
 #include "numerics/elementary.h"
 
@@ -133,12 +134,48 @@ static real of_kind(const FeatureSelection *selection, const real *row, int32_t 
     return real_sqrt(square);
 }
 
+#ifdef DMRAC_Q15_FEATURES
+/* largest_shares at one state, of a network in 16-bit whole numbers: over the inputs of the kinds alone. */
+static void shares_in_whole(const Features *features, const real *theta, const SlopeLimits *limits, const real *signals,
+                            real shares[3]) {
+    int32_t inputs[INPUTS_MAX], group_of[INPUTS_MAX], n = 0;
+    real z[INPUTS_MAX], slope[3 * INPUTS_MAX];
+    for (int32_t i = 0; i < features->selection.count; i++) {
+        for (int32_t group = 0; group < limits->groups; group++) {
+            int32_t after = features->selection.index[i] - limits->first[group];
+            if (after >= 0 && after < 3) {
+                inputs[n] = i;
+                group_of[n++] = group;
+            }
+        }
+    }
+    features_select(features, signals, z);
+    q15_map_slope(features, theta, z, inputs, n, slope);
+    for (int axis = 0; axis < 3; axis++) {
+        real squares[SLOPE_GROUPS] = {REAL(0.0)};
+        for (int32_t i = 0; i < n; i++) {
+            squares[group_of[i]] += slope[axis * n + i] * slope[axis * n + i];
+        }
+        for (int32_t group = 0; group < limits->groups; group++) {
+            real share = real_sqrt(squares[group]) / limits->limit[3 * group + axis];
+            shares[axis] = real_largest(shares[axis], share);
+        }
+    }
+}
+#endif
+
 /* largest_shares */
 void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states,
                     int32_t n, real shares[3]) {
     real slope[3 * INPUTS_MAX];
     shares[0] = shares[1] = shares[2] = REAL(0.0);
     for (int i = 0; i < n; i++) {
+#ifdef DMRAC_Q15_FEATURES
+        if (features->q15) {
+            shares_in_whole(features, theta, limits, states + i * SIGNAL_COUNT, shares);
+            continue;
+        }
+#endif
         slopes(features, theta, states + i * SIGNAL_COUNT, slope);
         for (int axis = 0; axis < 3; axis++) {
             const real *row = slope + axis * features->selection.count;
@@ -150,27 +187,23 @@ void largest_shares(const Features *features, const real *theta, const SlopeLimi
     }
 }
 
-/* bounded_theta */
-void bounded_theta(const Features *features, const real *theta_n, const SlopeLimits *limits, const real *states,
-                   const real *Phi, int32_t n, real *theta) {
-    int last = features->feature_count - 1;
-    real shares[3];
-    largest_shares(features, theta_n, limits, states, n, shares);
-    memcpy(theta, theta_n, (size_t)(3 * features->feature_count) * sizeof(real));
+/* flattened */
+void flattened(real shares[3], const real *Phi, int32_t n, int32_t k, real *theta) {
     for (int axis = 0; axis < 3; axis++) {
         real factor = REAL(1.0) / real_largest(shares[axis], REAL(1.0));
         if (factor >= REAL(1.0)) { /* not NaN: theta is not finite then, and refused */
             continue;
         }
         real of_mean = REAL(0.0);
-        for (int j = 0; j < last; j++) {
+        for (int j = 0; j < k - 1; j++) {
             real sum = REAL(0.0);
             for (int i = 0; i < n; i++) {
-                sum += Phi[j * n + i];
+                sum += Phi[i * FEATURES_MAX + j];
             }
-            of_mean += theta_n[3 * j + axis] * (sum / (real)n);
+            of_mean += theta[3 * j + axis] * (sum / (real)n);
             theta[3 * j + axis] *= factor;
         }
-        theta[3 * last + axis] += (REAL(1.0) - factor) * of_mean;
+        theta[3 * (k - 1) + axis] += (REAL(1.0) - factor) * of_mean;
+        shares[axis] *= factor;
     }
 }

@@ -31,9 +31,8 @@ void slopes(const Features *features, const real *theta, const real signals[SIGN
 void largest_shares(const Features *features, const real *theta, const SlopeLimits *limits, const real *states,
                     int32_t n, real shares[3]);
 
-/* theta [k, 3] becomes `theta_n` with the slope of every axis at these states within its limit. An axis with too steep a map
- * is flattened about its mean over the states, whose features are Phi [k, n]. */
-void bounded_theta(const Features *features, const real *theta_n, const SlopeLimits *limits, const real *states,
-                   const real *Phi, int32_t n, real *theta);
+/* Flatten theta [k, 3] and its shares, of `largest_shares`, so that the slope of every axis is within its limit. An axis with
+ * too steep a map is flattened about its mean over n states, whose features are Phi [n, FEATURES_MAX]. */
+void flattened(real shares[3], const real *Phi, int32_t n, int32_t k, real *theta);
 
 #endif

@@ -25,7 +25,7 @@ void version_test_init(VersionTest *self, const VersionTestConfig *config, int32
 }
 
 /* The states on the line ahead. */
-static void path_ahead(VersionTest *self, const real now[SIGNAL_COUNT]) {
+static void path_ahead(const VersionTestConfig *config, const real now[SIGNAL_COUNT], real *states) {
     const real *velocity = now + SIGNAL_VELOCITY_N;
     real speed = vector_length(velocity), forward[3] = {REAL(1.0), REAL(0.0), REAL(0.0)};
     if (speed > REAL(0.0)) {
@@ -33,9 +33,9 @@ static void path_ahead(VersionTest *self, const real now[SIGNAL_COUNT]) {
             forward[i] = velocity[i] / speed;
         }
     }
-    real length = real_max(speed * self->config.reach_s, STEP_MIN_M * (real)(PATH_POINTS - 1));
+    real length = real_max(speed * config->reach_s, STEP_MIN_M * (real)(PATH_POINTS - 1));
     for (int point = 0; point < PATH_POINTS; point++) {
-        real *state = self->path + point * SIGNAL_COUNT;
+        real *state = states + point * SIGNAL_COUNT;
         memcpy(state, now, SIGNAL_COUNT * sizeof(real));
         for (int i = 0; i < 3; i++) {
             state[SIGNAL_POSITION_N + i] += forward[i] * ((real)point * (length / (real)(PATH_POINTS - 1)));
@@ -43,110 +43,119 @@ static void path_ahead(VersionTest *self, const real now[SIGNAL_COUNT]) {
     }
 }
 
-/* ahead: the states on the line ahead and in the box */
-static void see_ahead(VersionTest *self, const real now[SIGNAL_COUNT]) {
+/* A state of the box; corner: the numbers of the first axis, those of the others follow */
+static void box_state(const VersionTestConfig *config, const real now[SIGNAL_COUNT], const real *corner, real *state) {
     static const int motor_rows[4] = {MOTOR_ROW, MOTOR_ROW + 1, MOTOR_ROW + 2, MOTOR_ROW};
     const real *velocity = now + SIGNAL_VELOCITY_N;
-    real h = self->config.reach_s, turn = self->config.acceleration_m_s2 * h;
-    path_ahead(self, now);
-    for (int point = 0; point < BOX_POINTS; point++) {
-        real *state = self->box + point * SIGNAL_COUNT;
-        const real *corner = self->corners + point; /* of the first axis; the others follow */
-        memcpy(state, now, SIGNAL_COUNT * sizeof(real));
-        for (int i = 0; i < 3; i++) {
-            real reach = REAL(0.5) * h * (real_abs(velocity[i]) + turn);
-            state[SIGNAL_POSITION_N + i] += REAL(0.5) * h * velocity[i] + reach * corner[(PLACE_ROW + i) * BOX_POINTS];
-            state[SIGNAL_VELOCITY_N + i] += turn * corner[(VELOCITY_ROW + i) * BOX_POINTS];
-            state[SIGNAL_ROLL + i] += ANGLE_REACH_RAD * corner[(ANGLE_ROW + i) * BOX_POINTS];
-            state[SIGNAL_BODY_VELOCITY_X + i] += turn * corner[(BODY_VELOCITY_ROW + i) * BOX_POINTS];
-        }
-        for (int motor = 0; motor < 4; motor++) {
-            real share = REAL(0.5) * corner[motor_rows[motor] * BOX_POINTS];
-            state[SIGNAL_MOTOR_THRUST_1 + motor] *= REAL(1.0) + share;
-        }
+    real h = config->reach_s, turn = config->acceleration_m_s2 * h;
+    memcpy(state, now, SIGNAL_COUNT * sizeof(real));
+    for (int i = 0; i < 3; i++) {
+        real reach = REAL(0.5) * h * (real_abs(velocity[i]) + turn);
+        state[SIGNAL_POSITION_N + i] += REAL(0.5) * h * velocity[i] + reach * corner[(PLACE_ROW + i) * BOX_POINTS];
+        state[SIGNAL_VELOCITY_N + i] += turn * corner[(VELOCITY_ROW + i) * BOX_POINTS];
+        state[SIGNAL_ROLL + i] += ANGLE_REACH_RAD * corner[(ANGLE_ROW + i) * BOX_POINTS];
+        state[SIGNAL_BODY_VELOCITY_X + i] += turn * corner[(BODY_VELOCITY_ROW + i) * BOX_POINTS];
+    }
+    for (int motor = 0; motor < 4; motor++) {
+        real share = REAL(0.5) * corner[motor_rows[motor] * BOX_POINTS];
+        state[SIGNAL_MOTOR_THRUST_1 + motor] *= REAL(1.0) + share;
     }
 }
 
-/* theta'Phi at a signal vector. */
-static void map_at(const Features *features, const real *theta, const real signals[SIGNAL_COUNT], real nu[3]) {
-    real z[INPUTS_MAX], Phi[FEATURES_MAX];
-    features_select(features, signals, z);
-    features_evaluate(features, z, Phi);
+/* Ahead.begin */
+void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]) {
+    path_ahead(&test->config, now, self->states);
+    for (int point = 0; point < BOX_POINTS; point++) {
+        box_state(&test->config, now, test->corners + point, self->states + (PATH_POINTS + point) * SIGNAL_COUNT);
+    }
+    self->seen = 0;
+    self->over = REAL(0.0);
+}
+
+/* nu = theta'Phi */
+static void map_of(const real *theta, const real *Phi, int32_t k, real nu[3]) {
     vector_zero(nu);
-    for (int i = 0; i < features->feature_count; i++) {
+    for (int32_t i = 0; i < k; i++) {
         for (int axis = 0; axis < 3; axis++) {
             nu[axis] += theta[3 * i + axis] * Phi[i];
         }
     }
 }
 
-/* The largest change of the map from `here` to n states, or `spread` if that is larger. */
-static real spread_over(const Features *features, const real *theta, const real here[3], const real *states, int32_t n,
-                        real spread) {
-    for (int32_t i = 0; i < n; i++) {
-        real nu[3];
-        map_at(features, theta, states + i * SIGNAL_COUNT, nu);
-        for (int axis = 0; axis < 3; axis++) {
-            spread = real_largest(spread, real_abs(nu[axis] - here[axis]));
-        }
-    }
-    return spread;
+static real largest_of(const real three[3]) {
+    return real_largest(real_largest(three[0], three[1]), three[2]);
 }
 
-/* VersionTest._reach: the largest change from here, and the largest slope along the path as a share of its limit */
-static void reach(VersionTest *self, const Features *features, const real *theta, const real *recent, int32_t n) {
-    real here[3], before[3], step[3], steps[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
-    vector_subtract(self->path + SIGNAL_COUNT + SIGNAL_POSITION_N, self->path + SIGNAL_POSITION_N, step);
-    real apart = vector_length(step);
-    map_at(features, theta, self->path, here);
-    vector_copy(here, before);
-    for (int point = 1; point < PATH_POINTS; point++) {
-        real nu[3];
-        map_at(features, theta, self->path + point * SIGNAL_COUNT, nu);
-        for (int axis = 0; axis < 3; axis++) {
-            steps[axis] = real_largest(steps[axis], real_abs(nu[axis] - before[axis]));
+/* Ahead.step */
+bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most,
+                bool with_slope) {
+    for (int32_t i = 0; i < most && self->seen < PATH_POINTS + BOX_POINTS; i++, self->seen++) {
+        const real *state = self->states + self->seen * SIGNAL_COUNT;
+        real z[INPUTS_MAX], Phi[FEATURES_MAX], shares[3];
+        features_select(features, state, z);
+        features_evaluate(features, z, Phi);
+        map_of(theta, Phi, features->feature_count, self->nu + 3 * self->seen);
+        if (with_slope && features->kind == ADAPTIVE_FEATURES_NETWORK) {
+            largest_shares(features, theta, &test->slope_limits, state, 1, shares);
+            self->over = real_largest(self->over, largest_of(shares));
         }
-        vector_copy(nu, before);
     }
-    real spread = spread_over(features, theta, here, self->path, PATH_POINTS, REAL(0.0));
-    spread = spread_over(features, theta, here, recent, n, spread);
-    self->found.spread = spread_over(features, theta, here, self->box, BOX_POINTS, spread);
-    const real *place_limit = slope_limits_at(&self->slope_limits, SIGNAL_POSITION_N);
-    self->found.along = REAL(0.0);
+    return self->seen == PATH_POINTS + BOX_POINTS;
+}
+
+/* The largest change of the map from here to nu. */
+static real change_to(const Ahead *self, const real nu[3]) {
+    real change[3];
     for (int axis = 0; axis < 3; axis++) {
-        self->found.along = real_largest(self->found.along, steps[axis] / apart / place_limit[axis]);
+        change[axis] = real_abs(nu[axis] - self->nu[axis]);
+    }
+    return largest_of(change);
+}
+
+/* Ahead.found, but for `over` */
+static void find(const Ahead *self, const SlopeLimits *limits, real *spread, real *along) {
+    const real *place_limit = slope_limits_at(limits, SIGNAL_POSITION_N);
+    real step[3];
+    vector_subtract(self->states + SIGNAL_COUNT + SIGNAL_POSITION_N, self->states + SIGNAL_POSITION_N, step);
+    real apart = vector_length(step);
+    *spread = *along = REAL(0.0);
+    for (int i = 0; i < PATH_POINTS + BOX_POINTS; i++) {
+        *spread = real_largest(*spread, change_to(self, self->nu + 3 * i));
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        for (int i = 1; i < PATH_POINTS; i++) {
+            real change = real_abs(self->nu[3 * i + axis] - self->nu[3 * (i - 1) + axis]);
+            *along = real_largest(*along, change / apart / place_limit[axis]);
+        }
     }
 }
 
-/* The largest slope over all states, as a share of its limit. */
-static real slope_over(VersionTest *self, const Features *features, const real *theta, const real *recent, int32_t n) {
-    const real *states[3] = {self->path, self->box, recent};
-    const int32_t counts[3] = {PATH_POINTS, BOX_POINTS, n};
-    real largest = REAL(0.0);
-    for (int i = 0; features->kind == ADAPTIVE_FEATURES_NETWORK && i < 3; i++) {
-        real shares[3];
-        largest_shares(features, theta, &self->slope_limits, states[i], counts[i], shares);
-        largest = real_largest(real_largest(real_largest(largest, shares[0]), shares[1]), shares[2]);
-    }
-    return largest;
+/* --- the verdict --- */
+
+void version_test_start_recent(VersionTest *self) {
+    self->recent = 0;
+    self->recent_change = self->recent_misfit = self->recent_size = REAL(0.0);
+}
+
+/* Ahead.change_to, and VersionTest._misfit, of one state */
+void version_test_add_recent(VersionTest *self, const real *theta, const real *Phi, int32_t k, const real residual[3]) {
+    real nu[3];
+    map_of(theta, Phi, k, nu);
+    self->recent_change = real_largest(self->recent_change, change_to(&self->ahead, nu));
+    vector_subtract(nu, residual, nu);
+    self->recent_misfit += vector_squared_length(nu);
+    self->recent_size += vector_squared_length(residual);
+    self->recent++;
 }
 
 /* VersionTest._misfit: misfit over the last second, as a share of what is allowed */
-static real misfit(const VersionTest *self, const Features *features, const real *theta, const real *recent,
-                   const real *residuals, int32_t n) {
-    real of_map = REAL(0.0), of_none = REAL(0.0);
-    if (n == 0) {
+static real misfit(const VersionTest *self) {
+    if (self->recent == 0) {
         return REAL(0.0);
     }
-    for (int32_t i = 0; i < n; i++) {
-        real nu[3];
-        map_at(features, theta, recent + i * SIGNAL_COUNT, nu);
-        vector_subtract(nu, residuals + 3 * i, nu);
-        of_map += vector_squared_length(nu);
-        of_none += vector_squared_length(residuals + 3 * i);
-    }
-    real size = real_sqrt(of_none / (real)n);
-    return real_sqrt(of_map / (real)n) / (self->config.misfit * size + self->config.misfit_floor[self->channel]);
+    real n = (real)self->recent, size = real_sqrt(self->recent_size / n);
+    return real_sqrt(self->recent_misfit / n) /
+           (self->config.misfit * size + self->config.misfit_floor[self->channel]);
 }
 
 /* norm(theta) norm(Phi), row of the constant apart */
@@ -162,17 +171,16 @@ static real bound_of(const real *theta, int32_t k) {
     return largest * real_sqrt((real)(k - 1));
 }
 
-/* VersionTest.refusal */
-Refusal version_test_refusal(VersionTest *self, const Features *features, const real *theta,
-                             const real now[SIGNAL_COUNT], const real *recent, const real *residuals, int32_t n) {
+/* VersionTest.verdict */
+Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, real over) {
     const VersionTestConfig *config = &self->config;
     VersionFindings *found = &self->found;
     int32_t channel = self->channel;
-    see_ahead(self, now);
-    reach(self, features, theta, recent, n);
-    found->bound = bound_of(theta, features->feature_count);
-    found->over = slope_over(self, features, theta, recent, n);
-    found->misfit = misfit(self, features, theta, recent, residuals, n);
+    find(&self->ahead, &self->slope_limits, &found->spread, &found->along);
+    found->spread = real_largest(found->spread, self->recent_change);
+    found->bound = bound_of(theta, k);
+    found->over = real_largest(over, self->ahead.over);
+    found->misfit = misfit(self);
     if (found->misfit > REAL(1.0)) {
         return REFUSAL_MISFIT;
     }
@@ -183,12 +191,38 @@ Refusal version_test_refusal(VersionTest *self, const Features *features, const 
     return steep ? REFUSAL_SLOPE : REFUSAL_NONE;
 }
 
-/* VersionTest.still_good */
-bool version_test_still_good(VersionTest *self, const Features *features, const real *theta,
-                             const real now[SIGNAL_COUNT]) {
-    see_ahead(self, now);
+/* VersionTest.refusal */
+Refusal version_test_refusal(VersionTest *self, const Features *features, const real *theta,
+                             const real now[SIGNAL_COUNT], const real *recent, const real *residuals, int32_t n) {
+    int32_t k = features->feature_count;
+    real z[INPUTS_MAX], Phi[FEATURES_MAX], shares[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    ahead_begin(&self->ahead, self, now);
+    while (!ahead_step(&self->ahead, self, features, theta, AHEAD_PER_PART, true)) {
+    }
+    if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
+        largest_shares(features, theta, &self->slope_limits, recent, n, shares);
+    }
+    version_test_start_recent(self);
+    for (int32_t i = 0; i < n; i++) {
+        features_select(features, recent + i * SIGNAL_COUNT, z);
+        features_evaluate(features, z, Phi);
+        version_test_add_recent(self, theta, Phi, k, residuals + 3 * i);
+    }
+    return version_test_verdict(self, theta, k, largest_of(shares));
+}
+
+/* VersionTest.look */
+bool version_test_look(VersionTest *self, const Features *features, const real *theta, const real now[SIGNAL_COUNT]) {
+    if (!self->looks) {
+        ahead_begin(&self->look, self, now);
+    }
+    self->looks = !ahead_step(&self->look, self, features, theta, CHECKED_PER_PART, false);
+    if (self->looks) {
+        return false;
+    }
     self->found = (VersionFindings){REAL(0.0), REAL(0.0), REAL(0.0), REAL(0.0), REAL(0.0)};
-    reach(self, features, theta, NULL, 0);
-    return self->found.spread <= self->config.spread_max[self->channel] &&
-           self->found.along <= self->config.path_slope[self->channel];
+    find(&self->look, &self->slope_limits, &self->found.spread, &self->found.along);
+    self->good = self->found.spread <= self->config.spread_max[self->channel] &&
+                 self->found.along <= self->config.path_slope[self->channel];
+    return true;
 }

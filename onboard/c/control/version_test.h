@@ -15,26 +15,54 @@ typedef struct {
     real misfit; /* over the last second */
 } VersionFindings;
 
+/* A map on the path and the box ahead, in parts. */
+typedef struct {
+    real states[(PATH_POINTS + BOX_POINTS) * SIGNAL_COUNT]; /* on the line ahead, from here on, then in the box */
+    real nu[(PATH_POINTS + BOX_POINTS) * 3];                /* of each state */
+    int32_t seen;
+    real over; /* largest slope over the states, share of its limit */
+} Ahead;
+
 /* The test of one channel's maps. */
 typedef struct {
     VersionTestConfig config;
     int32_t channel; /* 0, 1 */
     SlopeLimits slope_limits;
-    real corners[BOX_AXES * BOX_POINTS];   /* of the unit box, [BOX_AXES, BOX_POINTS] */
-    real path[PATH_POINTS * SIGNAL_COUNT]; /* states on the line ahead, from here on; of the last test */
-    real box[BOX_POINTS * SIGNAL_COUNT];   /* states in the box; of the last test */
+    real corners[BOX_AXES * BOX_POINTS]; /* of the unit box, [BOX_AXES, BOX_POINTS] */
+    Ahead ahead;                         /* of a version that is to fly */
+    Ahead look;                          /* of the map that flies */
+    bool looks;                          /* whether the map that flies is being checked */
+    bool good;                           /* what the last check has found */
+    real recent_change;                  /* so far, largest change from here to a recent state */
+    real recent_misfit;                  /* so far, sum of squares, of the map and of no map */
+    real recent_size;
+    int32_t recent;
     VersionFindings found;
 } VersionTest;
 
 void version_test_init(VersionTest *self, const VersionTestConfig *config, int32_t channel, const SlopeLimits *limits);
 
+/* Start at the present state. */
+void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
+
+/* Look at so many states; whether all have been seen. */
+bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most,
+                bool with_slope);
+
+/* The recent states for the verdict, once `ahead` has seen all: start, then each one with its features Phi [k] and residual. */
+void version_test_start_recent(VersionTest *self);
+void version_test_add_recent(VersionTest *self, const real *theta, const real *Phi, int32_t k, const real residual[3]);
+
+/* The refusal after them. over: the largest slope at the recent states, share of its limit. */
+Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, real over);
+
 /* Why a map theta'Phi, theta [k, 3], must not fly; REFUSAL_NONE if it may. now: the present state. recent
- * [n, SIGNAL_COUNT]: those of the last second; residuals [n, 3]: measured there. */
+ * [n, SIGNAL_COUNT]: those of the last second; residuals [n, 3]: measured there. All parts at once. */
 Refusal version_test_refusal(VersionTest *self, const Features *features, const real *theta,
                              const real now[SIGNAL_COUNT], const real *recent, const real *residuals, int32_t n);
 
-/* Whether the map that flies passes on the path and the box ahead of here. */
-bool version_test_still_good(VersionTest *self, const Features *features, const real *theta,
-                             const real now[SIGNAL_COUNT]);
+/* One part of a check of the map that flies, on what is ahead; whether it was the last one. Then `good` says whether the map
+ * is still good. */
+bool version_test_look(VersionTest *self, const Features *features, const real *theta, const real now[SIGNAL_COUNT]);
 
 #endif

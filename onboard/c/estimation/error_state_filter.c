@@ -69,7 +69,7 @@ static void add_block(const real M[9], real *P, int to, int from, int line, int 
         for (int j = 0; j < 3; j++) {
             const real *source = P + (from + j) * line;
             real m = M[3 * i + j];
-            for (int k = 0; k < N; k++) {
+            for (int k = 0; m != REAL(0.0) && k < N; k++) {
                 target[k * element] += m * source[k * element];
             }
         }
@@ -157,8 +157,8 @@ static real correct_by(ErrorStateFilter *self, const real PHt[N], real S, real i
     if (score <= gate) {
         for (int i = 0; i < N; i++) {
             real K = PHt[i] / S;
-            for (int j = 0; j < N; j++) {
-                self->P[i * N + j] -= K * PHt[j];
+            for (int j = 0; j <= i; j++) {
+                self->P[i * N + j] = self->P[j * N + i] = self->P[i * N + j] - K * PHt[j];
             }
             error[i] = K * innovation;
         }
@@ -214,8 +214,11 @@ static real correct_three(ErrorStateFilter *self, const real PHt[N * 3], const r
         error[i] = L[3 * i] * w1 + L[3 * i + 1] * w2 + L[3 * i + 2] * w3;
     }
     for (int i = 0; i < N; i++) {
-        for (int j = 0; j < N; j++) {
-            self->P[i * N + j] -= dot(L + 3 * i, L + 3 * j, 3);
+        const real *a = L + 3 * i;
+        for (int j = 0; j <= i; j++) {
+            const real *b = L + 3 * j;
+            real change = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+            self->P[i * N + j] = self->P[j * N + i] = self->P[i * N + j] - change;
         }
     }
     apply(self, error);

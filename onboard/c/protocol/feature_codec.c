@@ -45,9 +45,12 @@ static real read_float(const uint8_t *bytes, size_t index, uint64_t float_size) 
     return float_size == 2 ? read_f16(bytes + 2 * index) : (real)read_f32(bytes + 4 * index);
 }
 
+/* The exponent of a number that is not finite is all ones. */
 static bool all_finite(const MsgpackItem *floats, uint64_t float_size) {
-    for (size_t i = 0; i < floats->number / float_size; i++) {
-        if (!real_is_finite(read_float(floats->bytes, i, float_size))) {
+    uint32_t highest = float_size == 2 ? 0x7c : 0x7f, below = float_size == 2 ? 0 : 0x80;
+    for (size_t last = (size_t)float_size - 1; last < floats->number; last += (size_t)float_size) {
+        const uint8_t *bytes = floats->bytes + last;
+        if ((bytes[0] & highest) == highest && (bytes[-1] & below) == below) {
             return false;
         }
     }

@@ -2,8 +2,12 @@
 
 #include <string.h>
 
-#include "protocol/blake2b.h"
 #include "protocol/feature_codec.h"
+
+/* Pieces that a chunk adds to the digest: one more than itself, so that late ones are caught up. */
+#define HASHED_A_CHUNK 2
+
+static const uint8_t NOBODY[BLAKE2B_PERSON_BYTES] = {0};
 
 /* FeatureReceiver.__init__ */
 void receiver_init(FeatureReceiver *self) {
@@ -23,6 +27,16 @@ static void begin(FeatureReceiver *self, const FeatureChunk *chunk) {
     memcpy(self->digest, chunk->digest, sizeof self->digest);
     self->count = chunk->count;
     self->received = 0;
+    self->hashed = 0;
+    blake2b_start(&self->hash, DIGEST_BYTES, NULL, 0, NOBODY);
+}
+
+/* Add the next pieces to the digest, as far as they have come: at most so many, so that no chunk has to wait for all. */
+static void hash_pieces(FeatureReceiver *self, int32_t most) {
+    for (; most > 0 && self->hashed < self->count && (self->received >> self->hashed & 1) != 0; most--) {
+        int32_t i = self->hashed++;
+        blake2b_add(&self->hash, self->pieces + i * CHUNK_DATA_MAX_BYTES, (size_t)self->sizes[i]);
+    }
 }
 
 /* Push the pieces together; returns the number of bytes. */
@@ -37,16 +51,14 @@ static size_t join(FeatureReceiver *self) {
 }
 
 /* FeatureReceiver._verified */
-static Refusal verified(const FeatureReceiver *self, size_t size, FeatureSet *complete) {
-    static const uint8_t nobody[BLAKE2B_PERSON_BYTES] = {0};
+static Refusal verified(FeatureReceiver *self, FeatureSet *complete) {
     uint8_t digest[DIGEST_BYTES];
-    Blake2b hash;
-    blake2b_start(&hash, DIGEST_BYTES, NULL, 0, nobody);
-    blake2b_add(&hash, self->pieces, size);
-    blake2b_finish(&hash, digest);
+    hash_pieces(self, self->count);
+    blake2b_finish(&self->hash, digest);
     if (memcmp(digest, self->digest, sizeof digest) != 0) {
         return REFUSAL_DIGEST;
     }
+    size_t size = join(self);
     return decode_feature_set(self->pieces, size, self->transfer_version, complete);
 }
 
@@ -66,9 +78,10 @@ bool receiver_receive(FeatureReceiver *self, const FeatureChunk *chunk, FeatureS
     self->sizes[chunk->index] = chunk->size;
     self->received |= bit;
     if (self->received != UINT64_MAX >> (64 - self->count)) {
+        hash_pieces(self, HASHED_A_CHUNK);
         return false;
     }
-    Refusal refusal = verified(self, join(self), complete);
+    Refusal refusal = verified(self, complete);
     if (refusal != REFUSAL_NONE) {
         self->refused_version = self->transfer_version;
         self->refusal = refusal;

@@ -3,6 +3,7 @@
 #define DMRAC_TRANSFER_H
 
 #include "control/features.h"
+#include "protocol/blake2b.h"
 #include "protocol/messages.h"
 
 /* Collects the chunks of the newest version. */
@@ -11,6 +12,8 @@ typedef struct {
     int64_t refused_version;  /* newest version refused here; 0 for none */
     Refusal refusal;
     uint8_t digest[DIGEST_BYTES];
+    Blake2b hash;   /* of the pieces so far */
+    int32_t hashed; /* how many they are */
     int32_t count;
     uint64_t received; /* chunk i is bit i; bits stay when the version is complete */
     int32_t sizes[CHUNK_COUNT_MAX];

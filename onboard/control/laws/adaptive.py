@@ -18,7 +18,7 @@ from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
 from onboard.control.laws.last_layer import AdaptationConfig, LastLayer, lyapunov_p, tracking_weights
 from onboard.control.laws.law import ChannelState
 from onboard.control.laws.slope_bound import SlopeBound
-from onboard.control.posterior_swap import PosteriorPlan, plan_posterior_swap
+from onboard.control.posterior_swap import PosteriorPlan, PosteriorSwap
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from onboard.control.slope import SlopeLimits, SlopeShares
@@ -224,16 +224,29 @@ class AdaptiveAugmentation:
         """Whether these features, with this theta, are in use already."""
         return isinstance(self.features, NetworkFeatures) and self.features.channel.same_as(channel)
 
-    def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
-        """Plan a swap to these features; nothing changes yet."""
+    def prepare(self, channel: ChannelFeatures) -> PosteriorSwap | None:
+        """Start to prepare a swap to these features (law (2a)); None for law (2), whose plan needs no preparation."""
+        law = self.last_layer
+        if not isinstance(law, KalmanLastLayer):
+            return None
+        times = self._dt, self._ring_period * self._dt
         new = NetworkFeatures(channel)
-        config, law = self._config, self.last_layer
-        if isinstance(law, KalmanLastLayer):
-            since = (self._ticks - 1) % self._ring_period
-            times = self._dt, self._ring_period * self._dt, since * self._dt
-            return new, plan_posterior_swap(
-                config.swap, law, self.features, new, channel, self.slope_limits, self._recent, self._signals, times
-            )
+        return PosteriorSwap(self._config.swap, law, new, self.slope_limits, self._recent, self._signals, times)
+
+    def planned(self, swap: PosteriorSwap) -> SwapPlan:
+        """The plan of a swap that is prepared; nothing changes yet."""
+        since = self._ticks - 1 - (swap.seen - 1) * self._ring_period
+        return swap.plan(self.features, self._signals, since * self._dt)
+
+    def plan(self, channel: ChannelFeatures) -> tuple[Features, SwapPlan]:
+        """Plan a swap to these features, all parts at once; nothing changes yet."""
+        swap = self.prepare(channel)
+        if swap is not None:
+            while not swap.step():
+                pass
+            return swap.new, self.planned(swap)
+        assert isinstance(self.last_layer, LastLayer)
+        new, law, config = NetworkFeatures(channel), self.last_layer, self._config
         recent, limit = self._recent.columns(self._signals), config.law.weight_norm_max
         return new, plan_swap(config.swap, self.features, law.W, new, channel.last_layer, limit, recent)
 

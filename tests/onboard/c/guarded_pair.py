@@ -175,6 +175,7 @@ class Pair:
             len(theirs._swaps),
         )
         assert [side for side in (0, 1) if ours.due[side]] == theirs._due
+        assert [ours.tests[side].looks for side in theirs._tests] == [one.looks for one in theirs._tests.values()]
         for side, watch in theirs._watches.items():
             own, scale = ours.watches[side], SIZES[side] ** 2
             same(view(own.d), watch.d, self.rtol, SIZES[side])

@@ -135,11 +135,24 @@ def test_adaptive(core: Core, given_ticks: Any, seed: int, kind: str, law: str) 
 # --- swaps ---
 
 
+def planned(core: Core, ours: Any, offered: Any) -> tuple[Any, Any]:
+    """The new features and the plan of C, all parts at once."""
+    plan, swap, law = core.SwapPlan(), core.PosteriorSwap(), ours.kalman_layer
+    if not core.adaptive_prepare(ours, offered, swap):
+        new, work = core.Features(), core.SwapWorkspace()
+        core.adaptive_plan(ours, offered, new, work, plan)
+        return new, plan
+    while not core.posterior_swap_step(swap, ours.config.swap, law, ours.slope_limits):
+        pass
+    core.adaptive_planned(ours, swap, plan)
+    return swap.features, plan
+
+
 def plan_both(core: Core, ours: Any, theirs: AdaptiveAugmentation, offered: ChannelFeatures) -> str:
     """Plan a swap in both, carry it out if it is not refused; returns the refusal."""
     new, plan = theirs.plan(offered)
-    c_new, work, c_plan, c_offered = core.Features(), core.SwapWorkspace(), core.SwapPlan(), c_channel(core, offered)
-    core.adaptive_plan(ours, c_offered, c_new, work, c_plan)
+    c_offered = c_channel(core, offered)
+    c_new, c_plan = planned(core, ours, c_offered)
     assert REFUSALS[c_plan.refusal] == plan.refusal
     same(view(c_plan.W)[: plan.W.size], plan.W, rtol=1e-9, scale=1.0)
     same(view(c_plan.theta)[: plan.W.size], plan.theta, rtol=1e-11, scale=1.0)
@@ -253,8 +266,7 @@ def test_a_swap_before_the_first_tick_and_one_after_numbers_that_are_not_finite(
     ours, theirs = both(core, adaptive_config("network", jump_max=1e9), 1)
     theirs._recent.push(np.full(SIGNAL_COUNT, np.nan))
     core.recent_push(ours.recent, np.full(SIGNAL_COUNT, np.nan), np.zeros(3))
-    new, plan, work = core.Features(), core.SwapPlan(), core.SwapWorkspace()
-    core.adaptive_plan(ours, c_channel(core, small), new, work, plan)
+    _, plan = planned(core, ours, c_channel(core, small))
     assert REFUSALS[plan.refusal] == theirs.plan(small)[1].refusal == "not_finite"
 
 
@@ -293,7 +305,7 @@ def test_s_stays_symmetric_and_positive_definite_over_swaps_in_float(core32: Cor
     config = adaptive_config("network", jump_max=1e9, ring_size=40, ring_period_ticks=5)
     config = config.model_copy(update={"law": law})
     ours = start(core32, config, 1)
-    rng, new, plan, work = np.random.default_rng(2), core32.Features(), core32.SwapPlan(), core32.SwapWorkspace()
+    rng = np.random.default_rng(2)
     for tick in range(400):
         state = c_state(core32, path_state(tick, rng, 3))
         core32.adaptive_step(ours, state, core32.ChannelTelemetry(), np.empty(3, np.float32))
@@ -301,7 +313,7 @@ def test_s_stays_symmetric_and_positive_definite_over_swaps_in_float(core32: Cor
             same_definite(ours.kalman_layer.state)
             offered = channel(tick)
             offered = dataclasses.replace(offered, last_layer=0.1 * offered.last_layer)
-            core32.adaptive_plan(ours, c_channel(core32, offered), new, work, plan)
+            new, plan = planned(core32, ours, c_channel(core32, offered))
             assert REFUSALS[plan.refusal] == ""
             core32.adaptive_commit(ours, new, plan)
             same_definite(ours.kalman_layer.state)

@@ -60,8 +60,11 @@ class Both:
         self.controller.guard.judge(DT, adapting)
         self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting)
 
-    def swap(self) -> list[str]:
-        """The events of both, those for the pilot last."""
+    def swap(self, ticks: int = 100) -> list[str]:
+        """The events of both in so many ticks, by default enough to prepare a version to the end."""
+        return [text for _ in range(ticks) for text in self.tick()]
+
+    def tick(self) -> list[str]:
         self.now_ns += 5_000_000
         events, warnings = self.theirs.swap(self.controller, self.now_ns)
         outcome = self.core.VersionOutcome()
@@ -79,7 +82,11 @@ class Both:
         numbers = status.version, status.transfer_version, received, status.refused_version, status.refusal
         assert numbers == tuple(theirs.status)
         assert (ours.swaps, ours.refusals, ours.taken_back) == (theirs.swaps, theirs.refusals, theirs.taken_back)
-        assert ours.waits == (theirs._complete is not None)
+        assert (ours.waits, ours.prepares, ours.is_void) == (
+            theirs._complete is not None,
+            theirs._preparing is not None,
+            theirs._void,
+        )
         assert self.core.reception_age_s(ours, self.now_ns) == pytest.approx(theirs.age_s(self.now_ns), abs=1e-12)
 
     def report(self, statuses: int) -> list[int]:
@@ -125,10 +132,10 @@ def test_any_reception(core: Core, steps: Any, name: str, strikes: int, statuses
         if then == "restart":
             both.restart()
         if then != "late":
-            both.swap()
+            both.swap(1 + 7 * (number % 3))
         if then == "fail":
             both.fail()
-            both.swap()
+            both.swap(5)
         both.report(statuses)
     both.swap()
     both.report(30)

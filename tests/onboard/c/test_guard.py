@@ -258,7 +258,7 @@ def test_more_versions_taken_back_than_are_remembered(core: Core) -> None:
     fly(pair, 10)
     for index in range(ours.refused_count, 64):
         content = np.frombuffer(content_of(FeatureSet(1, 0, 1, *made(pair, "true", index))), np.uint8)
-        view(ours.refused)[16 * index : 16 * index + 16] = content
+        view(ours.refused)[8 * index : 8 * index + 8] = content
         pair.theirs._refused.add(content.tobytes())
     ours.refused_count = ours.strikes = pair.theirs._strikes = 64
     put_feature_set(pair.offered, FeatureSet(1, 0, 1, *made(pair, "other", 1)))

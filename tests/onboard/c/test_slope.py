@@ -1,4 +1,4 @@
-"""The slope of a map, its limits by the loop's gains, and the posterior of a swap: the C core against numpy's."""
+"""The slope of a map, and its limits by the loop's gains: the C core against numpy's."""
 
 from typing import Any
 
@@ -9,16 +9,13 @@ from hypothesis import strategies as st
 
 from onboard.c.library import Core
 from onboard.control.features import NetworkFeatures
-from onboard.control.laws.kalman_last_layer import prior_variance
-from onboard.control.posterior_swap import posterior
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import PLACE, SlopeLimits, SlopeShares, bounded_theta, largest_shares, slopes
+from onboard.control.slope import PLACE, SlopeLimits, SlopeShares, flattened, largest_shares, slopes
 from protocol.feature_config import ChannelName
+from protocol.feature_set import WIDTH_MAX
 from protocol.signals import SIGNAL_INDEX
 from tests.onboard.c.channels import INPUTS, c_network_features, channel, signals
 from tests.onboard.c.parity import SETTINGS, array, call, configured, same, view
-from tests.onboard.c.test_kalman import covariance, kalman_config, layers
-from tests.onboard.control.fixture import DT
 
 POSITION = ChannelGains(natural_frequency_rad_s=(4.0, 5.0, 6.0), damping=0.8)
 ATTITUDE = ChannelGains(natural_frequency_rad_s=(16.0, 15.0, 5.0), damping=1.2)
@@ -69,21 +66,24 @@ def test_slopes(core: Core, seed: int, widths: tuple[int, ...]) -> None:
     n=st.sampled_from([1, 12]),
     share=st.sampled_from([1e-3, 0.05, 0.5, 10.0]),
 )
-def test_bounded_theta(core: Core, seed: int, widths: tuple[int, ...], side: int, n: int, share: float) -> None:
+def test_flattened(core: Core, seed: int, widths: tuple[int, ...], side: int, n: int, share: float) -> None:
     source, at = channel(seed, widths), signals(seed, n)
     limits, their_limits = slope_limits(core, side, share)
     features, theirs = c_network_features(core, source), NetworkFeatures(source)
     shares = np.empty(3)
     core.largest_shares(features, array(core, source.last_layer), limits, array(core, at), n, shares)
     same(shares, largest_shares(source, source.last_layer, their_limits, at.T), rtol=1e-11)
-    Phi = theirs.evaluate(theirs.select(at.T))
-    ours = np.empty((source.feature_count, n))
+    Phi, k = theirs.evaluate(theirs.select(at.T)), source.feature_count
+    ours = np.empty((k, n))
     core.features_of_states(features, array(core, at), n, ours)
     same(ours, Phi, rtol=1e-11)
-    expected, _ = bounded_theta(source, their_limits, at.T, Phi)
-    theta = np.empty(expected.shape)
-    core.bounded_theta(features, features.last_layer, limits, array(core, at), ours, n, theta)
+    before = largest_shares(source, source.last_layer, their_limits, at.T)
+    expected, factor = flattened(source.last_layer, before, Phi)
+    theta, rows = source.last_layer.copy(), np.zeros((n, WIDTH_MAX + 1))
+    rows[:, :k] = Phi.T
+    core.flattened(shares, rows, n, k, theta)
     same(theta, expected, rtol=1e-11)
+    same(shares, before * factor, rtol=1e-11)
 
 
 def test_a_state_that_is_not_finite_leaves_no_finite_share(core: Core) -> None:
@@ -95,25 +95,3 @@ def test_a_state_that_is_not_finite_leaves_no_finite_share(core: Core) -> None:
     core.largest_shares(features, array(core, source.last_layer), limits, array(core, at), 3, shares)
     assert np.isnan(shares).all()
     assert np.isnan(largest_shares(source, source.last_layer, their_limits, at.T)).all()
-
-
-@SETTINGS
-@given(
-    seed=SEEDS,
-    n=st.integers(0, 40),
-    k=st.sampled_from([2, 7, 20]),
-    rate=st.floats(0.01, 20.0),
-    noise=st.sampled_from([0.05, 0.5, 8.0]),
-)
-def test_the_posterior(core: Core, seed: int, n: int, k: int, rate: float, noise: float) -> None:
-    """numpy solves for all states at once, C runs the filter over them: the same X and S."""
-    rng = np.random.default_rng(seed)
-    ours, theirs = layers(core, kalman_config(fast_bias_rate=rate, noise=noise), k)
-    Phi, y, theta = np.tanh(rng.normal(size=(k, n + 2))), rng.normal(size=(n, 3)), rng.normal(size=(k, 3))
-    Phi[-1] = 1.0
-    spans = (DT, 5 * DT, 2 * DT)
-    X, S = posterior(theirs, prior_variance(theirs.config, k), Phi[:, :n], y - Phi[:, :n].T @ theta, spans)
-    times, state = core.SwapTimes(*spans), core.KalmanState()
-    core.posterior(ours, theta, array(core, Phi), n + 2, k, array(core, y), n, times, state)
-    same(view(state.X)[: X.size], X, rtol=1e-9)
-    same(covariance(state), S, rtol=1e-9)

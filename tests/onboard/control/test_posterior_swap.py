@@ -11,9 +11,8 @@ from onboard.control.feature_swap import RecentStates, SwapConfig
 from onboard.control.features import NetworkFeatures
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
 from onboard.control.laws.kalman_last_layer import prior_variance
-from onboard.control.laws.kalman_state import KalmanState
 from onboard.control.laws.law import ChannelState
-from onboard.control.posterior_swap import posterior
+from onboard.control.posterior_swap import FOLLOWED_MAX, PosteriorSwap
 from onboard.control.records import ChannelTelemetry
 from onboard.control.reference_model import ChannelGains
 from onboard.control.slope import SlopeLimits, SlopeShares
@@ -51,35 +50,83 @@ def flying(swap_config, seconds=2.0, **over):
 
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0.05, 10.0), st.floats(0.1, 5.0))
-def test_the_posterior_is_the_filter_run_over_the_recent_states(n, seed, fast_bias_rate, fast_bias):
-    """From its prior, without mean reversion of W within the second: the same X and S as n textbook steps."""
-    rng = np.random.default_rng(seed)
-    one = law(7, fast_bias_rate=fast_bias_rate, fast_bias=fast_bias, noise=0.4)
-    prior, between, since = prior_variance(one.config, 7), 0.025, 0.01
-    Phi, y = np.tanh(rng.normal(size=(7, n))), rng.normal(size=(n, 3))
-    X, S = posterior(one, prior, Phi, y, (DT, between, since))
+def test_the_posterior_solves_for_all_recent_states_at_once(n, seed, fast_bias_rate, fast_bias):
+    """W of the prior and b an Ornstein-Uhlenbeck process: X and S follow from the joint covariance of y and [W; b]."""
+    one = law(10, fast_bias_rate=fast_bias_rate, fast_bias=fast_bias, noise=0.4)
+    prior, since, source = prior_variance(one.config, 10), 0.01, channel(seed % 1000)
+    swap, ring = prepared(one, source, n, seed)
+    plan = swap.plan(swap.new, np.zeros((SIGNAL_COUNT, 3)), since)
+    signals, y = ring.in_order()
+    Phi = swap.new.evaluate(swap.new.select(signals))
+    age = BETWEEN * np.arange(n - 1, -1, -1) + since
+    weighted = prior[:-1, None] * Phi
+    C = Phi.T @ weighted + prior[-1] * np.exp(-fast_bias_rate * np.abs(age[:, None] - age))
+    C.flat[:: n + 1] += one.residual_variance(DT)
+    M = np.vstack([weighted, prior[-1] * np.exp(-fast_bias_rate * age)])
+    X = M @ np.linalg.solve(C, y - Phi.T @ swap.theta)
+    S = np.diag(prior) - M @ np.linalg.solve(C, M.T)
+    np.testing.assert_allclose(plan.X[:-1], X[:-1], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(plan.S, S, rtol=1e-6, atol=1e-8)
+    np.testing.assert_array_equal(plan.S, plan.S.T)
+    assert np.linalg.eigvalsh(plan.S)[0] > 0.0
 
-    state = KalmanState(np.zeros((8, 3)), prior, np.append(np.zeros(7), fast_bias_rate))
-    R = one.residual_variance(DT)
-    for i in range(n):
-        phi = np.append(Phi[:, i], 1.0)
-        if i > 0:
-            state.predict(between)
-        along = state.along(phi[:, None])[:, 0]
-        state.correct(along[6:], (y[i] - along[3:6]).tolist(), R + float(phi @ along[6:]))
-    state.predict(since)
-    np.testing.assert_allclose(X, state.X_rows.T, rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(S, state.S, rtol=1e-6, atol=1e-8)
-    np.testing.assert_array_equal(S, S.T)
-    assert np.linalg.eigvalsh(S)[0] > 0.0
+
+BETWEEN = 0.025
+
+
+def prepared(one, source, n, seed):
+    """A swap whose parts are done, on a ring of n states, and the ring."""
+    rng, ring = np.random.default_rng(seed), RecentStates(40, SIGNAL_COUNT)
+    for _ in range(n):
+        ring.push(rng.normal(size=SIGNAL_COUNT), rng.normal(size=3))
+    limits = SlopeLimits.of("position", GAINS, GAINS, SlopeShares(place=1.0, motion=1.0, turn=1.0))
+    now, times = np.zeros((SIGNAL_COUNT, 3)), (DT, BETWEEN)
+    swap = PosteriorSwap(SwapConfig(jump_max=1e9), one, NetworkFeatures(source), limits, ring, now, times)
+    while not swap.step():
+        pass
+    return swap, ring
 
 
 def test_without_a_past_the_prior_is_taken():
-    one = law(7)
-    prior = prior_variance(one.config, 7)
-    X, S = posterior(one, prior, np.zeros((7, 0)), np.zeros((0, 3)), (DT, 0.025, 0.0))
-    np.testing.assert_array_equal(X, 0.0)
-    np.testing.assert_array_equal(S, np.diag(prior))
+    one = law(10)
+    swap, _ = prepared(one, channel(3), 0, 1)
+    plan = swap.plan(swap.new, np.zeros((SIGNAL_COUNT, 3)), 0.0)
+    np.testing.assert_array_equal(plan.X[:-1], 0.0)
+    np.testing.assert_array_equal(plan.S, np.diag(prior_variance(one.config, 10)))
+
+
+def test_states_that_come_while_the_parts_are_done_are_taken_too():
+    """X and S are those of a preparation that begins later, on a ring that holds all of these states."""
+    rng, source, one = np.random.default_rng(5), channel(5, memory=0.1 * channel(5).last_layer), law(10)
+    states = [(rng.normal(size=SIGNAL_COUNT), rng.normal(size=3)) for _ in range(12)]
+    limits = SlopeLimits.of("position", GAINS, GAINS, SlopeShares(place=1e3, motion=1e3, turn=1e3))
+    now, plans = np.zeros((SIGNAL_COUNT, 3)), []
+    for before in (12, 7):
+        ring = RecentStates(40, SIGNAL_COUNT)
+        for state in states[:before]:
+            ring.push(*state)
+        new = NetworkFeatures(source)
+        swap = PosteriorSwap(SwapConfig(jump_max=1e9), one, new, limits, ring, now, (DT, BETWEEN))
+        coming, over = list(states[before:]), False
+        while not over or coming:
+            if coming:
+                ring.push(*coming.pop(0))
+            swap.follow()
+            over = over or swap.step()
+        assert swap.seen == 12
+        assert swap.measured[0].shape[1] <= 12
+        plans.append(swap.plan(new, now, 0.01))
+    np.testing.assert_allclose(plans[1].X, plans[0].X, atol=1e-9)
+    np.testing.assert_allclose(plans[1].S, plans[0].S, atol=1e-9)
+
+
+def test_states_beyond_the_room_for_them_are_left_to_the_law():
+    swap, ring = prepared(law(10), channel(5, memory=0.1 * channel(5).last_layer), 3, 1)
+    for _ in range(FOLLOWED_MAX + 9):
+        ring.push(np.ones(SIGNAL_COUNT))
+        swap.follow()
+    assert swap.seen == 3 + FOLLOWED_MAX
+    assert swap.plan(swap.new, np.zeros((SIGNAL_COUNT, 3)), 9 * BETWEEN).refusal == ""
 
 
 @pytest.mark.parametrize("seed", range(8))

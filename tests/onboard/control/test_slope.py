@@ -7,7 +7,7 @@ import pytest
 
 from onboard.control.features import NetworkFeatures
 from onboard.control.reference_model import ChannelGains
-from onboard.control.slope import SlopeLimits, SlopeShares, bounded_theta, largest_shares, slopes
+from onboard.control.slope import SlopeLimits, SlopeShares, flattened, largest_shares, slopes
 from protocol.conventions import GRAVITY
 from protocol.signals import SIGNAL_COUNT
 from tests.onboard.control.test_feature_swap import INPUTS, ROWS, channel, states
@@ -61,16 +61,19 @@ def test_a_steep_map_is_flattened_to_its_share_and_keeps_its_mean(seed):
     source, at = channel(seed, memory=200.0 * channel(seed).last_layer), states(seed)
     features = NetworkFeatures(source)
     Phi = features.evaluate(features.select(at))
-    theta, before = bounded_theta(source, GAINS, at, Phi)
+    before = largest_shares(source, source.last_layer, GAINS, at)
+    theta, factor = flattened(source.last_layer, before, Phi)
     assert before.max() > 1.0
     after = largest_shares(source, theta, GAINS, at)
     np.testing.assert_allclose(after, np.minimum(before, 1.0), rtol=1e-9)
+    np.testing.assert_allclose(after, before * factor, rtol=1e-9)
     np.testing.assert_allclose((theta.T @ Phi).mean(axis=1), (source.last_layer.T @ Phi).mean(axis=1), atol=1e-9)
 
 
 def test_a_flat_map_is_left_as_it_is():
     source, at = channel(2, memory=1e-3 * channel(2).last_layer), states(2)
     features = NetworkFeatures(source)
-    theta, _ = bounded_theta(source, GAINS, at, features.evaluate(features.select(at)))
+    shares = largest_shares(source, source.last_layer, GAINS, at)
+    theta, _ = flattened(source.last_layer, shares, features.evaluate(features.select(at)))
     assert theta is source.last_layer
     assert len(INPUTS) == 3

@@ -59,6 +59,55 @@ def test_slow_sensors_are_decoded_with_units(link):
     assert not link.rejected
 
 
+def velocity_flow(vehicle, v_x=0.6, v_y=-0.3, distance=1.5, quality=200):
+    return mavlink.MAVLink_optical_flow_message(vehicle.clock_ns // 1000, 3, 7, -9, v_x, v_y, quality, distance)
+
+
+def test_a_flow_in_metres_per_second_becomes_the_angles_that_the_estimator_wants(link):
+    """OPTICAL_FLOW (100): v_x = d (flow_y - rotation_y) / dt, v_y = -d (flow_x - rotation_x) / dt."""
+    vehicle = Vehicle()
+    vehicle.tick(link)  # its gyroscope: (0.01, 0.02, 0.03)
+    (reading,) = link.receive(vehicle.pack(velocity_flow(vehicle)), link.now_ns)
+    assert isinstance(reading, FlowReading)
+    scale = 1.5 / reading.integration_s
+    assert scale * (reading.flow_y - reading.rotation_y) == pytest.approx(0.6)
+    assert -scale * (reading.flow_x - reading.rotation_x) == pytest.approx(-0.3)
+    np.testing.assert_allclose(reading[4:6], np.multiply((0.01, 0.02), reading.integration_s), rtol=1e-6)
+    assert reading.quality == 200
+    assert 0 <= link.now_ns - reading.time_ns < 2_000_000
+    assert link.last_flow_ns == link.now_ns
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"distance": -1.0}, "flow_distance"),  # unknown
+        ({"distance": 0.0}, "flow_distance"),
+        ({"distance": math.nan}, "flow_distance"),
+        ({"distance": math.inf}, "flow_distance"),
+        ({"distance": 13.0}, "flow_distance"),
+        ({"v_x": math.nan}, "flow"),
+        ({"v_y": math.inf}, "flow"),
+        ({"v_x": 40.0}, "flow"),  # 27 rad/s
+        ({"v_x": 1e30, "distance": 1e-30}, "flow"),
+    ],
+)
+def test_a_bad_flow_in_metres_per_second_is_counted_and_dropped(link, values, reason):
+    vehicle = Vehicle()
+    vehicle.tick(link)
+    assert link.receive(vehicle.pack(velocity_flow(vehicle, **values)), link.now_ns) == []
+    assert link.rejected[reason] == 1
+    assert len(link.receive(vehicle.pack(velocity_flow(vehicle)), link.now_ns)) == 1
+
+
+def test_a_frozen_flow_in_metres_per_second_is_dropped_although_the_vehicle_turns(link):
+    vehicle = Vehicle()
+    for _ in range(9):
+        vehicle.tick(link)
+        link.receive(vehicle.pack(velocity_flow(vehicle)), link.now_ns)
+    assert link.rejected["flow_frozen"] == 1
+
+
 @pytest.mark.parametrize("armed", [True, False])
 @pytest.mark.parametrize("key", [None, KEY])
 def test_motor_command_has_the_bytes_that_pymavlink_writes(armed, key):

@@ -14,7 +14,15 @@ KEY = bytes(range(32))
 KINDS = [
     getattr(mavlink, f"MAVLink_{name}_message")
     for name in (
-        *("hil_sensor", "hil_optical_flow", "optical_flow_rad", "distance_sensor", "battery_status", "sys_status"),
+        *(
+            "hil_sensor",
+            "hil_optical_flow",
+            "optical_flow_rad",
+            "optical_flow",
+            "distance_sensor",
+            "battery_status",
+            "sys_status",
+        ),
         *("heartbeat", "hil_actuator_controls", "odometry", "att_pos_mocap", "vicon_position_estimate"),
         *("attitude_quaternion", "local_position_ned", "command_long", "command_ack"),
     )

@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#include "control/posterior_swap.h"
 #include "numerics/elementary.h"
 #include "protocol/geometry.h"
 
@@ -190,7 +189,7 @@ void adaptive_learnt(const Adaptive *self, Learnt *out) {
         const KalmanState *state = &self->kalman_layer.state;
         memcpy(out->theta, self->kalman_layer.theta, layer);
         memcpy(out->W, state->X, (size_t)(3 * state->size) * sizeof(real));
-        memcpy(out->S, state->S, (size_t)(state->size * state->size) * sizeof(real));
+        memcpy(out->S, state->S, (size_t)(state->size * state->size) * sizeof(covariance));
     } else {
         memcpy(out->theta, self->last_layer.memory, layer);
         memcpy(out->W, self->last_layer.W, layer);
@@ -198,7 +197,7 @@ void adaptive_learnt(const Adaptive *self, Learnt *out) {
 }
 
 /* KalmanLastLayer.adopt or LastLayer.replace */
-static void take_over(Adaptive *self, const real *theta, const real *W, const real *S) {
+static void take_over(Adaptive *self, const real *theta, const real *W, const covariance *S) {
     int32_t k = self->features.feature_count;
     if (has_covariance(self)) {
         kalman_layer_adopt(&self->kalman_layer, theta, W, S, k);
@@ -289,22 +288,31 @@ bool adaptive_flies(const Adaptive *self, const ChannelFeatures *channel) {
            alike(own->last_layer, channel->last_layer, 3 * own->feature_count);
 }
 
-/* AdaptiveAugmentation.plan */
+/* AdaptiveAugmentation.prepare */
+bool adaptive_prepare(const Adaptive *self, const ChannelFeatures *channel, PosteriorSwap *swap) {
+    if (!has_covariance(self)) {
+        return false;
+    }
+    real between = (real)self->config.swap.ring_period_ticks * self->dt;
+    posterior_swap_begin(swap, &self->kalman_layer, channel, &self->recent, self->signals, self->dt, between);
+    return true;
+}
+
+/* AdaptiveAugmentation.planned */
+void adaptive_planned(const Adaptive *self, PosteriorSwap *swap, SwapPlan *plan) {
+    const SwapConfig *config = &self->config.swap;
+    int64_t since = self->ticks - 1 - (swap->seen - 1) * config->ring_period_ticks;
+    posterior_swap_plan(swap, config, &self->kalman_layer, &self->features, self->signals, (real)since * self->dt,
+                        plan);
+}
+
+/* AdaptiveAugmentation.plan, of the gradient law */
 void adaptive_plan(const Adaptive *self, const ChannelFeatures *channel, Features *new_features, SwapWorkspace *work,
                    SwapPlan *plan) {
-    const SwapConfig *config = &self->config.swap;
     features_init_network(new_features, &channel->selection, &channel->network);
     memcpy(new_features->last_layer, channel->last_layer, sizeof new_features->last_layer);
-    if (has_covariance(self)) {
-        int32_t period = config->ring_period_ticks;
-        int64_t since = (self->ticks + period - 1) % period; /* of the newest state, in ticks */
-        SwapTimes times = {self->dt, (real)period * self->dt, (real)since * self->dt};
-        plan_posterior_swap(config, &self->kalman_layer, &self->features, new_features, &self->slope_limits,
-                            &self->recent, self->signals, &times, work, plan);
-        return;
-    }
     int32_t n = recent_states(&self->recent, self->signals, self->signals + SIGNAL_COUNT, work->states);
-    plan_swap(config, &self->features, self->last_layer.W, new_features, channel->last_layer,
+    plan_swap(&self->config.swap, &self->features, self->last_layer.W, new_features, channel->last_layer,
               self->config.law.gradient.weight_norm_max, n, work, plan);
 }
 

@@ -9,13 +9,14 @@
 #include "control/laws/last_layer.h"
 #include "control/laws/law.h"
 #include "control/laws/slope_bound.h"
+#include "control/posterior_swap.h"
 
 /* The features of a channel and all that its law has learnt with them. */
 typedef struct {
     Features features;
     real theta[FEATURES_MAX * 3];    /* [k, 3], the trained last layer */
     real W[STATES_MAX * 3];          /* [k, 3]; with a covariance: X = [W - theta; b], [k + 1, 3] */
-    real S[STATES_MAX * STATES_MAX]; /* [k + 1, k + 1], with a covariance only */
+    covariance S[STATES_MAX * STATES_MAX]; /* [k + 1, k + 1], with a covariance only */
 } Learnt;
 
 /* One channel's features, last layer, and swap. Of the two last layers only that of config.law.kind is used. */
@@ -88,7 +89,14 @@ void adaptive_start_from(Adaptive *self, const real *W);
 /* Whether these features, with this theta, are in use already: a swap to them would change nothing. */
 bool adaptive_flies(const Adaptive *self, const ChannelFeatures *channel);
 
-/* Plan a swap to these features: `new_features` becomes them, `plan` says what became of it. Nothing else changes. */
+/* Start to prepare a swap to these features; false for the gradient law, whose plan needs no preparation. */
+bool adaptive_prepare(const Adaptive *self, const ChannelFeatures *channel, PosteriorSwap *swap);
+
+/* The plan of a swap that is prepared. Nothing else changes. */
+void adaptive_planned(const Adaptive *self, PosteriorSwap *swap, SwapPlan *plan);
+
+/* Plan a swap of the gradient law: `new_features` becomes the features, `plan` says what became of it. Nothing else
+ * changes. */
 void adaptive_plan(const Adaptive *self, const ChannelFeatures *channel, Features *new_features, SwapWorkspace *work,
                    SwapPlan *plan);
 

@@ -70,7 +70,10 @@ static real squares_of_X(const KalmanLastLayer *self) {
 /* KalmanLastLayer._keep_in_ball: what rounding leaves outside is scaled */
 static void keep_in_ball(KalmanLastLayer *self) {
     KalmanState *state = &self->state;
-    project(state->X, state->S, state->size, self->config.weight_norm_max, self->work);
+    if (squares_of_X(self) > self->radius2) { /* NaN is not */
+        const real *S = kalman_state_dense(state, self->dense);
+        project(state->X, S, state->size, self->config.weight_norm_max, self->work);
+    }
     self->X_norm2 = squares_of_X(self);
     if (self->X_norm2 > self->radius2) {
         real share = real_sqrt(self->radius2 / self->X_norm2);
@@ -91,11 +94,12 @@ void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *thet
 }
 
 /* KalmanLastLayer.adopt */
-void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S, int32_t feature_count) {
+void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const covariance *S,
+                        int32_t feature_count) {
     int n = feature_count + 1;
     start(self, theta, feature_count);
     memcpy(self->state.X, X, (size_t)(3 * n) * sizeof(real));
-    memcpy(self->state.S, S, (size_t)(n * n) * sizeof(real));
+    memcpy(self->state.S, S, (size_t)(n * n) * sizeof(covariance));
     keep_in_ball(self);
 }
 
@@ -107,14 +111,14 @@ real fade(real here, real ahead) {
 /* confidence: c = 1 - Phi'S Phi / Phi'S0 Phi; the numbers of Phi are `stride` apart */
 static real confidence(const KalmanState *state, const real *Phi, int32_t stride) {
     int k = state->size - 1;
-    real unknown = REAL(0.0), prior = REAL(0.0);
+    real unknown = REAL(0.0), prior = REAL(0.0), column[FEATURES_MAX], g[STATES_MAX];
     for (int i = 0; i < k; i++) {
-        real along = REAL(0.0);
-        for (int j = 0; j < k; j++) {
-            along += state->S[i * state->size + j] * Phi[j * stride];
-        }
-        unknown += Phi[i * stride] * along;
-        prior += state->prior_variance[i] * Phi[i * stride] * Phi[i * stride];
+        column[i] = Phi[i * stride];
+    }
+    kalman_state_product(state, column, k, REAL(1.0), g);
+    for (int i = 0; i < k; i++) {
+        unknown += column[i] * g[i];
+        prior += state->prior_variance[i] * column[i] * column[i];
     }
     return REAL(1.0) - unknown / prior;
 }
@@ -247,12 +251,12 @@ static void innovation_of(const KalmanLastLayer *self, const Along *here, const 
 }
 
 /* X and S with phi = [Phi; 1]; false if X had to be projected */
-static bool correct(KalmanLastLayer *self, const Along *here, const real d[3], real v) {
+static bool correct(KalmanLastLayer *self, const Along *here, const real *S_bias, const real d[3], real v) {
     KalmanState *state = &self->state;
     int n = state->size;
     real g[STATES_MAX];
     for (int i = 0; i < n; i++) {
-        g[i] = here->g[i] + state->S[i * n + n - 1];
+        g[i] = here->g[i] + S_bias[i];
     }
     kalman_state_correct(state, g, d, v);
     self->X_norm2 = squares_of_X(self);
@@ -275,7 +279,7 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
         return;
     }
     Along h, a; /* here, ahead */
-    real theta_path[3], x_path[3];
+    real theta_path[3], x_path[3], S_bias[STATES_MAX];
     kalman_state_predict(state, dt);
     look_along(self, Phi, &h);
     look_along(self, Phi_ahead, &a);
@@ -283,7 +287,8 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     weighted(state->X, Phi_path, k, 1, x_path);
     /* Quadratic forms of S along the bias (b), here (h), ahead (a) and on the path now (p). */
     real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ph = dot(Phi_path, h.g, k), ba = a.g[k];
-    real bp = dot(state->S + k * state->size, Phi_path, k), bb = state->S[k * state->size + k];
+    kalman_state_column(state, k, S_bias);
+    real bp = dot(S_bias, Phi_path, k), bb = S_bias[k];
     real s = h.form + REAL(2.0) * bh + bb;
     real v = real_max(self->noise_variance, s / (lambda * dt)) + s;
     real d[3], b[3];
@@ -293,7 +298,7 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     if (!sensible) {
         self->X_norm2 = squares_of_X(self);
     }
-    if (!sensible || !correct(self, &h, d, v)) {
+    if (!sensible || !correct(self, &h, S_bias, d, v)) {
         kalman_layer_estimate(self, Phi, nu, nu_cmd);
         return;
     }

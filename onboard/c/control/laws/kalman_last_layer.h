@@ -26,7 +26,8 @@ typedef struct {
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
     real gap[3];                        /* what the map says here beside the path, as far as it counts */
-    real work[STATES_MAX * STATES_MAX]; /* of the projection; it keeps nothing between two steps */
+    real work[STATES_MAX * STATES_MAX];  /* of the projection; it keeps nothing between two steps */
+    real dense[STATES_MAX * STATES_MAX]; /* the same: S in `real`, where it is in whole numbers */
 } KalmanLastLayer;
 
 /* theta and X are zero, S = S0. */
@@ -47,7 +48,8 @@ void kalman_layer_replace(KalmanLastLayer *self, const real *W, const real *thet
 
 /* Take over theta [k, 3], X [k + 1, 3] and S [k + 1, k + 1] that belong to new features. None of them may lie within
  * `self`. */
-void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const real *S, int32_t feature_count);
+void kalman_layer_adopt(KalmanLastLayer *self, const real *theta, const real *X, const covariance *S,
+                        int32_t feature_count);
 
 /* nu and nu_cmd with Phi of a tick. */
 void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu[3], real nu_cmd[3]);

@@ -5,7 +5,12 @@
  *     correct:  X <- X + g (y - X'phi)' / v,    S <- S - g g' / v,            g = S phi,  v = R + phi'S phi
  *
  * S stays symmetric and positive definite for any number of steps, in float as well, as long as `rounding_share` of the twin
- * is below 1. Each number of S is computed once and stored on both sides of the diagonal. */
+ * is below 1. Each number of S is computed once and stored on both sides of the diagonal.
+ *
+ * With -DDMRAC_WHOLE_COVARIANCE S is in whole numbers of 32 bits, for processors without floating-point unit: S_ij over
+ * sqrt(S0_ii S0_jj), which is at most 1, with 30 fractional bits. Sums are 64 bits wide. A step rounds each number by 1e-9; a
+ * prediction adds (1 - d_i^2) to the diagonal, 2.5e-4 of `dmrac`. X and nu stay in `real`. The library on the Mambo is built
+ * so (mambo/build.py). */
 #ifndef DMRAC_KALMAN_STATE_H
 #define DMRAC_KALMAN_STATE_H
 
@@ -14,15 +19,29 @@
 /* The features and the fast bias. */
 #define STATES_MAX (FEATURES_MAX + 1)
 
+/* A number of S. */
+#ifdef DMRAC_WHOLE_COVARIANCE
+typedef int32_t covariance;
+#else
+typedef real covariance;
+#endif
+
 typedef struct {
     int32_t size;                    /* n */
     real prior_variance[STATES_MAX]; /* the diagonal of S0 */
     real rates[STATES_MAX];          /* s_i, 1/s */
     real X[STATES_MAX * 3];          /* [n, 3] */
-    real S[STATES_MAX * STATES_MAX]; /* [n, n] */
+    covariance S[STATES_MAX * STATES_MAX]; /* [n, n] */
     real dt;                         /* of `keep` and `gain`, s */
     real keep[STATES_MAX];           /* diagonal of D */
     real gain[STATES_MAX];           /* diagonal of (I - D^2) S0 */
+#ifdef DMRAC_WHOLE_COVARIANCE
+    real root[STATES_MAX];    /* sqrt(S0) */
+    real inverse[STATES_MAX]; /* 1 / root */
+    real largest;             /* root */
+    int32_t loss[STATES_MAX]; /* 1 - d_i, with 31 fractional bits */
+    bool broken;              /* a number that is not finite, or too large, has come into S: it is not used any more */
+#endif
 } KalmanState;
 
 /* Start from X = 0 and S = S0. `prior_variance` and `rates` [n]. */
@@ -31,7 +50,19 @@ void kalman_state_init(KalmanState *self, const real *prior_variance, const real
 /* X <- D X, S <- D S D + (I - D^2) S0, over dt, s. */
 void kalman_state_predict(KalmanState *self, real dt);
 
-/* g [n] = S column and x = X'column, of a column whose first `count` numbers are given and whose others are zero. */
+/* Whether S holds finite numbers only. */
+bool kalman_state_is_finite(const KalmanState *self);
+
+/* S: itself if it is in `real`, else `space` [n, n] with its numbers. */
+const real *kalman_state_dense(const KalmanState *self, real *space);
+
+/* A column of S, [n]. */
+void kalman_state_column(const KalmanState *self, int32_t column, real *out);
+
+/* g [n] = S column, of a column whose first `count` numbers, at most `most` in size, are given and whose others are zero. */
+void kalman_state_product(const KalmanState *self, const real *column, int32_t count, real most, real *g);
+
+/* The same of numbers of at most 1, and x = X'column. */
 void kalman_state_along(const KalmanState *self, const real *column, int32_t count, real *g, real x[3]);
 
 /* X <- X + g innovation' / v, S <- S - g g' / v, with g [n] = S phi, innovation = y - X'phi and v = R + phi'S phi. */

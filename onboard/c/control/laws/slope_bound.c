@@ -68,13 +68,15 @@ static bool slopes_of(const KalmanState *state, const real *theta, const real *J
 /* S J and J'S J. */
 static void look_along(const KalmanState *state, int32_t n, SlopeWorkspace *work) {
     int size = state->size, rows = size - 2; /* without the constant and the bias */
-    for (int i = 0; i < size; i++) {
-        for (int j = 0; j < n; j++) {
-            real sum = REAL(0.0);
-            for (int m = 0; m < rows; m++) {
-                sum += state->S[i * size + m] * work->J[m * n + j];
-            }
-            work->along[i * n + j] = sum;
+    for (int j = 0; j < n; j++) {
+        real column[STATES_MAX], g[STATES_MAX], most = REAL(1.0);
+        for (int m = 0; m < rows; m++) {
+            column[m] = work->J[m * n + j];
+            most = real_max(most, real_abs(column[m]));
+        }
+        kalman_state_product(state, column, rows, most, g);
+        for (int i = 0; i < size; i++) {
+            work->along[i * n + j] = g[i];
         }
     }
     for (int i = 0; i < n; i++) {
