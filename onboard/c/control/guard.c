@@ -157,6 +157,7 @@ static void fall_back(Guard *self, Augmentation *augmentations, FallReason reaso
     if (back) {
         take_back(self, augmentations, fall);
     } else {
+        self->needs_evidence = true;
         enter(self, (Level)(self->level + 1));
         say(self, fall);
     }
@@ -182,14 +183,18 @@ static int32_t informed(const Guard *self, real evidence_s, bool *stands) {
     return count;
 }
 
-/* Guard._may_fly */
-static bool may_fly(const Guard *self, real evidence_s) {
-    bool stands;
-    bool has_evidence = informed(self, evidence_s, &stands) > 0;
+/* Guard._may_fly: whether the map that runs beside the bias-only law has passed its audition */
+static bool may_fly(const Guard *self, const WatchConfig *config) {
+    bool stands, agrees = !self->needs_evidence;
+    bool has_evidence = informed(self, config->audition_s, &stands) > 0;
     for (int channel = 0; channel < 2; channel++) {
-        stands = stands && !(self->learns[channel] && watch_worse(self->watches + channel, 0, 1) != WATCH_NO_WORSE);
+        const ChannelWatch *watch = self->watches + channel;
+        if (self->learns[channel]) {
+            agrees = agrees && watch->agreed_s >= config->agreement_s;
+            stands = stands && watch_worse(watch, 0, 1) == WATCH_NO_WORSE;
+        }
     }
-    return !trusts_none(self) && has_evidence && stands;
+    return !trusts_none(self) && (has_evidence || agrees) && stands;
 }
 
 /* Guard._look_ahead: check the map that flies on what is ahead now, some states in a tick, attitude first */
@@ -235,9 +240,12 @@ void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adaptin
         }
     }
     if (self->level == LEVEL_MAP) {
-        self->proven = self->proven || (informed(self, self->config.watch.proof_s, &stands) > 0 && stands);
+        if (!self->proven && informed(self, self->config.watch.proof_s, &stands) > 0 && stands) {
+            self->proven = true;
+            self->losses = 0;
+        }
         look_ahead(self, augmentations);
-    } else if (self->level == LEVEL_BIAS && may_fly(self, self->config.watch.audition_s)) {
+    } else if (self->level == LEVEL_BIAS && may_fly(self, &self->config.watch)) {
         enter(self, LEVEL_MAP);
         say(self, (Fall){.kind = FALL_UP});
     }
@@ -264,17 +272,6 @@ void guard_reset(Guard *self) {
 }
 
 /* --- versions --- */
-
-/* The jumps of the plans, as shares of jump_max. */
-static real jump_of(const Guard *self, const Augmentation *augmentations) {
-    real jump = REAL(0.0);
-    for (int channel = 0; channel < 2; channel++) {
-        if (self->work.changes[channel]) {
-            jump += self->work.plans[channel].step / adaptive_jump_max(&augmentations[channel].adaptive);
-        }
-    }
-    return jump;
-}
 
 /* Guard._too_often: whether one more swap would be too many in a second, or too much */
 static bool too_often(Guard *self, real jump) {
@@ -330,8 +327,9 @@ static void commit(Guard *self, Augmentation *augmentations, int64_t version) {
     self->version = version;
     memcpy(self->content, work->content, sizeof self->content);
     self->proven = false;
-    bool audition = self->config.watch.enabled && !(self->adapting && self->level == LEVEL_MAP);
-    enter(self, audition ? LEVEL_BIAS : LEVEL_MAP);
+    self->needs_evidence = self->losses >= self->config.losses_max;
+    bool at_once = self->adapting && self->level == LEVEL_MAP && !self->needs_evidence;
+    enter(self, at_once || !self->config.watch.enabled ? LEVEL_MAP : LEVEL_BIAS);
 }
 
 /* Guard._conclude: false if the version before was taken back, and the preparation starts again */
@@ -340,12 +338,13 @@ static bool conclude(Guard *self, Augmentation *augmentations, const FeatureSet 
     if (*refusal != REFUSAL_NONE) {
         return true;
     }
-    real jump = jump_of(self, augmentations);
+    real jump = preparation_jump(&self->work, augmentations);
     if (too_often(self, jump)) {
         *refusal = REFUSAL_SWAP_RATE;
     } else if (!(self->work.changes[0] || self->work.changes[1])) {
         renumber(self, features->version);
     } else if (self->config.watch.enabled && self->level == LEVEL_MAP && !self->proven && loses(self)) {
+        self->losses++;
         take_back(self, augmentations, (Fall){.reason = FALL_BEFORE});
         return false;
     } else {

@@ -98,3 +98,13 @@ Refusal preparation_plans(Preparation *self, const FeatureSet *features, const A
 const Features *preparation_features(const Preparation *self, int32_t channel) {
     return self->swaps[channel] ? &self->posterior[channel].features : self->features + channel;
 }
+
+real preparation_jump(const Preparation *self, const Augmentation *laws) {
+    real jump = REAL(0.0);
+    for (int32_t i = 0; i < 2; i++) {
+        if (self->changes[i]) {
+            jump += self->plans[i].step / adaptive_jump_max(&laws[i].adaptive);
+        }
+    }
+    return jump;
+}

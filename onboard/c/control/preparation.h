@@ -36,6 +36,9 @@ bool preparation_step(Preparation *self, const Augmentation *laws, VersionTest *
 /* What is to fly, once all parts are done: `plans`, and the refusal. */
 Refusal preparation_plans(Preparation *self, const FeatureSet *features, const Augmentation *laws, VersionTest *tests);
 
+/* The sum of the plans' jumps, as shares of jump_max. */
+real preparation_jump(const Preparation *self, const Augmentation *laws);
+
 /* The new features of a channel. */
 const Features *preparation_features(const Preparation *self, int32_t channel);
 
