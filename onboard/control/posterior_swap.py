@@ -29,7 +29,7 @@ from protocol.conventions import Array
 
 STATES_PER_PART: Final = 6
 """States whose features one part evaluates."""
-SLOPES_PER_PART: Final = 3
+SLOPES_PER_PART: Final = 2
 """States whose slope one part evaluates."""
 UPDATES_PER_PART: Final = 8
 """States that one part of the filter takes."""

@@ -10,7 +10,7 @@ The path ahead is a line through it, with points so close that no cliff lies bet
 - **slope along the path**: change from point to point over the distance, as a share of its limit (a steep map is
   feedback: onboard.control.slope, which owns the limits). By differences, so that a cliff counts that is
   narrower than the points are apart.
-- **slope over the box and the last second**, the derivative, as a share of its limit.
+- **slope in the box and over the last second**, the derivative, as a share of its limit.
 
 theta of law (2a), whose nu_cmd fades to it where nothing was measured; W of law (2).
 
@@ -30,7 +30,7 @@ from protocol.conventions import Array
 from protocol.signals import SIGNAL_INDEX
 
 Size = Annotated[float, Field(gt=0, le=1e4)]
-AHEAD_PER_PART: Final = 4
+AHEAD_PER_PART: Final = 3
 """States ahead that one part looks at, of a version that is to fly: features and slope."""
 CHECKED_PER_PART: Final = 5
 """The same of the map that flies: features alone."""
@@ -100,7 +100,8 @@ class Ahead:
         states = self._states[:, self._seen : self._seen + most]
         self._nu[:, self._seen : self._seen + most] = theta.T @ features.evaluate(features.select(states))
         if with_slope and isinstance(features, NetworkFeatures):
-            shares = largest_shares(features.channel, theta, self._limits, states)
+            in_box = states[:, max(PATH_POINTS - self._seen, 0) :]
+            shares = largest_shares(features.channel, theta, self._limits, in_box)
             self._over = float(np.maximum(self._over, shares.max()))
         self._seen += most
         return self._seen >= PATH_POINTS + BOX_POINTS
@@ -175,7 +176,7 @@ class VersionTest:
         return "slope" if along > self._slopes[0] or over > self._slopes[1] else ""
 
     def look(self, features: Features, theta: Array, now: Array) -> bool | None:
-        """One part of a check of the map that flies on what is ahead; after the last one whether it is good, else None."""
+        """One part of a check of the map that flies, on what is ahead; after the last one whether it is good."""
         if not self.looks:
             self._look.begin(now)
         self.looks = not self._look.step(features, theta, CHECKED_PER_PART, with_slope=False)

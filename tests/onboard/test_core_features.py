@@ -213,7 +213,7 @@ def test_a_version_is_swapped_in_while_offboard_is_silent():
     chunks = split(encode_feature_set(features(), "float32"), 1, 1000)
     loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS) for chunk in chunks]
     loop.step()
-    loop.peer = None
+    loop.peer, loop.waiting = None, []
     loop.fly(1.0)
     assert loop.core.summary()["features"]["version"] == 1
 

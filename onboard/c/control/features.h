@@ -34,9 +34,9 @@ typedef struct {
 
 /* Inner layers in 16-bit whole numbers (features_q15.h). */
 typedef struct {
-    int32_t pairs[PARAMETERS_MAX / 2];       /* rows of W, two numbers in each */
-    int32_t biases[LAYERS_MAX * WIDTH_MAX];  /* b of each row, all layers one after the other, as its sums are */
-    int8_t bits[LAYERS_MAX * WIDTH_MAX];     /* fractional bits of each row of W */
+    int32_t pairs[PARAMETERS_MAX / 2];      /* rows of W, two numbers in each */
+    int32_t biases[LAYERS_MAX * WIDTH_MAX]; /* b of each row, all layers one after the other, as its sums are */
+    int8_t bits[LAYERS_MAX * WIDTH_MAX];    /* fractional bits of each row of W */
 } WholeNetwork;
 
 /* One channel of a trained feature version. */

@@ -8,7 +8,7 @@
 #define INPUT_BITS 13
 #define OUTPUT_BITS 15
 #define SUM_BITS 16
-#define STEP_BITS 11 /* of a number with SUM_BITS, within one step of the table: 1/32 */
+#define STEP_BITS 11       /* of a number with SUM_BITS, within one step of the table: 1/32 */
 #define SUM_GUARD_BITS 6   /* of a sum of up to WIDTH_MAX products */
 #define DIRECTION_MAX 4000 /* of a vector: no sum of WIDTH_MAX squares exceeds 32 bits */
 #define SIZE_MAX_Q REAL(32767.0)
@@ -53,9 +53,19 @@ static int32_t number_of(const int32_t *pairs, int32_t i) {
 
 static int32_t dot_of_pairs(const int32_t *a, const int32_t *b, int32_t pairs) {
     int32_t sum = 0;
-    for (int32_t i = 0; i < pairs; i++) {
-        int32_t x = a[i], y = b[i];
-        sum += low_of(x) * low_of(y) + high_of(x) * high_of(y);
+    for (; pairs >= 4; pairs -= 4, a += 4, b += 4) {
+        sum += low_of(a[0]) * low_of(b[0]);
+        sum += high_of(a[0]) * high_of(b[0]);
+        sum += low_of(a[1]) * low_of(b[1]);
+        sum += high_of(a[1]) * high_of(b[1]);
+        sum += low_of(a[2]) * low_of(b[2]);
+        sum += high_of(a[2]) * high_of(b[2]);
+        sum += low_of(a[3]) * low_of(b[3]);
+        sum += high_of(a[3]) * high_of(b[3]);
+    }
+    for (; pairs > 0; pairs--, a++, b++) {
+        sum += low_of(*a) * low_of(*b);
+        sum += high_of(*a) * high_of(*b);
     }
     return sum;
 }
@@ -170,8 +180,8 @@ static void evaluate_layer(const WholeNetwork *self, const Place *at, int32_t wi
 }
 
 /* Outputs of all layers of `network` at inputs z, in pairs; returns those of the last one. */
-static const int32_t *evaluate_all(const WholeNetwork *self, const Network *network, int32_t inputs,
-                                   const int32_t *z, int32_t levels[2][PAIRS_MAX]) {
+static const int32_t *evaluate_all(const WholeNetwork *self, const Network *network, int32_t inputs, const int32_t *z,
+                                   int32_t levels[2][PAIRS_MAX]) {
     Place at = {0, 0, 0, inputs};
     const int32_t *below = z;
     for (int32_t l = 0; l < network->layers; l++) {

@@ -273,17 +273,6 @@ void guard_reset(Guard *self) {
 
 /* --- versions --- */
 
-/* The jumps of the plans, as shares of jump_max. */
-static real jump_of(const Guard *self, const Augmentation *augmentations) {
-    real jump = REAL(0.0);
-    for (int channel = 0; channel < 2; channel++) {
-        if (self->work.changes[channel]) {
-            jump += self->work.plans[channel].step / adaptive_jump_max(&augmentations[channel].adaptive);
-        }
-    }
-    return jump;
-}
-
 /* Guard._too_often: whether one more swap would be too many in a second, or too much */
 static bool too_often(Guard *self, real jump) {
     real jumps = REAL(0.0);
@@ -349,7 +338,7 @@ static bool conclude(Guard *self, Augmentation *augmentations, const FeatureSet 
     if (*refusal != REFUSAL_NONE) {
         return true;
     }
-    real jump = jump_of(self, augmentations);
+    real jump = preparation_jump(&self->work, augmentations);
     if (too_often(self, jump)) {
         *refusal = REFUSAL_SWAP_RATE;
     } else if (!(self->work.changes[0] || self->work.changes[1])) {

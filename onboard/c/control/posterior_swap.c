@@ -21,7 +21,8 @@ static int32_t recent_checked(int32_t recent) {
     return quotient(recent - first_checked(recent), SLOPE_STRIDE);
 }
 
-int32_t posterior_swap_column(const PosteriorSwap *self, int32_t i) {
+/* The column of the i-th of the recent and followed states. */
+static int32_t column_of(const PosteriorSwap *self, int32_t i) {
     return i < self->recent ? i : i + SWAP_NOW;
 }
 
@@ -42,6 +43,7 @@ void posterior_swap_begin(PosteriorSwap *self, const KalmanLastLayer *law, const
     self->stage = self->part = self->evaluated = self->used = 0;
     self->shares[0] = self->shares[1] = self->shares[2] = REAL(0.0);
     self->norms = REAL(1.0);
+    memset(&self->map, 0, sizeof self->map);
     self->between = between;
     self->noise = kalman_layer_residual_variance(law, tick);
     self->parts[NETWORK] = 2 * channel->network.layers;
@@ -96,29 +98,33 @@ static void step_slopes(PosteriorSwap *self, const SlopeLimits *limits) {
  * variance on. */
 static void filter_on(PosteriorSwap *self, const KalmanLastLayer *law, int32_t most) {
     int32_t k = self->features.feature_count;
-    real phi[STATES_MAX], g[STATES_MAX], x[3], innovation[3];
-    if (law->config.composite_gain == REAL(0.0)) { /* a law that is off flies the trained map */
-        return;
-    }
+    real phi[STATES_MAX], g[STATES_MAX], x[3], nu[3], innovation[3];
+    bool learns = law->config.composite_gain > REAL(0.0); /* a law that is off flies the trained map */
     phi[k] = REAL(1.0);
     for (int32_t i = 0; i < most; i++) {
-        int32_t at = posterior_swap_column(self, self->used);
+        int32_t at = column_of(self, self->used);
         if (at >= self->evaluated) {
             return;
         }
-        if (self->used > 0) {
+        const real *residual = self->residuals + 3 * at;
+        memcpy(phi, self->Phi + at * FEATURES_MAX, (size_t)k * sizeof(real));
+        for (int axis = 0; axis < 3; axis++) {
+            nu[axis] = REAL(0.0);
+            for (int32_t j = 0; j < k; j++) {
+                nu[axis] += self->theta[3 * j + axis] * phi[j];
+            }
+        }
+        recent_map_add(&self->map, nu, residual);
+        if (learns && self->used > 0) {
             kalman_state_predict(&self->filter, self->between);
         }
-        memcpy(phi, self->Phi + at * FEATURES_MAX, (size_t)k * sizeof(real));
-        kalman_state_along(&self->filter, phi, k + 1, g, x);
-        for (int axis = 0; axis < 3; axis++) {
-            real of_theta = REAL(0.0);
-            for (int32_t j = 0; j < k; j++) {
-                of_theta += self->theta[3 * j + axis] * phi[j];
+        if (learns) {
+            kalman_state_along(&self->filter, phi, k + 1, g, x);
+            for (int axis = 0; axis < 3; axis++) {
+                innovation[axis] = residual[axis] - nu[axis] - x[axis];
             }
-            innovation[axis] = self->residuals[3 * at + axis] - of_theta - x[axis];
+            kalman_state_correct(&self->filter, g, innovation, self->noise + dot(phi, g, k + 1));
         }
-        kalman_state_correct(&self->filter, g, innovation, self->noise + dot(phi, g, k + 1));
         self->used++;
     }
 }
@@ -215,7 +221,7 @@ void posterior_swap_plan(PosteriorSwap *self, const SwapConfig *config, const Ka
     }
     evaluate_next(self, FOLLOWED_MAX);
     filter_on(self, law, FOLLOWED_MAX);
-    if (self->used > 0) {
+    if (self->used > 0 && law->config.composite_gain > REAL(0.0)) {
         kalman_state_predict(&self->filter, since);
     }
     *state = self->filter;

@@ -6,6 +6,7 @@
 #include "control/feature_swap.h"
 #include "control/laws/kalman_last_layer.h"
 #include "control/slope.h"
+#include "control/version_test.h"
 
 /* Columns of the present: here, on the path ahead, on the path now. */
 #define SWAP_NOW 3
@@ -20,13 +21,13 @@ typedef struct {
     Features features; /* the new ones */
     Refusal refusal;
     int32_t stage;
-    int32_t part;                             /* within the stage */
-    int32_t parts[SWAP_STAGES];               /* of each stage */
-    int32_t recent;                           /* n */
-    int32_t count;                            /* of states */
-    int32_t evaluated;                        /* of them, whose features are known */
-    int32_t used;                             /* of the recent and followed ones, that the filter has taken */
-    int64_t seen;                             /* RecentStates.pushes */
+    int32_t part;               /* within the stage */
+    int32_t parts[SWAP_STAGES]; /* of each stage */
+    int32_t recent;             /* n */
+    int32_t count;              /* of states */
+    int32_t evaluated;          /* of them, whose features are known */
+    int32_t used;               /* of the recent and followed ones, that the filter has taken */
+    int64_t seen;               /* RecentStates.pushes */
     real states[SWAP_STATES_MAX * SIGNAL_COUNT];
     real residuals[SWAP_STATES_MAX * 3];
     real Phi[SWAP_STATES_MAX * FEATURES_MAX]; /* of each state [k] */
@@ -36,6 +37,7 @@ typedef struct {
     real between;                             /* two recent states, s */
     real noise;                               /* variance of a measurement */
     KalmanState filter;
+    RecentMap map; /* theta at the states that the filter has taken */
     NormWorkspace work;
 } PosteriorSwap;
 
@@ -55,8 +57,5 @@ void posterior_swap_follow(PosteriorSwap *self, const KalmanLastLayer *law, cons
  * state to the present. */
 void posterior_swap_plan(PosteriorSwap *self, const SwapConfig *config, const KalmanLastLayer *law, const Features *old,
                          const real *now, real since, SwapPlan *plan);
-
-/* The column of the i-th of the recent and followed states. */
-int32_t posterior_swap_column(const PosteriorSwap *self, int32_t i);
 
 #endif

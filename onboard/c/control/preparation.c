@@ -13,8 +13,8 @@ static int32_t next_of(const bool these[2], int32_t channel) {
 }
 
 /* Preparation.__init__ */
-void preparation_begin(Preparation *self, const FeatureSet *features, const Augmentation *laws,
-                       const bool learns[2], bool tested) {
+void preparation_begin(Preparation *self, const FeatureSet *features, const Augmentation *laws, const bool learns[2],
+                       bool tested) {
     self->tested = tested;
     self->looks = false;
     self->refusal = REFUSAL_NONE;
@@ -63,19 +63,12 @@ bool preparation_step(Preparation *self, const Augmentation *laws, VersionTest *
 /* Preparation._verdict of a swap that was prepared */
 static Refusal verdict(const PosteriorSwap *swap, VersionTest *test) {
     const real *shares = swap->shares;
-    int32_t n = 0, k = swap->features.feature_count;
-    version_test_start_recent(test);
-    for (int32_t at = posterior_swap_column(swap, 0); at < swap->evaluated; at = posterior_swap_column(swap, n)) {
-        version_test_add_recent(test, swap->theta, swap->Phi + at * FEATURES_MAX, k, swap->residuals + 3 * at);
-        n++;
-    }
     real over = real_largest(real_largest(shares[0], shares[1]), shares[2]);
-    return version_test_verdict(test, swap->theta, k, over);
+    return version_test_verdict(test, swap->theta, swap->features.feature_count, &swap->map, over);
 }
 
 /* Preparation.plans */
-Refusal preparation_plans(Preparation *self, const FeatureSet *features, const Augmentation *laws,
-                          VersionTest *tests) {
+Refusal preparation_plans(Preparation *self, const FeatureSet *features, const Augmentation *laws, VersionTest *tests) {
     for (int32_t i = 0; i < 2; i++) {
         const Adaptive *learner = &laws[i].adaptive;
         SwapPlan *plan = self->plans + i;
@@ -104,4 +97,14 @@ Refusal preparation_plans(Preparation *self, const FeatureSet *features, const A
 
 const Features *preparation_features(const Preparation *self, int32_t channel) {
     return self->swaps[channel] ? &self->posterior[channel].features : self->features + channel;
+}
+
+real preparation_jump(const Preparation *self, const Augmentation *laws) {
+    real jump = REAL(0.0);
+    for (int32_t i = 0; i < 2; i++) {
+        if (self->changes[i]) {
+            jump += self->plans[i].step / adaptive_jump_max(&laws[i].adaptive);
+        }
+    }
+    return jump;
 }

@@ -9,9 +9,9 @@
 #include "control/version_test.h"
 
 typedef struct {
-    bool active;                             /* whether the version has passed what needs no preparation */
-    uint8_t content[CONTENT_BYTES];          /* of the version */
-    int64_t replaces;                        /* number and content of what flies */
+    bool active;                    /* whether the version has passed what needs no preparation */
+    uint8_t content[CONTENT_BYTES]; /* of the version */
+    int64_t replaces;               /* number and content of what flies */
     uint8_t replaces_content[CONTENT_BYTES];
     bool changes[2]; /* channels whose features would change */
     bool swaps[2];   /* of them, whose swap is prepared: those of the law with a covariance */
@@ -27,15 +27,17 @@ typedef struct {
 } Preparation;
 
 /* Start with the channels whose features would change. laws [2]; learns: which of them take features. */
-void preparation_begin(Preparation *self, const FeatureSet *features, const Augmentation *laws,
-                       const bool learns[2], bool tested);
+void preparation_begin(Preparation *self, const FeatureSet *features, const Augmentation *laws, const bool learns[2],
+                       bool tested);
 
 /* One part; whether all are done. tests [2]. */
 bool preparation_step(Preparation *self, const Augmentation *laws, VersionTest *tests);
 
 /* What is to fly, once all parts are done: `plans`, and the refusal. */
-Refusal preparation_plans(Preparation *self, const FeatureSet *features, const Augmentation *laws,
-                          VersionTest *tests);
+Refusal preparation_plans(Preparation *self, const FeatureSet *features, const Augmentation *laws, VersionTest *tests);
+
+/* The sum of the plans' jumps, as shares of jump_max. */
+real preparation_jump(const Preparation *self, const Augmentation *laws);
 
 /* The new features of a channel. */
 const Features *preparation_features(const Preparation *self, int32_t channel);

@@ -95,7 +95,7 @@ bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, 
         features_select(features, state, z);
         features_evaluate(features, z, Phi);
         map_of(theta, Phi, features->feature_count, self->nu + 3 * self->seen);
-        if (with_slope && features->kind == ADAPTIVE_FEATURES_NETWORK) {
+        if (with_slope && self->seen >= PATH_POINTS && features->kind == ADAPTIVE_FEATURES_NETWORK) {
             largest_shares(features, theta, &test->slope_limits, state, 1, shares);
             self->over = real_largest(self->over, largest_of(shares));
         }
@@ -132,30 +132,25 @@ static void find(const Ahead *self, const SlopeLimits *limits, real *spread, rea
 
 /* --- the verdict --- */
 
-void version_test_start_recent(VersionTest *self) {
-    self->recent = 0;
-    self->recent_change = self->recent_misfit = self->recent_size = REAL(0.0);
-}
-
-/* Ahead.change_to, and VersionTest._misfit, of one state */
-void version_test_add_recent(VersionTest *self, const real *theta, const real *Phi, int32_t k, const real residual[3]) {
-    real nu[3];
-    map_of(theta, Phi, k, nu);
-    self->recent_change = real_largest(self->recent_change, change_to(&self->ahead, nu));
-    vector_subtract(nu, residual, nu);
-    self->recent_misfit += vector_squared_length(nu);
-    self->recent_size += vector_squared_length(residual);
-    self->recent++;
+void recent_map_add(RecentMap *self, const real nu[3], const real residual[3]) {
+    real off[3];
+    for (int axis = 0; axis < 3; axis++) {
+        self->high[axis] = self->count > 0 ? real_largest(self->high[axis], nu[axis]) : nu[axis];
+        self->low[axis] = self->count > 0 ? -real_largest(-self->low[axis], -nu[axis]) : nu[axis];
+    }
+    vector_subtract(nu, residual, off);
+    self->misfit += vector_squared_length(off);
+    self->size += vector_squared_length(residual);
+    self->count++;
 }
 
 /* VersionTest._misfit: misfit over the last second, as a share of what is allowed */
-static real misfit(const VersionTest *self) {
-    if (self->recent == 0) {
+static real misfit(const VersionTest *self, const RecentMap *recent) {
+    if (recent->count == 0) {
         return REAL(0.0);
     }
-    real n = (real)self->recent, size = real_sqrt(self->recent_size / n);
-    return real_sqrt(self->recent_misfit / n) /
-           (self->config.misfit * size + self->config.misfit_floor[self->channel]);
+    real n = (real)recent->count, size = real_sqrt(recent->size / n);
+    return real_sqrt(recent->misfit / n) / (self->config.misfit * size + self->config.misfit_floor[self->channel]);
 }
 
 /* norm(theta) norm(Phi), row of the constant apart */
@@ -172,15 +167,18 @@ static real bound_of(const real *theta, int32_t k) {
 }
 
 /* VersionTest.verdict */
-Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, real over) {
+Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, const RecentMap *recent, real over) {
     const VersionTestConfig *config = &self->config;
     VersionFindings *found = &self->found;
     int32_t channel = self->channel;
     find(&self->ahead, &self->slope_limits, &found->spread, &found->along);
-    found->spread = real_largest(found->spread, self->recent_change);
+    if (recent->count > 0) {
+        real changes[2] = {change_to(&self->ahead, recent->low), change_to(&self->ahead, recent->high)};
+        found->spread = real_largest(found->spread, real_largest(changes[0], changes[1]));
+    }
     found->bound = bound_of(theta, k);
     found->over = real_largest(over, self->ahead.over);
-    found->misfit = misfit(self);
+    found->misfit = misfit(self, recent);
     if (found->misfit > REAL(1.0)) {
         return REFUSAL_MISFIT;
     }
@@ -196,19 +194,22 @@ Refusal version_test_refusal(VersionTest *self, const Features *features, const 
                              const real now[SIGNAL_COUNT], const real *recent, const real *residuals, int32_t n) {
     int32_t k = features->feature_count;
     real z[INPUTS_MAX], Phi[FEATURES_MAX], shares[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    RecentMap map;
+    memset(&map, 0, sizeof map);
     ahead_begin(&self->ahead, self, now);
     while (!ahead_step(&self->ahead, self, features, theta, AHEAD_PER_PART, true)) {
     }
     if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
         largest_shares(features, theta, &self->slope_limits, recent, n, shares);
     }
-    version_test_start_recent(self);
     for (int32_t i = 0; i < n; i++) {
+        real nu[3];
         features_select(features, recent + i * SIGNAL_COUNT, z);
         features_evaluate(features, z, Phi);
-        version_test_add_recent(self, theta, Phi, k, residuals + 3 * i);
+        map_of(theta, Phi, k, nu);
+        recent_map_add(&map, nu, residuals + 3 * i);
     }
-    return version_test_verdict(self, theta, k, largest_of(shares));
+    return version_test_verdict(self, theta, k, &map, largest_of(shares));
 }
 
 /* VersionTest.look */

@@ -15,6 +15,15 @@ typedef struct {
     real misfit; /* over the last second */
 } VersionFindings;
 
+/* A map at the recent states; zero before the first one. */
+typedef struct {
+    int32_t count;
+    real low[3]; /* the least and the largest nu of each axis */
+    real high[3];
+    real misfit; /* sum of squares of nu less the residual */
+    real size;   /* of the residual */
+} RecentMap;
+
 /* A map on the path and the box ahead, in parts. */
 typedef struct {
     real states[(PATH_POINTS + BOX_POINTS) * SIGNAL_COUNT]; /* on the line ahead, from here on, then in the box */
@@ -33,10 +42,6 @@ typedef struct {
     Ahead look;                          /* of the map that flies */
     bool looks;                          /* whether the map that flies is being checked */
     bool good;                           /* what the last check has found */
-    real recent_change;                  /* so far, largest change from here to a recent state */
-    real recent_misfit;                  /* so far, sum of squares, of the map and of no map */
-    real recent_size;
-    int32_t recent;
     VersionFindings found;
 } VersionTest;
 
@@ -49,12 +54,11 @@ void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COU
 bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most,
                 bool with_slope);
 
-/* The recent states for the verdict, once `ahead` has seen all: start, then each one with its features Phi [k] and residual. */
-void version_test_start_recent(VersionTest *self);
-void version_test_add_recent(VersionTest *self, const real *theta, const real *Phi, int32_t k, const real residual[3]);
+/* Add a recent state, with nu there and the residual measured. */
+void recent_map_add(RecentMap *self, const real nu[3], const real residual[3]);
 
-/* The refusal after them. over: the largest slope at the recent states, share of its limit. */
-Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, real over);
+/* The refusal, once `ahead` has seen all states. over: the largest slope at the recent states, share of its limit. */
+Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, const RecentMap *recent, real over);
 
 /* Why a map theta'Phi, theta [k, 3], must not fly; REFUSAL_NONE if it may. now: the present state. recent
  * [n, SIGNAL_COUNT]: those of the last second; residuals [n, 3]: measured there. All parts at once. */

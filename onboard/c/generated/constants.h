@@ -37,11 +37,11 @@
 #define SPREAD REAL(0.9) /* onboard.control.tracking_bound */
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
 #define STATES_PER_PART 6 /* onboard.control.posterior_swap */
-#define SLOPES_PER_PART 3 /* onboard.control.posterior_swap */
+#define SLOPES_PER_PART 2 /* onboard.control.posterior_swap */
 #define UPDATES_PER_PART 8 /* onboard.control.posterior_swap */
 #define SLOPE_STRIDE 2 /* onboard.control.posterior_swap */
 #define FOLLOWED_MAX 64 /* onboard.control.posterior_swap */
-#define AHEAD_PER_PART 4 /* onboard.control.version_test */
+#define AHEAD_PER_PART 3 /* onboard.control.version_test */
 #define CHECKED_PER_PART 5 /* onboard.control.version_test */
 #define BOX_POINTS 32 /* onboard.control.version_test */
 #define BOX_AXES 15 /* onboard.control.version_test */

@@ -100,6 +100,7 @@ class AdaptiveAugmentation:
         self.last_layer: LastLayer | KalmanLastLayer = (
             KalmanLastLayer(config.law, k, PB) if isinstance(config.law, KalmanConfig) else LastLayer(config.law, k, PB)
         )
+        self._slope_bound: SlopeBound | None = None
         self._use(features)
         self._filter_s, self._ring_period = config.law.residual_filter_s, config.swap.ring_period_ticks
         self._recent = RecentStates(config.swap.ring_size, SIGNAL_COUNT)
@@ -137,9 +138,9 @@ class AdaptiveAugmentation:
     def _use(self, features: Features) -> None:
         """Fly these features."""
         self.features, law = features, self.last_layer.config
-        self._slope_bound = None
         if isinstance(law, KalmanConfig) and law.composite_gain > 0.0:
-            self._slope_bound = SlopeBound(features.inputs, self.slope_limits)
+            ticks = 0 if self._slope_bound is None else self._slope_bound.ticks
+            self._slope_bound = SlopeBound(features.inputs, self.slope_limits, ticks)
 
     def _filter_residual(self, residual: list[float], dt: float) -> None:
         """Delta_hat_dot = (r - Delta_hat) / T, exact for a residual r that is constant over dt."""

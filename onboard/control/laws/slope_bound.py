@@ -33,18 +33,18 @@ HERE: Final = 0
 class SlopeBound:
     """The bound for the features of one channel."""
 
-    def __init__(self, inputs: tuple[str, ...], limits: SlopeLimits) -> None:
-        """inputs: names of the signals that the features see."""
+    def __init__(self, inputs: tuple[str, ...], limits: SlopeLimits, ticks: int = 0) -> None:
+        """inputs: names of the signals that the features see. ticks: of the bound before: a swap moves no check."""
         known = [(inputs.index(name), limit) for names, limit in limits.groups for name in names if name in inputs]
         self._inputs = np.array([index for index, _ in known], dtype=np.intp)
         self._units = np.array([1.0 / limit for _, limit in known]).T
-        self._ticks = 0
+        self.ticks = ticks
 
     def step(self, features: Features, state: KalmanState) -> None:
         """One tick: every PERIOD_TICKS-th bounds the slope at the last Phi of the features."""
-        if self._ticks % PERIOD_TICKS == 0 and self._inputs.size > 0:
+        if self.ticks % PERIOD_TICKS == 0 and self._inputs.size > 0:
             bound_slopes(state, features.slope(HERE, self._inputs), self._units)
-        self._ticks += 1
+        self.ticks += 1
 
 
 def bound_slopes(state: KalmanState, J: Array, units: Array) -> None:

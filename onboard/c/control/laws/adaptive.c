@@ -28,7 +28,9 @@ SlopeShares adaptive_slope_shares(const AdaptiveConfig *config) {
 /* AdaptiveAugmentation._use, of the present features */
 static void use_features(Adaptive *self) {
     if (is_bounded(self)) {
+        int32_t ticks = self->slope_bound.ticks; /* a swap does not move the next check */
         slope_bound_init(&self->slope_bound, &self->features.selection, &self->slope_limits);
+        self->slope_bound.ticks = ticks;
     }
 }
 
@@ -45,6 +47,7 @@ void adaptive_init(Adaptive *self, const AdaptiveConfig *config, const ChannelGa
         last_layer_init(&self->last_layer, &config->law.gradient, self->features.feature_count,
                         &self->tracking_weights);
     }
+    self->slope_bound.ticks = 0;
     use_features(self);
     recent_init(&self->recent, config->swap.ring_size);
     memset(self->signals, 0, sizeof self->signals);

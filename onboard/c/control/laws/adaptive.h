@@ -14,8 +14,8 @@
 /* The features of a channel and all that its law has learnt with them. */
 typedef struct {
     Features features;
-    real theta[FEATURES_MAX * 3];    /* [k, 3], the trained last layer */
-    real W[STATES_MAX * 3];          /* [k, 3]; with a covariance: X = [W - theta; b], [k + 1, 3] */
+    real theta[FEATURES_MAX * 3];          /* [k, 3], the trained last layer */
+    real W[STATES_MAX * 3];                /* [k, 3]; with a covariance: X = [W - theta; b], [k + 1, 3] */
     covariance S[STATES_MAX * STATES_MAX]; /* [k + 1, k + 1], with a covariance only */
 } Learnt;
 

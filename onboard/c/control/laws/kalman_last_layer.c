@@ -199,19 +199,16 @@ void project(real *X, const real *S, int32_t n, real radius, real *work) {
     }
 }
 
-/* What a step knows of one column: Phi'S Phi, the bias row of S Phi, and nu's parts. */
+/* What a step knows of one column. */
 typedef struct {
     real g[STATES_MAX]; /* S [Phi; 0] */
     real form;          /* Phi'S Phi */
-    real theta[3];      /* theta'Phi */
-    real x[3];          /* X'[Phi; 0] */
 } Along;
 
 static void look_along(const KalmanLastLayer *self, const real *Phi, Along *out) {
     int k = self->feature_count;
-    kalman_state_along(&self->state, Phi, k, out->g, out->x);
+    kalman_state_product(&self->state, Phi, k, REAL(1.0), out->g);
     out->form = dot(Phi, out->g, k);
-    weighted(self->theta, Phi, k, 1, out->theta);
 }
 
 /* KalmanLastLayer._tracking: factor of e'PB in the innovation, implicit in the effect of the tracking term on e_2 one tick
@@ -241,12 +238,12 @@ static void move_gap(KalmanLastLayer *self, const real map_here[3], const real o
 }
 
 /* r - nu - t e'PB, with nu before the correction */
-static void innovation_of(const KalmanLastLayer *self, const Along *here, const real e[6], const real residual[3],
+static void innovation_of(const KalmanLastLayer *self, const real map_here[3], const real e[6], const real residual[3],
                           real t, real d[3]) {
     const real *b = self->state.X + 3 * self->feature_count;
     for (int axis = 0; axis < 3; axis++) {
         real ePB = e[axis] * self->PB.e_1[axis] + e[3 + axis] * self->PB.e_2[axis];
-        d[axis] = residual[axis] - here->theta[axis] - here->x[axis] - b[axis] - t * ePB;
+        d[axis] = residual[axis] - map_here[axis] - b[axis] - t * ePB;
     }
 }
 
@@ -279,12 +276,15 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
         return;
     }
     Along h, a; /* here, ahead */
-    real theta_path[3], x_path[3], S_bias[STATES_MAX];
+    real W[FEATURES_MAX * 3], map_here[3], on_path[3], theta_ahead[3], x_ahead[3], S_bias[STATES_MAX];
     kalman_state_predict(state, dt);
     look_along(self, Phi, &h);
     look_along(self, Phi_ahead, &a);
-    weighted(self->theta, Phi_path, k, 1, theta_path);
-    weighted(state->X, Phi_path, k, 1, x_path);
+    kalman_layer_W(self, W);
+    weighted(W, Phi, k, 1, map_here);
+    weighted(W, Phi_path, k, 1, on_path);
+    weighted(self->theta, Phi_ahead, k, 1, theta_ahead);
+    weighted(state->X, Phi_ahead, k, 1, x_ahead);
     /* Quadratic forms of S along the bias (b), here (h), ahead (a) and on the path now (p). */
     real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ph = dot(Phi_path, h.g, k), ba = a.g[k];
     kalman_state_column(state, k, S_bias);
@@ -292,7 +292,7 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     real s = h.form + REAL(2.0) * bh + bb;
     real v = real_max(self->noise_variance, s / (lambda * dt)) + s;
     real d[3], b[3];
-    innovation_of(self, &h, e, residual, tracking(self, s / v, dt), d);
+    innovation_of(self, map_here, e, residual, tracking(self, s / v, dt), d);
     vector_copy(state->X + 3 * k, b);
     bool sensible = REAL(0.0) < s && s < SQUARE_MAX && vector_squared_length(d) < SQUARE_MAX; /* NaN is not */
     if (!sensible) {
@@ -304,16 +304,15 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     }
     /* What the correction changed along each column, without another product. */
     real of_here = (h.form + bh) / v, of_ahead = (ah + ba) / v, of_path = (ph + bp) / v, of_bias = (bh + bb) / v;
-    real map_here[3], on_path[3];
     for (int axis = 0; axis < 3; axis++) {
-        map_here[axis] = h.theta[axis] + h.x[axis] + of_here * d[axis];
-        on_path[axis] = theta_path[axis] + x_path[axis] + of_path * d[axis];
+        map_here[axis] += of_here * d[axis];
+        on_path[axis] += of_path * d[axis];
     }
     move_gap(self, map_here, on_path, s / v, REAL(1.0) - self->config.fast_bias_rate * dt * (bh + bb) / s);
     real share = self->config.confidence ? faded(self, Phi, &h, &a, of_here, of_ahead, v) : REAL(1.0);
     for (int axis = 0; axis < 3; axis++) {
         real bias = b[axis] + of_bias * d[axis];
         nu[axis] = map_here[axis] + bias;
-        nu_cmd[axis] = a.theta[axis] + share * (a.x[axis] + of_ahead * d[axis]) + bias + self->gap[axis];
+        nu_cmd[axis] = theta_ahead[axis] + share * (x_ahead[axis] + of_ahead * d[axis]) + bias + self->gap[axis];
     }
 }

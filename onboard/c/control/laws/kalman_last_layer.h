@@ -25,7 +25,7 @@ typedef struct {
     real theta_norm2;
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
-    real gap[3];                        /* what the map says here beside the path, as far as it counts */
+    real gap[3];                         /* what the map says here beside the path, as far as it counts */
     real work[STATES_MAX * STATES_MAX];  /* of the projection; it keeps nothing between two steps */
     real dense[STATES_MAX * STATES_MAX]; /* the same: S in `real`, where it is in whole numbers */
 } KalmanLastLayer;

@@ -7,29 +7,47 @@
 
 #ifdef DMRAC_WHOLE_COVARIANCE
 
-#define ONE ((int32_t)1 << 30)     /* 1 in S */
-#define COLUMN_BITS 24             /* fractional bits of a column, in units of its size and the largest root */
-#define PRODUCT_BITS 27            /* that a sum has more than what is used of it */
+#define ONE ((int32_t)1 << 30) /* 1 in S */
+#define COLUMN_BITS 24         /* fractional bits of a column, in units of its size and the largest root */
+#define PRODUCT_BITS 27        /* that a sum has more than what is used of it */
 #define PRODUCT_UNIT REAL(7.450580596923828125e-09) /* 2^-27 */
+#define ROOT_BITS 29                                /* fractional bits of u, over its root */
+#define SQUARE_BITS 28                              /* that a square of it has more than S */
+#define HALF ((int64_t)1 << (SQUARE_BITS - 1))
 
-/* x in whole numbers of at most `most`; 0, and `broken`, if it is larger or NaN. */
-static int32_t whole_of(KalmanState *self, real x, real most) {
-    if (x <= most && x >= -most) {
-        return (int32_t)(x < REAL(0.0) ? x - REAL(0.5) : x + REAL(0.5));
-    }
-    self->broken = true;
-    return 0;
+#define COLUMN_MOST UINT32_C(0x4c800000) /* 2^26 in float */
+#define SQUARE_MOST UINT32_C(0x4e004000) /* 2^29 (1 + 2^-9) in float */
+
+/* Whether x is at most so large in size, and not NaN: a comparison of bits takes a tenth of the time of one in float. */
+static bool is_sensible(real x, uint32_t most) {
+    float single = (float)x;
+    uint32_t bits;
+    memcpy(&bits, &single, sizeof bits);
+    return (bits & UINT32_C(0x7fffffff)) <= most;
 }
 
 static void set_start(KalmanState *self, int32_t i) {
-    self->root[i] = real_sqrt(self->prior_variance[i]);
-    self->inverse[i] = REAL(1.0) / self->root[i];
-    self->largest = real_max(self->largest, self->root[i]);
+    bool again = i > 0 && self->prior_variance[i] == self->prior_variance[i - 1];
+    self->root[i] = again ? self->root[i - 1] : real_sqrt(self->prior_variance[i]);
+    self->inverse[i] = again ? self->inverse[i - 1] : (real)(1 << ROOT_BITS) / self->root[i];
     self->S[i * self->size + i] = ONE;
 }
 
+/* Units of products, once all roots are known. */
+static void finish_start(KalmanState *self) {
+    real largest = REAL(0.0);
+    for (int32_t i = 0; i < self->size; i++) {
+        largest = real_max(largest, self->root[i]);
+    }
+    for (int32_t i = 0; i < self->size; i++) {
+        self->to_whole[i] = self->root[i] * ((real)(1 << COLUMN_BITS) / largest);
+        self->of_whole[i] = self->root[i] * (largest * PRODUCT_UNIT);
+    }
+}
+
 static void take_loss(KalmanState *self, int32_t i) {
-    self->loss[i] = whole_of(self, -real_expm1(-self->rates[i] * self->dt) * REAL(2147483648.0), REAL(2147483520.0));
+    real loss = -real_expm1(-self->rates[i] * self->dt);
+    self->loss[i] = loss < REAL(1.0) ? (int32_t)(loss * REAL(2147483648.0)) : INT32_MAX;
 }
 
 /* x - x loss, the loss with 31 fractional bits. */
@@ -74,19 +92,27 @@ void kalman_state_column(const KalmanState *self, int32_t column, real *out) {
 
 void kalman_state_product(const KalmanState *self, const real *column, int32_t count, real most, real *g) {
     int32_t whole[STATES_MAX], n = self->size;
-    real scale = (real)(1 << COLUMN_BITS) / (most * self->largest), unit = self->largest * most * PRODUCT_UNIT;
+    real scale = REAL(1.0) / most;
     for (int32_t j = 0; j < count; j++) {
-        real x = column[j] * (self->root[j] * scale);
-        bool sensible = x <= REAL(2.0) * (real)(1 << COLUMN_BITS) && x >= -REAL(2.0) * (real)(1 << COLUMN_BITS);
-        whole[j] = sensible ? (int32_t)(x < REAL(0.0) ? x - REAL(0.5) : x + REAL(0.5)) : 0;
+        real x = column[j] * self->to_whole[j];
+        x = most == REAL(1.0) ? x : x * scale;
+        whole[j] = is_sensible(x, COLUMN_MOST) ? (int32_t)x : 0;
     }
     for (int32_t i = 0; i < n; i++) {
-        const int32_t *row = self->S + i * n;
+        const int32_t *row = self->S + i * n, *other = whole;
         int64_t sum = 0;
-        for (int32_t j = 0; j < count; j++) {
-            sum += (int64_t)row[j] * whole[j];
+        int32_t left = count;
+        for (; left >= 4; left -= 4, row += 4, other += 4) {
+            sum += (int64_t)row[0] * other[0];
+            sum += (int64_t)row[1] * other[1];
+            sum += (int64_t)row[2] * other[2];
+            sum += (int64_t)row[3] * other[3];
         }
-        g[i] = (real)(int32_t)(sum >> PRODUCT_BITS) * (self->root[i] * unit);
+        for (; left > 0; left--) {
+            sum += (int64_t)*row++ * *other++;
+        }
+        g[i] = (real)(int32_t)(sum >> PRODUCT_BITS) * self->of_whole[i];
+        g[i] = most == REAL(1.0) ? g[i] : g[i] * most;
     }
 }
 
@@ -94,12 +120,15 @@ void kalman_state_product(const KalmanState *self, const real *column, int32_t c
 static void subtract_square(KalmanState *self, const real *u) {
     int32_t whole[STATES_MAX], n = self->size;
     for (int32_t i = 0; i < n; i++) {
-        whole[i] = whole_of(self, u[i] * self->inverse[i] * (real)ONE, REAL(1.001) * (real)ONE);
+        real x = u[i] * self->inverse[i];
+        bool sensible = is_sensible(x, SQUARE_MOST);
+        self->broken = self->broken || !sensible;
+        whole[i] = sensible ? (int32_t)x : 0;
     }
     for (int32_t i = 0; i < n; i++) {
         int64_t own = whole[i];
         for (int32_t j = 0; j <= i; j++) {
-            int32_t change = (int32_t)((own * whole[j] + (ONE >> 1)) >> 30);
+            int32_t change = (int32_t)((own * whole[j] + HALF) >> SQUARE_BITS);
             self->S[i * n + j] = self->S[j * n + i] = self->S[i * n + j] - change;
         }
     }
@@ -109,6 +138,10 @@ static void subtract_square(KalmanState *self, const real *u) {
 
 static void set_start(KalmanState *self, int32_t i) {
     self->S[i * self->size + i] = self->prior_variance[i];
+}
+
+static void finish_start(KalmanState *self) {
+    (void)self;
 }
 
 static void take_loss(KalmanState *self, int32_t i) {
@@ -173,14 +206,29 @@ void kalman_state_init(KalmanState *self, const real *prior_variance, const real
         set_start(self, i);
         self->keep[i] = REAL(1.0); /* dt = 0 */
     }
+    finish_start(self);
+}
+
+/* d of a state whose rate is that of the state before. */
+static void copy_rate(KalmanState *self, int32_t i) {
+    self->keep[i] = self->keep[i - 1];
+#ifdef DMRAC_WHOLE_COVARIANCE
+    self->loss[i] = self->loss[i - 1];
+#endif
 }
 
 static void take_dt(KalmanState *self, real dt) {
+    real share = REAL(0.0); /* 1 - d^2 */
     self->dt = dt;
     for (int i = 0; i < self->size; i++) {
-        self->keep[i] = real_exp(-self->rates[i] * dt);
-        self->gain[i] = -real_expm1(REAL(-2.0) * self->rates[i] * dt) * self->prior_variance[i];
-        take_loss(self, i);
+        if (i > 0 && self->rates[i] == self->rates[i - 1]) {
+            copy_rate(self, i);
+        } else {
+            self->keep[i] = real_exp(-self->rates[i] * dt);
+            share = -real_expm1(REAL(-2.0) * self->rates[i] * dt);
+            take_loss(self, i);
+        }
+        self->gain[i] = share * self->prior_variance[i];
     }
 }
 

@@ -27,18 +27,19 @@ typedef real covariance;
 #endif
 
 typedef struct {
-    int32_t size;                    /* n */
-    real prior_variance[STATES_MAX]; /* the diagonal of S0 */
-    real rates[STATES_MAX];          /* s_i, 1/s */
-    real X[STATES_MAX * 3];          /* [n, 3] */
+    int32_t size;                          /* n */
+    real prior_variance[STATES_MAX];       /* the diagonal of S0 */
+    real rates[STATES_MAX];                /* s_i, 1/s */
+    real X[STATES_MAX * 3];                /* [n, 3] */
     covariance S[STATES_MAX * STATES_MAX]; /* [n, n] */
-    real dt;                         /* of `keep` and `gain`, s */
-    real keep[STATES_MAX];           /* diagonal of D */
-    real gain[STATES_MAX];           /* diagonal of (I - D^2) S0 */
+    real dt;                               /* of `keep` and `gain`, s */
+    real keep[STATES_MAX];                 /* diagonal of D */
+    real gain[STATES_MAX];                 /* diagonal of (I - D^2) S0 */
 #ifdef DMRAC_WHOLE_COVARIANCE
-    real root[STATES_MAX];    /* sqrt(S0) */
-    real inverse[STATES_MAX]; /* 1 / root */
-    real largest;             /* root */
+    real root[STATES_MAX];     /* sqrt(S0) */
+    real inverse[STATES_MAX];  /* 1 / root, with 29 fractional bits */
+    real to_whole[STATES_MAX]; /* units of columns and products */
+    real of_whole[STATES_MAX];
     int32_t loss[STATES_MAX]; /* 1 - d_i, with 31 fractional bits */
     bool broken;              /* a number that is not finite, or too large, has come into S: it is not used any more */
 #endif

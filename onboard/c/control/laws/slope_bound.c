@@ -2,7 +2,12 @@
 
 #include <string.h>
 
+#include "control/features_q15.h"
+#include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
+
+/* Of the share of its limit: below 1 by more than whole numbers are wrong. */
+#define FLAT_SQUARE REAL(0.98)
 
 /* The place of a signal among the inputs; -1 if the features do not see it. */
 static int32_t place_of(const FeatureSelection *selection, int32_t signal) {
@@ -34,12 +39,41 @@ void slope_bound_init(SlopeBound *self, const FeatureSelection *selection, const
     }
 }
 
+#ifdef DMRAC_Q15_FEATURES
+/* Whether the slope of every axis is within its limit, in whole numbers: then J is not needed. */
+static bool is_flat(const SlopeBound *self, const Features *features, const real *z, const real *theta,
+                    const KalmanState *state) {
+    real W[FEATURES_MAX * 3], slope[3 * SLOPE_INPUTS_MAX];
+    for (int i = 0; i < 3 * (features->feature_count - 1); i++) {
+        W[i] = theta[i] + state->X[i];
+    }
+    q15_map_slope(features, W, z, self->inputs, self->count, slope);
+    for (int axis = 0; axis < 3; axis++) {
+        real square = REAL(0.0);
+        for (int j = 0; j < self->count; j++) {
+            real share = slope[axis * self->count + j] * self->units[axis * self->count + j];
+            square += share * share;
+        }
+        if (!(square <= FLAT_SQUARE)) {
+            return false;
+        }
+    }
+    return true;
+}
+#endif
+
 /* SlopeBound.step */
 void slope_bound_step(SlopeBound *self, const Features *features, const real signals[SIGNAL_COUNT], const real *theta,
                       KalmanState *state) {
     if (self->ticks == 0 && self->count > 0) {
         real z[INPUTS_MAX];
         features_select(features, signals, z);
+#ifdef DMRAC_Q15_FEATURES
+        if (features->q15 && is_flat(self, features, z, theta, state)) {
+            self->ticks = 1;
+            return;
+        }
+#endif
         features_slope(features, z, self->inputs, self->count, self->work.J, self->work.along);
         bound_slopes(state, theta, self->units, self->count, &self->work);
     }
