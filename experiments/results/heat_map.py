@@ -15,6 +15,7 @@ from experiments.results.wording import metric_name
 
 CONTROLLERS_MIN: Final = 3
 """Conditions with fewer controllers are not shown: their ratio says no more than the table."""
+LOSSES_SHOWN: Final = 3
 RANGE: Final = (0.35, 5.0)
 """Ratios at the ends of the colour scale."""
 DARK_FROM: Final = 2.2
@@ -38,6 +39,8 @@ class HeatMapRow:
     """By controller: its median error / the least median error of the others; NaN if none of its flights survived."""
     survival: dict[str, float]
     """By controller: share of its flights."""
+    best_other: str
+    """The controller with the least median error but ours."""
 
 
 def heat_map_rows(data: CampaignData) -> list[HeatMapRow]:
@@ -48,10 +51,26 @@ def heat_map_rows(data: CampaignData) -> list[HeatMapRow]:
         medians = {group.controller: group.median(metric) for group in groups}
         if len(medians) >= CONTROLLERS_MIN:
             survival = {group.controller: group.survival.value for group in groups}
-            rows.append(
-                HeatMapRow(data.title, metric_name(metric), data.condition(ours), _to_best_other(medians), survival)
-            )
+            others = {name: value for name, value in medians.items() if name != OURS and isfinite(value)}
+            best = min(others, key=others.__getitem__, default="")
+            ratios = _to_best_other(medians)
+            rows.append(HeatMapRow(data.title, metric_name(metric), data.condition(ours), ratios, survival, best))
     return rows
+
+
+def losses_first(rows: Sequence[HeatMapRow]) -> str:
+    """Return, as Markdown, the conditions where ours is furthest behind the best other controller."""
+    behind = [row for row in rows if row.ratios[OURS] > 1.0]
+    if not behind:
+        return f"In no condition of the picture another controller has a smaller median error than {OURS}.\n"
+    worst = sorted(behind, key=lambda row: row.ratios[OURS], reverse=True)[:LOSSES_SHOWN]
+    lines = [
+        f"{OURS} has a larger median error than the best other controller in {len(behind)} of {len(rows)} conditions:\n"
+    ]
+    for row in worst:
+        error = f"{row.metric}, {row.ratios[OURS]:.2f} times that of {row.best_other}"
+        lines.append(f"- {row.campaign}, {row.condition}: {error}")
+    return "\n".join(lines) + "\n"
 
 
 def _to_best_other(medians: dict[str, float]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from experiments.results.campaign_data import OURS
 from experiments.results.campaign_page import CampaignReport, write_report
 from experiments.results.comparisons import BETTER, OPEN, WORSE, Comparison, judged, verdict_counts
 from experiments.results.figure_style import save
-from experiments.results.heat_map import HEAT_MAP_CAPTION, draw_heat_map
+from experiments.results.heat_map import HEAT_MAP_CAPTION, draw_heat_map, losses_first
 from experiments.results.tables import TARGET_HEADER, Table
 from onboard.cores import NUMPY, core_option
 from runtime.files import write_atomically
@@ -152,12 +152,13 @@ def copy_published(plan: Reproduction, name: str, extended: bool) -> int:
 
 
 def write_results(plan: Reproduction, reports: Sequence[CampaignReport]) -> None:
-    """Write the page: heat map, provenance, targets, number of verdicts, then a section for each campaign."""
+    """Write the page: losses, heat map, targets, provenance, number of verdicts, then a section for each campaign."""
     compared = judged([one for report in reports for one in report.compared])
     of = {report.data.title: [one for one in compared if one.campaign == report.data.title] for report in reports}
-    parts = ["# Results\n", _heat_map(plan, reports), _provenance(plan, reports)]
+    parts = ["# Results\n", _heat_map(plan, reports)]
     targets = _targets(reports)
     parts += [targets.markdown()] if targets.rows else []
+    parts += [_provenance(plan, reports)]
     parts += [_verdicts(of).markdown(), _statistics(len(compared))]
     for report in reports:
         rows = row_file(plan, report.data.name).relative_to(plan.page.parent)
@@ -177,7 +178,8 @@ def _heat_map(plan: Reproduction, reports: Sequence[CampaignReport]) -> str:
     save(draw_heat_map(rows), folder, HEAT_MAP)
     _show(plan, [folder / f"{HEAT_MAP}.png"])
     picture = f"{(PICTURES / HEAT_MAP).as_posix()}.png"
-    return f"![Heat map of the errors by controller and condition]({picture})\n\n*{HEAT_MAP_CAPTION}*\n"
+    image = f"![Heat map of the errors by controller and condition]({picture})"
+    return f"{losses_first(rows)}\n{image}\n\n*{HEAT_MAP_CAPTION}*\n"
 
 
 def _provenance(plan: Reproduction, reports: Sequence[CampaignReport]) -> str:

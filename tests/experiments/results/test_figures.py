@@ -19,7 +19,7 @@ from experiments.results.campaign_page import CampaignReport, write_report
 from experiments.results.comparisons import WORSE, comparisons, judged, losses, summary
 from experiments.results.feature_probe import probe_accuracy, regimes_of, signals_of, silhouette
 from experiments.results.figure_plan import KINDS, draw_all
-from experiments.results.heat_map import draw_heat_map, heat_map_rows
+from experiments.results.heat_map import draw_heat_map, heat_map_rows, losses_first
 from experiments.results.reproduction import Reproduction, publish_rows, write_results
 from experiments.results.sweep_figures import sweep_metric
 from experiments.results.tables import tables, target_ratio
@@ -201,7 +201,7 @@ def test_the_results_page_has_its_order(folder: Path, tmp_path: Path) -> None:
     text = plan.page.read_text()
     data = load_data(folder)
     rows = f"[data/{data.name}.parquet](data/{data.name}.parquet)"
-    order = ("heat_map.png", "`dmrac reproduce --quick`", "**Targets**", "| Made up | 10 | 4 | 2 | 4 |", "Holm")
+    order = ("heat_map.png", "**Targets**", "`dmrac reproduce --quick`", "| Made up | 10 | 4 | 2 | 4 |", "Holm")
     order += ("## Made up", "**Where DMRAC is worse", "<details>", "medians of the survivors", rows, "numpy")
     places = [text.index(part) for part in order]
     assert places == sorted(places)
@@ -217,6 +217,22 @@ def test_the_heat_map_compares_with_the_best_other(folder: Path) -> None:
     assert rows[0].survival["dmrac"] == 0.0
     (panel, _) = draw_heat_map(rows).axes
     assert {"5.00", "2.50", "0.40", "–"} <= {text.get_text() for text in panel.texts}
+
+
+def test_losses_come_first_the_worst_at_the_head(folder: Path) -> None:
+    rows = heat_map_rows(load_data(folder))
+    assert "In no condition" in losses_first([replace(row, ratios={**row.ratios, "dmrac": 0.5}) for row in rows])
+    worse = [
+        replace(row, condition=f"c{n}", ratios={**row.ratios, "dmrac": 1.0 + n}) for n, row in enumerate(rows * 3, 1)
+    ]
+    text = losses_first([replace(worse[0], ratios={**worse[0].ratios, "dmrac": 0.9}), *worse])
+    assert text.startswith(
+        f"dmrac has a larger median error than the best other controller in {len(worse)} of {len(worse) + 1}"
+    )
+    named = [line for line in text.splitlines() if line.startswith("- ")]
+    assert len(named) == min(3, len(worse))
+    assert f"c{len(worse)}: " in named[0]
+    assert f"{1.0 + len(worse):.2f} times that of mrac" in named[0]
 
 
 def test_the_rows_are_stored_beside_the_page(folder: Path, tmp_path: Path) -> None:
