@@ -37,6 +37,7 @@ from protocol.signals import CHANNELS, SIGNAL_COUNT
 PROTOCOL_VERSION: Final = 2
 HEADER: Final = struct.Struct("<BBHQQQ")
 """Version, type, vehicle id, session, sequence, sender time in ns; little-endian, no padding, 28 bytes."""
+_FLOAT32: Final = np.dtype("<f4")
 _SIGNAL_BYTES: Final = 4 * SIGNAL_COUNT
 _FIELDS_MAX: Final = 12
 
@@ -48,7 +49,7 @@ Unpack = Callable[[list[Any]], Message]
 
 
 def _float32(array: NDArray[np.floating]) -> bytes:
-    return np.ascontiguousarray(array, dtype="<f4").tobytes()
+    return (array if array.dtype == _FLOAT32 else array.astype(_FLOAT32)).tobytes()
 
 
 def _pack_sample_batch(m: SampleBatch) -> tuple[Any, ...]:

@@ -109,8 +109,8 @@ class PoseRelay:
         time_ns = self._map_time(captured.time_ns, now_ns)
         self._refuse_frozen(captured)
         w, x, y, z = captured.quaternion
-        unit = (w / norm, x / norm, y / norm, z / norm)
-        return Pose(time_ns, np.array(captured.position_ned_m, np.float32), np.array(unit, np.float32))
+        numbers = np.array((*captured.position_ned_m, w / norm, x / norm, y / norm, z / norm), np.float32)
+        return Pose(time_ns, numbers[:3], numbers[3:])
 
     def _decode(self, datagram: bytes, now_ns: int) -> CapturedPose:
         """The one pose of a datagram."""

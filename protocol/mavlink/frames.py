@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from protocol.mavlink.signing import SignatureCheck, SigningClock, check_key, signature
+from protocol.named_tuple import of_members
 
 MARKER: Final = 0xFD
 HEADER_BYTES: Final = 10
@@ -54,6 +55,9 @@ class Frame(NamedTuple):
     component: int
     sequence: int
     fields: Fields
+
+
+_frame: Final = of_members(Frame)
 
 
 class FrameBytes(bytes):
@@ -223,6 +227,8 @@ class FrameWriter:
         self._system = system
         self._component = component
         self._sequence = 0
+        self._layouts: dict[Any, Layout] = {}
+        """Of the kinds of messages that were written."""
 
     def write(self, message: Message, now_ns: int) -> bytes:
         """The frame of a message; without a key as FrameBytes, whose fields are those that the bytes hold.
@@ -230,11 +236,13 @@ class FrameWriter:
         Raises struct.error if a field does not fit its type (an error of the caller).
         """
         kind, fields = message
-        message_id, layout, seed, count = layout_of(kind.id)
-        missing = count - len(fields)
-        if missing > 0:
-            fields += (0,) * missing
-        packed = layout.pack(*fields)
+        layout = self._layouts.get(kind)
+        if layout is None:
+            layout = self._layouts[kind] = layout_of(kind.id)
+        message_id, struct_, seed, count = layout
+        if len(fields) != count:
+            fields += (0,) * (count - len(fields))
+        packed = struct_.pack(*fields)
         payload = packed.rstrip(b"\0") or b"\0"
         sequence, system, component = self._sequence, self._system, self._component
         self._sequence = (sequence + 1) & 0xFF
@@ -244,7 +252,7 @@ class FrameWriter:
         frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             written = FrameBytes(frame)
-            written.frame = Frame(message_id, system, component, sequence, layout.unpack(packed))
+            written.frame = _frame((message_id, system, component, sequence, struct_.unpack(packed)))
             return written
         frame += _LINK_ID + self._clock.next(now_ns).to_bytes(6, "little")
         return frame + signature(self._key, frame)

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from protocol.geometry import Vector3
 from protocol.mavlink.frames import Fields, Message
+from protocol.named_tuple import of_members
 
 IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_SENSOR
 FLOWS: Final = (mavlink.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD)
@@ -46,6 +47,9 @@ class ImuReading(NamedTuple):
     """None if the sample has no pressure."""
 
 
+_imu_reading: Final = of_members(ImuReading)
+
+
 def encode_imu(time_us: int, accelerometer: Vector3, gyroscope: Vector3, pressure_pa: float) -> Message:
     """HIL_SENSOR with pressure; magnetometer, differential pressure and altitude are 0 and not marked as updated."""
     air = (pressure_pa * 0.01, 0.0, 0.0, _TEMPERATURE_C)
@@ -58,7 +62,7 @@ def decode_imu(f: Fields) -> ImuReading | None:
     # time_usec, accelerometer 3, gyroscope 3, magnetometer 3, abs_pressure (hPa), ..., fields_updated, id
     if f[14] & _INERTIAL_FIELDS != _INERTIAL_FIELDS or f[15] or f[0] > _MICROSECONDS_MAX:
         return None
-    return ImuReading(f[0] * 1000, f[1:4], f[4:7], f[10] * 100.0 if f[14] & _PRESSURE_FIELD else None)
+    return _imu_reading((f[0] * 1000, f[1:4], f[4:7], f[10] * 100.0 if f[14] & _PRESSURE_FIELD else None))
 
 
 class FlowReading(NamedTuple):
