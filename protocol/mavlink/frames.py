@@ -7,6 +7,7 @@ datagram holds whole frames only, messages come from an allow-list, and the orde
 signature time. Each failure is counted by reason.
 """
 
+import re
 import struct
 from collections import Counter
 from collections.abc import Iterable
@@ -45,6 +46,8 @@ class Message(NamedTuple):
     """pymavlink's message class."""
     fields: Fields
     """Without trailing extension fields, which are then sent as 0."""
+    fixed: "FixedFields | None" = None
+    """The fields behind these, if they are the same in many messages."""
 
 
 class Frame(NamedTuple):
@@ -78,6 +81,22 @@ class Layout(NamedTuple):
     seed: bytes
     """The checksum ends with it: two layouts of one message id have different checksums."""
     field_count: int
+
+
+class FixedFields:
+    """The last fields of a kind of message, where they are the same in many: they are packed once.
+
+    kind: pymavlink's message class. fields: the last ones in wire order, with extension fields.
+    """
+
+    def __init__(self, kind: Any, fields: Fields) -> None:
+        codes = re.findall(r"\d+s|\d*[A-Za-z]", kind.unpacker.format)
+        codes = [one for code in codes for one in ([code] if code[-1] == "s" else int(code[:-1] or 1) * [code[-1]])]
+        last = struct.Struct("<" + "".join(codes[-len(fields) :]))
+        self.before: Final = struct.Struct("<" + "".join(codes[: -len(fields)]))
+        """Of the other fields."""
+        self.packed: Final = last.pack(*fields)
+        self.received: Final[Fields] = last.unpack(self.packed)
 
 
 class AvailableModes:
@@ -235,14 +254,16 @@ class FrameWriter:
 
         Raises struct.error if a field does not fit its type (an error of the caller).
         """
-        kind, fields = message
+        kind, fields, fixed = message
         layout = self._layouts.get(kind)
         if layout is None:
             layout = self._layouts[kind] = layout_of(kind.id)
-        message_id, struct_, seed, count = layout
-        if len(fields) != count:
-            fields += (0,) * (count - len(fields))
-        packed = struct_.pack(*fields)
+        message_id, all_fields, seed, count = layout
+        if fixed is None:
+            packed = all_fields.pack(*fields, *(0,) * (count - len(fields)))
+        else:
+            before = fixed.before.pack(*fields)
+            packed = before + fixed.packed
         payload = packed.rstrip(b"\0") or b"\0"
         sequence, system, component = self._sequence, self._system, self._component
         self._sequence = (sequence + 1) & 0xFF
@@ -252,7 +273,8 @@ class FrameWriter:
         frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             written = FrameBytes(frame)
-            written.frame = _frame((message_id, system, component, sequence, struct_.unpack(packed)))
+            received = all_fields.unpack(packed) if fixed is None else fixed.before.unpack(before) + fixed.received
+            written.frame = _frame((message_id, system, component, sequence, received))
             return written
         frame += _LINK_ID + self._clock.next(now_ns).to_bytes(6, "little")
         return frame + signature(self._key, frame)

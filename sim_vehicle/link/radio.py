@@ -243,11 +243,12 @@ class _Path:
             recorded = self.recording.delivery(len(datagram), now_ns) if self._recorded else None
             delivery = self._decide(datagram, now_ns, since_start_s, draws) if recorded is None else recorded
         self._count(delivery)
-        if delivery.outcome == "delivered":
-            arriving = datagram if delivery.flipped_bit < 0 else _flip(datagram, delivery.flipped_bit)
-            self._push(now_ns + delivery.delay_ns, False, arriving)
-            if delivery.copy_delay_ns >= 0:
-                self._push(now_ns + delivery.copy_delay_ns, True, arriving)
+        _, _, outcome, delay_ns, copy_delay_ns, flipped_bit = delivery
+        if outcome == "delivered":
+            arriving = datagram if flipped_bit < 0 else _flip(datagram, flipped_bit)
+            self._push(now_ns + delay_ns, False, arriving)
+            if copy_delay_ns >= 0:
+                self._push(now_ns + copy_delay_ns, True, arriving)
 
     def due(self, now_ns: int) -> list[bytes]:
         out: list[bytes] = []
@@ -265,12 +266,16 @@ class _Path:
         self._pushed += 1
 
     def _count(self, delivery: Delivery) -> None:
+        _, _, outcome, _, copy_delay_ns, flipped_bit = delivery
         counts = self.counts
         counts.sent += 1
-        counts.outcomes[delivery.outcome] += 1
-        counts.lost += delivery.outcome != "delivered"
-        counts.duplicated += delivery.copy_delay_ns >= 0
-        counts.corrupted += delivery.flipped_bit >= 0
+        counts.outcomes[outcome] += 1
+        if outcome != "delivered":
+            counts.lost += 1
+        if copy_delay_ns >= 0:
+            counts.duplicated += 1
+        if flipped_bit >= 0:
+            counts.corrupted += 1
         if len(self.deliveries) < DELIVERIES_MAX:
             self.deliveries.append(delivery)
 
