@@ -49,7 +49,6 @@ class SimVehicle:
     def __init__(
         self, config: SimVehicleConfig, seed: int, key: bytes | None = None, capture_key: bytes | None = None
     ) -> None:
-        self._config = config
         self._world = World(config, seed)
         self._physics = physics_of(config)
         self._state = initial_state(config)
@@ -70,6 +69,7 @@ class SimVehicle:
         self.start_capture: Final = self._codec.start_capture
         self._last_samples: dict[str, Any] = {}
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
+        self._command_min = config.motors.command_min
         self._command_delay_ns = round(config.motors.command_delay_s * 1e9)
         self._command_timeout_ns = round(config.motors.command_timeout_s * 1e9)
         self._wire: Radio | None = None
@@ -145,8 +145,13 @@ class SimVehicle:
         while self._pending and self._pending[0][0] <= self._time_ns:
             due_ns, fractions, self._armed = self._pending.popleft()
             self._commanded_ns = due_ns
-            least = self._config.motors.command_min
-            self._commands[:] = [max(least, value) for value in fractions] if self._armed else 0.0
+            least = self._command_min
+            if not self._armed:
+                self._commands[:] = 0.0
+            elif min(fractions) >= least:
+                self._commands[:] = fractions
+            else:
+                self._commands[:] = [max(least, value) for value in fractions]
         timeout_ns = self._commanded_ns + self._command_timeout_ns
         if self._armed and self._time_ns >= timeout_ns:
             self._armed = False
