@@ -19,6 +19,4 @@ def at_times(datagrams: Datagrams, now_ns: int) -> Sequence[tuple[bytes, int]]:
     """Each datagram and the time of its arrival. Plain bytes arrived at `now_ns`."""
     if not datagrams:
         return ()
-    return [
-        (one.datagram, now_ns - one.age_ns) if isinstance(one, Arrival) else (one, now_ns) for one in datagrams
-    ]
+    return [(one.datagram, now_ns - one.age_ns) if isinstance(one, Arrival) else (one, now_ns) for one in datagrams]

@@ -86,14 +86,16 @@ class Layout(NamedTuple):
 class FixedFields:
     """The last fields of a kind of message, where they are the same in many: they are packed once.
 
-    kind: pymavlink's message class. fields: the last ones in wire order, with extension fields.
+    kind: pymavlink's message class. fields: the last ones in wire order, with extension fields. Raises struct.error if
+    a field does not fit its type, or there are more than the message has.
     """
 
     def __init__(self, kind: Any, fields: Fields) -> None:
         codes = re.findall(r"\d+s|\d*[A-Za-z]", kind.unpacker.format)
         codes = [one for code in codes for one in ([code] if code[-1] == "s" else int(code[:-1] or 1) * [code[-1]])]
-        last = struct.Struct("<" + "".join(codes[-len(fields) :]))
-        self.before: Final = struct.Struct("<" + "".join(codes[: -len(fields)]))
+        first = max(0, len(codes) - len(fields))
+        last = struct.Struct("<" + "".join(codes[first:]))
+        self.before: Final = struct.Struct("<" + "".join(codes[:first]))
         """Of the other fields."""
         self.packed: Final = last.pack(*fields)
         self.received: Final[Fields] = last.unpack(self.packed)
