@@ -262,7 +262,7 @@ class CompiledCore:
     @property
     def airborne(self) -> bool:
         """Whether the flight mode is one of those in the air."""
-        return IN_AIR[self._core.mode]
+        return IN_AIR[int(self._core.mode)]
 
     def summary(self) -> dict[str, Any]:
         """Mode, features, and the counters of links, samples and estimator, for the flight record."""

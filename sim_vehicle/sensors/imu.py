@@ -103,6 +103,11 @@ def read_vibrating_imu(
     state: Array,
     sums: Array,
     shaking: Array,
+    no_shaking: Array,
+    bias: Array,
+    noise: Array,
+    settings: Array,
+    reading: Array,
     hover_thrust: float,
     tones: Array,
     broad: Array,
@@ -111,11 +116,6 @@ def read_vibrating_imu(
     vibration_noise: Array,
     memory: Array,
     vibration: Array,
-    no_shaking: Array,
-    bias: Array,
-    noise: Array,
-    settings: Array,
-    reading: Array,
 ) -> None:
     """`vibrate` into vibration[6], then `read_imu` with it: one call from Python for both. no_shaking: NO_SHAKING."""
     vibrate(state, sums, shaking, hover_thrust, tones, broad, white, high_pass, vibration_noise, memory, vibration)
@@ -163,9 +163,8 @@ class Imu:
         if self._vibration is None:
             read_imu(state, sums, shaking, NO_VIBRATION, self.bias, noise, settings, reading)
         else:
-            read_vibrating_imu(
-                state, sums, shaking, *self._vibration.arguments(), NO_SHAKING, self.bias, noise, settings, reading
-            )
+            vibration = self._vibration.arguments()
+            read_vibrating_imu(state, sums, shaking, NO_SHAKING, self.bias, noise, settings, reading, *vibration)
         ax, ay, az, p, q, r, pressure = reading.tolist()
         self._delayed.append((p, q, r))
         return _sample(((ax, ay, az), self._delayed[0], pressure))

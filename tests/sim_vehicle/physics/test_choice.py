@@ -99,7 +99,7 @@ def test_the_option_overrules_the_configuration(
         monkeypatch.setattr(f"sim_vehicle.command.{name}", other)
     out = tmp_path / "out"
     assert main(["sim", "--config", str(flight_file), "--out", str(out), *words]) == 0
-    assert [vehicle._config.physics for vehicle in flown] == [physics]
+    assert [vehicle._physics is advance_and_check for vehicle in flown] == [physics == "own"]
     assert read_log_file(out / "sim_vehicle.mcap").metadata["physics"] == physics
 
 
