@@ -7,7 +7,6 @@ datagram holds whole frames only, messages come from an allow-list, and the orde
 signature time. Each failure is counted by reason.
 """
 
-import re
 import struct
 from collections import Counter
 from collections.abc import Iterable
@@ -91,14 +90,25 @@ class FixedFields:
     """
 
     def __init__(self, kind: Any, fields: Fields) -> None:
-        codes = re.findall(r"\d+s|\d*[A-Za-z]", kind.unpacker.format)
-        codes = [one for code in codes for one in ([code] if code[-1] == "s" else int(code[:-1] or 1) * [code[-1]])]
+        codes = _codes(kind.unpacker.format)
         first = max(0, len(codes) - len(fields))
         last = struct.Struct("<" + "".join(codes[first:]))
         self.before: Final = struct.Struct("<" + "".join(codes[:first]))
         """Of the other fields."""
         self.packed: Final = last.pack(*fields)
         self.received: Final[Fields] = last.unpack(self.packed)
+
+
+def _codes(layout: str) -> list[str]:
+    """The code of each field in a layout of the module struct: "<Q3f4s" has the fields Q, f, f, f and 4s."""
+    codes, count = list[str](), ""
+    for letter in layout.removeprefix("<"):
+        if letter.isdigit():
+            count += letter
+        else:
+            codes += [count + letter] if letter == "s" else int(count or 1) * [letter]
+            count = ""
+    return codes
 
 
 class AvailableModes:
