@@ -178,8 +178,10 @@ class OffboardCore:
         """Receive a datagram of the motion capture, which arrived `age_ns` ago; the next step sends its pose."""
         now_ns = self._clock.at(now_ns) - age_ns
         pose = self._relay.receive(datagram, now_ns)
-        self._poses += [] if pose is None else [pose]
-        self._out.events += self._relay.take_events()
+        if pose is not None:
+            self._poses.append(pose)
+        if events := self._relay.take_events():
+            self._out.events += events
 
     def receive_training(self, result: TrainingResult, now_ns: int) -> None:
         """Receive the result of the outstanding job; send its version if the gate allows it."""
@@ -201,17 +203,22 @@ class OffboardCore:
         """Run every block that is due; returns what to send, to train, to write and to log."""
         now_ns = self._clock.at(now_ns)
         self._capture_clock.now(now_ns)  # it starts here: the first pose may come much later
-        replies = [TimeSyncReply(origin_ns, receive_ns, now_ns) for origin_ns, receive_ns in self._requests]
-        challenge = [request] if (request := self.endpoint.challenge(now_ns)) is not None else []
+        messages: list[Message] = list(self._poses)
+        messages += [TimeSyncReply(origin_ns, receive_ns, now_ns) for origin_ns, receive_ns in self._requests]
+        if (challenge := self.endpoint.challenge(now_ns)) is not None:
+            messages.append(challenge)
         self._resend_version(now_ns)
-        chunks = self._versions.chunks(now_ns) if self._peer_session is not None else []
-        messages: list[Message] = [*self._poses, *replies, *challenge, *chunks]
-        self._poses, self._requests = [], []
+        if self._peer_session is not None:
+            messages += self._versions.chunks(now_ns)
+        self._poses.clear()
+        self._requests.clear()
         out, self._out = self._out, OffboardOutput()
-        out.to_onboard = [self.endpoint.encode(message, now_ns) for message in messages]
+        for message in messages:
+            out.to_onboard.append(self.endpoint.encode(message, now_ns))
         out.job = self._next_job(now_ns)
         out.checkpoint = self._next_checkpoint(now_ns)
-        out.records += self._link_records(now_ns)
+        if now_ns >= self._next_link_record_ns:
+            out.records.append(self._link_record(now_ns))
         return out
 
     def _resend_version(self, now_ns: int) -> None:
@@ -265,16 +272,14 @@ class OffboardCore:
         """The checkpoint to write when the process ends; None where nothing was learnt."""
         return self.learner.experience() if self._learning and self.learner.rounds else None
 
-    def _link_records(self, now_ns: int) -> list[Logged]:
-        if now_ns < self._next_link_record_ns:
-            return []
+    def _link_record(self, now_ns: int) -> Logged:
         self._next_link_record_ns = now_ns + LINK_RECORD_PERIOD_NS
         poses, samples = (
             (self._relay.relayed, self._relay.rejected.total()),
             (self.learner.samples, self.learner.labelled),
         )
         flying, unused = self._versions.flying_version, self.learner.unused
-        return [link_record(self.endpoint.statistics, poses, samples, flying, unused, now_ns)]
+        return link_record(self.endpoint.statistics, poses, samples, flying, unused, now_ns)
 
     def status(self, now_ns: int) -> dict[str, int | float | None]:
         """The values of a status line."""

@@ -240,7 +240,7 @@ class OnboardCore:
                 self._estimator.receive(reading)
         for pose, taken_ns, arrival_ns, time_sigma_s in poses:
             self._estimator.receive_pose(pose, taken_ns, arrival_ns, time_sigma_s)
-            self._arming.receive_pose(pose.position_ned_m, pose.quaternion, self._vehicle_link.health.force, now_ns)
+            self._arming.receive_pose(pose.position_ned_m.item(2), pose.quaternion.tolist(), self._vehicle_link, now_ns)
         return self._estimator.state
 
     def _supervise(self, state: VehicleState, now_ns: int) -> FlightMode:

@@ -1,6 +1,6 @@
 """A datagram with its age: how a process tells its core when a datagram arrived."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 
@@ -15,7 +15,8 @@ Datagrams = Sequence[bytes | Arrival]
 """What a step receives; plain bytes arrived at its `now`."""
 
 
-def at_times(datagrams: Datagrams, now_ns: int) -> Iterator[tuple[bytes, int]]:
+def at_times(datagrams: Datagrams, now_ns: int) -> Sequence[tuple[bytes, int]]:
     """Each datagram and the time of its arrival. Plain bytes arrived at `now_ns`."""
-    for one in datagrams:
-        yield (one.datagram, now_ns - one.age_ns) if isinstance(one, Arrival) else (one, now_ns)
+    if not datagrams:
+        return ()
+    return [(one.datagram, now_ns - one.age_ns) if isinstance(one, Arrival) else (one, now_ns) for one in datagrams]

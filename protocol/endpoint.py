@@ -40,6 +40,10 @@ AHEAD_MAX_NS: Final = 86_400 * 10**9
 """A clock of the peer that steps ahead by more is not followed."""
 RATE_MAX_HZ: Final = 2000
 RATE_BURST: Final = 256
+_TIME_SYNC: Final = (TimeSyncRequest, TimeSyncReply)
+_DATED: Final = (SampleBatch, Pose)
+_OF_LAYOUT: Final = (SampleBatch, FeatureChunk)
+"""Kinds of messages. As tuples: an expression `A | B` would make a new object at every call."""
 
 Role = Literal["onboard", "offboard"]
 
@@ -138,7 +142,7 @@ class Endpoint:
         number = TYPE_NUMBERS[type(message)]
         if number not in self._send_types:
             raise ValueError(f"{type(message).__name__} is not sent in this direction")
-        if isinstance(message, TimeSyncRequest | TimeSyncReply):
+        if isinstance(message, _TIME_SYNC):
             message = replace(message, layout=self.layout)
         body = encode_body(message)
         if len(body) > BODY_MAX_BYTES:
@@ -205,13 +209,13 @@ class Endpoint:
         self._count(sequence, sent_ns, len(datagram), now_ns)
         self._spend_allowance(now_ns)
         message = decode_body(number, body)
-        if isinstance(message, SampleBatch | Pose) and abs(sent_ns - message.time_ns) > APART_MAX_NS:
+        if isinstance(message, _DATED) and abs(sent_ns - message.time_ns) > APART_MAX_NS:
             raise ProtocolError("value")
-        if isinstance(message, TimeSyncRequest | TimeSyncReply):
+        if isinstance(message, _TIME_SYNC):
             self.peer_layout = message.layout
         elif self._is_of_before(sent_ns):
             raise ProtocolError("before_start")
-        elif isinstance(message, SampleBatch | FeatureChunk) and self.layout not in (NO_LAYOUT, self.peer_layout):
+        elif isinstance(message, _OF_LAYOUT) and self.layout not in (NO_LAYOUT, self.peer_layout):
             raise ProtocolError("layout")
         if type(message) is TimeSyncReply and not self._clock.receive_reply(
             message.origin_ns, message.receive_ns, message.transmit_ns, now_ns

@@ -46,8 +46,8 @@ def _require_array(name: str, array: NDArray[np.floating], shape: tuple[int, ...
     # the texts are formatted only when needed: formatting costs as much as the checks
     if array.shape != shape:
         raise ValueError(f"{name}: shape {array.shape}, expected {shape}")
-    # this form refuses NaN: max() of an array with a NaN is NaN, and NaN <= x is False
-    if not float(np.abs(array).max()) <= ABSOLUTE_VALUE_MAX:
+    # this form refuses NaN: the maximum of an array with a NaN is NaN, and NaN <= x is False
+    if not float(np.maximum.reduce(np.abs(array), axis=None)) <= ABSOLUTE_VALUE_MAX:
         raise ValueError(f"{name}: a value is not finite or too large")
 
 

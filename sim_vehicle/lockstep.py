@@ -13,10 +13,11 @@ same.
 import hashlib
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from flight_log.schema import RecordType
 from protocol.conventions import Array
+from protocol.named_tuple import of_members
 from sim_vehicle.link.radio import Radio
 from sim_vehicle.vehicle import SimVehicle
 
@@ -108,6 +109,9 @@ class TickResult(NamedTuple):
     """For the delivery of each datagram."""
 
 
+_result: Final = of_members(TickResult)
+
+
 class Lockstep(Generic[ResultT]):
     """Vehicle, radio, onboard and, unless absent, offboard.
 
@@ -169,7 +173,7 @@ class Lockstep(Generic[ResultT]):
         onboard = self._step_onboard(flown.to_onboard, from_offboard, now)
         offboard, training = self._step_offboard(flown.to_motion_capture, now)
         self.now_ns += self._period_ns
-        return TickResult(now, flown.truth, onboard, offboard, training, flown.to_onboard, from_offboard, self._radio)
+        return _result((now, flown.truth, onboard, offboard, training, flown.to_onboard, from_offboard, self._radio))
 
     def _step_onboard(self, sensors: list[bytes], from_offboard: list[bytes], now: int) -> OnboardOutput:
         for datagram in sensors:

@@ -12,6 +12,7 @@ import numpy as np
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import GRAVITY, Array
+from protocol.named_tuple import of_members
 from sim_vehicle.config import SimVehicleConfig
 from sim_vehicle.link.mavlink import VehicleCodec
 from sim_vehicle.link.radio import Radio
@@ -34,6 +35,7 @@ IMU_STREAM, ULTRASONIC_STREAM, FLOW_STREAM, CAPTURE_STREAM, BATTERY_STREAM, WIRE
 """Random streams [seed, n] of the sensors and of the vehicle's link."""
 _TRUTH_SIZE: Final = len(TRUTH.fields)
 SampleT = TypeVar("SampleT")
+_output: Final = of_members(VehicleOutput)
 
 
 class SimVehicle:
@@ -47,9 +49,8 @@ class SimVehicle:
     def __init__(
         self, config: SimVehicleConfig, seed: int, key: bytes | None = None, capture_key: bytes | None = None
     ) -> None:
-        self._config = config
         self._world = World(config, seed)
-        self._advance = physics_of(config)
+        self._physics = physics_of(config)
         self._state = initial_state(config)
         self._sums: Array = np.zeros(at.SUMS_SIZE)
         self._work: Array = np.zeros((WORK_ROWS, at.RIGID))
@@ -62,10 +63,13 @@ class SimVehicle:
         self._flow = Flow(sensors.flow, seed, FLOW_STREAM)
         self._capture = MotionCapture(sensors.motion_capture, seed, CAPTURE_STREAM)
         self._battery = Battery(sensors.battery_noise_v, config.battery.capacity_mah, seed, BATTERY_STREAM)
+        self._slow = tuple(one.schedule for one in (self._flow, self._ultrasonic, self._battery, self._capture))
+        self._capture_latency_ns = round(sensors.motion_capture.latency_s * 1e9)
         self._codec = VehicleCodec(config.link, sensors.ultrasonic, sensors.motion_capture, key, capture_key)
         self.start_capture: Final = self._codec.start_capture
         self._last_samples: dict[str, Any] = {}
         self._clock_offset_us = round(config.link.clock_offset_s * 1e6)
+        self._command_min = config.motors.command_min
         self._command_delay_ns = round(config.motors.command_delay_s * 1e9)
         self._command_timeout_ns = round(config.motors.command_timeout_s * 1e9)
         self._wire: Radio | None = None
@@ -129,7 +133,7 @@ class SimVehicle:
             to_motion_capture.append(self._poses.popleft()[1])
         truth = np.empty(_TRUTH_SIZE)
         write_truth(self._state, self._sums, self._world.condition.parameters, truth)
-        return VehicleOutput(to_onboard, to_motion_capture, truth)
+        return _output((to_onboard, to_motion_capture, truth))
 
     def _apply_command(self) -> int:
         """Apply the command that is due, and return the time of the next change, ns."""
@@ -141,8 +145,13 @@ class SimVehicle:
         while self._pending and self._pending[0][0] <= self._time_ns:
             due_ns, fractions, self._armed = self._pending.popleft()
             self._commanded_ns = due_ns
-            least = self._config.motors.command_min
-            self._commands[:] = [max(least, value) for value in fractions] if self._armed else 0.0
+            least = self._command_min
+            if not self._armed:
+                self._commands[:] = 0.0
+            elif min(fractions) >= least:
+                self._commands[:] = fractions
+            else:
+                self._commands[:] = [max(least, value) for value in fractions]
         timeout_ns = self._commanded_ns + self._command_timeout_ns
         if self._armed and self._time_ns >= timeout_ns:
             self._armed = False
@@ -158,7 +167,7 @@ class SimVehicle:
     def _run(self, end_ns: int) -> None:
         count = (end_ns - self._time_ns) // SUBSTEP_NS
         world = self._world
-        self._advance(
+        crash = self._physics(
             self._state,
             self._commands,
             world.condition.parameters,
@@ -169,10 +178,11 @@ class SimVehicle:
             self._work,
             self._time_ns * 1e-9,
             count,
+            self._limits,
         )
         self._time_ns = end_ns
-        if not self.crash_reason:
-            self.crash_reason = crash_reason(self._state, self._sums, self._limits)
+        if crash and not self.crash_reason:
+            self.crash_reason = crash_reason(crash, self._state, self._sums)
 
     def _sample(self, to_onboard: list[bytes]) -> None:
         """Sample every sensor that is due now."""
@@ -185,31 +195,30 @@ class SimVehicle:
             to_onboard.append(codec.imu(imu, time_us))
         if now_ns < self._slow_due_ns:
             return
-        if self._flow.schedule.is_due(now_ns):
+        flows, ultrasonics, batteries, poses = self._slow
+        if now_ns >= flows.due_ns and flows.is_due(now_ns):
             flow = sent("flow", self._flow.sample(state, sums))
             if flow is not None:
                 to_onboard.append(codec.flow(flow, time_us))
-        if self._ultrasonic.schedule.is_due(now_ns):
+        if now_ns >= ultrasonics.due_ns and ultrasonics.is_due(now_ns):
             distance_m = sent("ultrasonic", self._ultrasonic.sample(state))
             if distance_m is not None:
                 to_onboard.append(codec.distance(distance_m, time_us))
-        if self._battery.schedule.is_due(now_ns):
+        if now_ns >= batteries.due_ns and batteries.is_due(now_ns):
             to_onboard.append(codec.heartbeat(self._armed))
             battery = sent("battery", self._battery.sample(state, sums))
             if battery is not None:
                 to_onboard.append(codec.battery(battery))
-        if self._capture.schedule.is_due(now_ns):
+        if now_ns >= poses.due_ns and poses.is_due(now_ns):
             pose = sent("motion_capture", self._capture.sample(state, now_ns))
             if pose is not None:
-                due_ns = now_ns + round(self._capture.config.latency_s * 1e9)
-                self._poses.append((due_ns, codec.pose(pose, capture_us)))
-        slow = self._flow, self._ultrasonic, self._battery, self._capture
-        self._slow_due_ns = min([sensor.schedule.due_ns for sensor in slow])
+                self._poses.append((now_ns + self._capture_latency_ns, codec.pose(pose, capture_us)))
+        self._slow_due_ns = min(flows.due_ns, ultrasonics.due_ns, batteries.due_ns, poses.due_ns)
 
     def _sent(self, sensor: str, sample: SampleT | None) -> SampleT | None:
         """What the sensor sends: `sample` unless it has a fault. None: nothing."""
-        fault = self._world.condition.sensor_faults.get(sensor)
-        if fault is not None:
+        faults = self._world.condition.sensor_faults
+        if faults and (fault := faults.get(sensor)) is not None:
             return cast(SampleT | None, fault(sample, self._last_samples.get(sensor)))
         if sample is not None:
             self._last_samples[sensor] = sample

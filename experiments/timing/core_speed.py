@@ -8,11 +8,13 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from experiments.campaigns.campaign import CampaignConfig, Case, Seeds
 from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
+from experiments.campaigns.store import read_table
 from experiments.campaigns.worker_pools import LocalPool
 from experiments.flights.lockstep_flight import ONBOARD_SESSION, build, fly_lockstep
 from experiments.flights.scenario import Choices, FlightConfig, resolve
@@ -175,9 +177,10 @@ def lockstep_figures(seconds: float) -> list[Figure]:
         absent = "RotorPy is not installed: extra `peers`"
         figures.append(Figure(name, None, "", OVER_ROTORPY_MIN, at_most=False, note=absent))
     with training_for(learner) as train:  # its process is ready before the second flight
-        speed, _ = _best(lambda: lockstep_speed(learner, "c", train))
+        speed, alone = _best(lambda: lockstep_speed(learner, "c", train))
     name = f"lockstep with trainer ({LEARNER}), C core"
-    return [*figures, Figure(name, speed, "x real time", WITH_TRAINER_MIN, at_most=False)]
+    note = f"{alone:.3g} by processor time of the flight, whose rounds of training another process runs"
+    return [*figures, Figure(name, speed, "x real time", WITH_TRAINER_MIN, at_most=False, note=note)]
 
 
 def _alone(speed: float) -> str:
@@ -220,10 +223,12 @@ def campaign_figure(jobs: int = JOBS, flights_per_job: int = FLIGHTS_PER_JOB) ->
         prepare_folder(run, resume=False)
         with open_store(run.folder) as store:
             result = run_campaign(run, store, LocalPool(jobs), report)
+        used_s = read_table(run.folder)["cpu_s"].to_pylist()
     if result.errors:
         return Figure(_campaign_name(jobs), None, "flights/s", note=f"{result.errors} flights failed")
     rate = (count - 2 * jobs) / (landed[-1] - landed[2 * jobs - 1])
-    return Figure(_campaign_name(jobs), rate, "flights/s", FLIGHTS_PER_S_MIN, at_most=False)
+    alone = _alone(jobs / median(used_s))
+    return Figure(_campaign_name(jobs), rate, "flights/s", FLIGHTS_PER_S_MIN, at_most=False, note=alone)
 
 
 def _campaign_name(jobs: int) -> str:

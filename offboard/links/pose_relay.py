@@ -61,7 +61,8 @@ class PoseRelay:
         self, config: PoseRelayConfig, key: bytes | None = None, signing_clock: SigningClock | None = None
     ) -> None:
         """With a `key` unsigned frames are refused. Raises ValueError if the key is not 32 bytes long."""
-        self._config = config
+        self._position_limit_m = config.position_limit_m
+        self._latency_ns = int(config.latency_s * 1e9)
         self._reader = FrameReader(DECODERS, key, signing_clock, config.signing_tolerance_s)
         self._clock = ClockMap()
         self._last_capture_ns: int | None = None
@@ -109,8 +110,8 @@ class PoseRelay:
         time_ns = self._map_time(captured.time_ns, now_ns)
         self._refuse_frozen(captured)
         w, x, y, z = captured.quaternion
-        unit = (w / norm, x / norm, y / norm, z / norm)
-        return Pose(time_ns, np.array(captured.position_ned_m, np.float32), np.array(unit, np.float32))
+        numbers = np.array((*captured.position_ned_m, w / norm, x / norm, y / norm, z / norm), np.float32)
+        return Pose(time_ns, numbers[:3], numbers[3:])
 
     def _decode(self, datagram: bytes, now_ns: int) -> CapturedPose:
         """The one pose of a datagram."""
@@ -133,7 +134,8 @@ class PoseRelay:
         norm = hypot(*pose.quaternion)
         if not isfinite(n + e + d + norm):
             raise _RejectedError("not_finite")
-        if max(abs(n), abs(e), abs(d)) > self._config.position_limit_m:
+        limit = self._position_limit_m
+        if not (-limit <= n <= limit and -limit <= e <= limit and -limit <= d <= limit):
             raise _RejectedError("too_far")
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
             raise _RejectedError("quaternion")
@@ -169,7 +171,7 @@ class PoseRelay:
         self._ahead = 0
         clock.add(delay_ns, now_ns)
         self._last_capture_ns, self._used_ns = capture_ns, now_ns
-        return max(0, clock.to_ours(capture_ns, now_ns) - int(self._config.latency_s * 1e9))
+        return max(0, clock.to_ours(capture_ns, now_ns) - self._latency_ns)
 
     def _follow_step(self, delay_ns: int, now_ns: int) -> None:
         """Map the capture's clock anew, and report by how much it stepped."""

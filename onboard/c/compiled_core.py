@@ -45,6 +45,8 @@ from protocol.statistics import REJECTIONS
 
 MODES: Final = tuple(FlightMode)
 """By their numbers."""
+IN_AIR: Final = tuple(mode in AIRBORNE for mode in MODES)
+"""Whether each is one of those in the air."""
 IMU, FLOW, RANGE, BATTERY = "@q3{0}3{0}?{0}", "@q5{0}i", "@q{0}", "@q{0}{0}"
 """Layout of the readings in C (estimation/readings.h), for struct; {0}: d or f."""
 COMMANDS: Final = {command: number for number, command in enumerate(Command)}
@@ -115,13 +117,15 @@ class CompiledCore:
         """One tick (OnboardCore.tick)."""
         now_ns = self._clock.at(now_ns)
         core, output, inputs, result = self._core, self._output.cleared(), self._inputs, self._result
-        self._receive_ground(from_ground, land, now_ns)  # a refusal is about the last tick: before the new readings
+        if from_ground or land:  # a refusal is about the last tick: before the new readings
+            self._receive_ground(from_ground, land, now_ns)
         for datagram, arrival_ns in at_times(from_vehicle, now_ns):
             for reading in self._vehicle_link.receive(datagram, arrival_ns):
                 self._receive(reading)
-        self._receive_offboard(from_offboard, now_ns)
+        if from_offboard:
+            self._receive_offboard(from_offboard, now_ns)
         inputs.now_ns, inputs.missed_ticks = now_ns, missed_ticks
-        if MODES[core.mode] not in AIRBORNE:  # in flight C does not read it
+        if not IN_AIR[core.mode]:  # in flight C does not read it
             posed = core.posed or self._estimated.last_pose_ns != NEVER_NS
             inputs.preflight = self._reasons.number(self._arming.refusal(now_ns, posed, self._vehicle_link))
         inputs.ground_ns = self._ground_link.last_received_ns
@@ -146,24 +150,28 @@ class CompiledCore:
         if isinstance(reading, ImuReading):
             time_ns, accelerometer, gyroscope, pressure_pa = reading
             has_pressure = pressure_pa is not None
-            imu = self._imu(time_ns, *accelerometer, *gyroscope, has_pressure, pressure_pa if has_pressure else 0.0)
-            library.core_receive_imu(core, imu)
+            imu = self._imu
+            imu.fill(time_ns, *accelerometer, *gyroscope, has_pressure, pressure_pa if has_pressure else 0.0)
+            library.core_receive_imu(core, imu.filled)
         elif isinstance(reading, FlowReading):
-            library.core_receive_flow(core, self._flow(*reading))
+            self._flow.fill(*reading)
+            library.core_receive_flow(core, self._flow.filled)
         elif isinstance(reading, RangeReading):
-            library.core_receive_range(core, self._range(reading.time_ns, reading.distance_m))
+            self._range.fill(reading.time_ns, reading.distance_m)
+            library.core_receive_range(core, self._range.filled)
         else:
             self._battery = reading
-            library.core_receive_battery(core, self._battery_packed(*reading))
+            self._battery_packed.fill(*reading)
+            library.core_receive_battery(core, self._battery_packed.filled)
 
     def _receive_offboard(self, datagrams: Datagrams, now_ns: int) -> None:
         """Poses and chunks of feature versions; the arming checks compare a pose with the IMU."""
-        received, force = self._received, self._vehicle_link.health.force
+        received = self._received
         for datagram, arrival_ns in at_times(datagrams, now_ns):
             self._library.core_receive_offboard(self._core, bytes(datagram), len(datagram), arrival_ns, received)
             if received.has_pose:
                 position, quaternion = self._pose
-                self._arming.receive_pose(position.tolist(), quaternion.tolist(), force, now_ns)
+                self._arming.receive_pose(position.item(2), quaternion.tolist(), self._vehicle_link, now_ns)
 
     def _receive_ground(self, datagrams: Datagrams, land: bool, now_ns: int) -> None:
         """Commands of the pilot, and the process's own wish to land."""
@@ -254,7 +262,7 @@ class CompiledCore:
     @property
     def airborne(self) -> bool:
         """Whether the flight mode is one of those in the air."""
-        return FlightMode(self._core.mode) in AIRBORNE
+        return IN_AIR[int(self._core.mode)]
 
     def summary(self) -> dict[str, Any]:
         """Mode, features, and the counters of links, samples and estimator, for the flight record."""
@@ -296,16 +304,12 @@ def _built(config: OnboardConfig, variant: Variant, session: int, key: bytes) ->
 
 
 class _Packed:
-    """A structure of numbers in C that is filled in one step; calling it with its members gives the structure."""
+    """A structure of numbers in C, `filled`, and `fill`, which writes all its members in one step."""
 
     def __init__(self, core: Any, structure: Any, layout: str) -> None:
         packing = struct.Struct(layout.format("d" if core.real == "double" else "f"))
-        self._filled = structure()
-        self._fill = partial(packing.pack_into, self._filled, 0)
-
-    def __call__(self, *members: Any) -> Any:
-        self._fill(*members)
-        return self._filled
+        self.filled: Final = structure()
+        self.fill: Final = partial(packing.pack_into, self.filled, 0)
 
 
 class _Reasons:

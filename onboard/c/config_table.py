@@ -10,7 +10,7 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from hashlib import blake2b
 from operator import attrgetter
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
@@ -259,6 +259,11 @@ def layout(record: Record | None = None) -> bytes:
     return blake2b(names.encode(), digest_size=8).digest()
 
 
+@cache
+def _prefix() -> bytes:
+    return MAGIC + layout()
+
+
 def image(config: OnboardConfig) -> bytes:
     """The packed configuration, as `config_decode` of the C core reads it."""
-    return MAGIC + layout() + table().pack(config)
+    return _prefix() + table().pack(config)

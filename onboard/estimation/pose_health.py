@@ -34,7 +34,7 @@ class PoseHealth:
     def __init__(self, config: PoseHealthConfig) -> None:
         self._config = config
         self._arrivals_ns: deque[int] = deque(maxlen=POSES)
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=POSES)
+        self._poses: deque[tuple[float, Quaternion]] = deque(maxlen=POSES)
         self._force: Array = np.zeros(3)
         self._count = 0
         self._next_judgement = EVERY
@@ -59,7 +59,7 @@ class PoseHealth:
         force: [3] m/s^2, the IMU's mean specific force.
         """
         self._arrivals_ns.append(now_ns)
-        self._rows.append((down_m, *rotation_of(quaternion)[6:]))
+        self._poses.append((down_m, quaternion))
         self._force = force
         self._count += 1
 
@@ -69,7 +69,8 @@ class PoseHealth:
         rate_hz = (len(arrivals_ns) - 1) / seconds if seconds > 0.0 else 0.0
         if rate_hz < config.rate_min_hz:
             return f"pose at {rate_hz:.0f} Hz"
-        down_m, *down_axis = np.mean(self._rows, axis=0)  # the world's down, in the body
+        rows = [(down_m, *rotation_of(quaternion)[6:]) for down_m, quaternion in self._poses]
+        down_m, *down_axis = np.mean(rows, axis=0)  # the world's down, in the body
         length = float(np.linalg.norm(force) * np.linalg.norm(down_axis))
         if length <= 0.0:
             return NOT_COMPARED

@@ -5,13 +5,12 @@ certificate (onboard/preflight/certificate.py).
 """
 
 import math
-from collections.abc import Iterable
 
 from onboard.config import OnboardConfig
 from onboard.estimation.pose_health import PoseHealth
 from onboard.links.vehicle import VehicleLink
 from onboard.preflight.certificate import Clearance
-from protocol.conventions import NEVER_NS, Array
+from protocol.conventions import NEVER_NS
 
 
 class ArmingChecks:
@@ -27,18 +26,17 @@ class ArmingChecks:
         self._last_pose_ns = NEVER_NS
         self._started_ns: int | None = None
 
-    def receive_pose(self, position: Iterable[float], quaternion: Iterable[float], force: Array, now_ns: int) -> None:
-        """Compare a pose with the IMU.
+    def receive_pose(self, down_m: float, quaternion: list[float], link: VehicleLink, now_ns: int) -> None:
+        """Note a pose of the motion capture, to be compared with the mean specific force of the vehicle link.
 
         Parameters
         ----------
-        position, quaternion: of the motion capture, [3], m, world NED, and [4], wxyz.
-        force: [3], mean specific force at rest, m/s^2, of the vehicle link.
+        down_m: of the position, world NED.
+        quaternion: [4], wxyz, body FRD to world.
         """
         self._last_pose_ns = now_ns
-        _, _, down_m = map(float, position)
-        w, x, y, z = map(float, quaternion)
-        self._pose_health.add(down_m, (w, x, y, z), now_ns, force)
+        w, x, y, z = quaternion
+        self._pose_health.add(down_m, (w, x, y, z), now_ns, link.health.force)
 
     def refusal(self, now_ns: int, posed: bool, link: VehicleLink) -> str:
         """The first reason to refuse arming; "" if there is none.

@@ -105,6 +105,8 @@ class GroundLink:
         rates_hz = (config.attitude_hz, config.position_hz, config.heartbeat_hz, config.status_hz, config.values_hz)
         self._periods_ns = [round(1e9 / hz) for hz in rates_hz]
         self._due_ns: list[int] | None = None
+        self._soonest_ns = NEVER_NS
+        """When the next periodic message is due."""
         self.values: dict[str, float] = {}
         """Named values to send (names of at most 10 characters); the core may change them at any time."""
         self.rejected: Counter[str] = self._reader.rejected
@@ -182,7 +184,7 @@ class GroundLink:
 
     def is_due(self, now_ns: int) -> bool:
         """Whether `poll` has something to send, or to plan."""
-        return bool(self._waiting) or self._due_ns is None or now_ns >= min(self._due_ns)
+        return bool(self._waiting) or now_ns >= self._soonest_ns
 
     def poll(self, now_ns: int, mode: FlightMode, state: VehicleState, battery: BatteryReading) -> list[bytes]:
         """At most one message, the most urgent that is due."""
@@ -191,11 +193,12 @@ class GroundLink:
         due = self._due_ns
         if due is None:
             due = self._due_ns = [now_ns + index * STAGGER_NS for index in range(len(self._periods_ns))]
-        soonest_ns = min(due)
+        soonest_ns = self._soonest_ns = min(due)
         if now_ns < soonest_ns:
             return []
         index = due.index(soonest_ns)
         due[index] = max(due[index] + self._period_ns(index), now_ns - self._periods_ns[index])
+        self._soonest_ns = min(due)
         message = self._periodic(index, now_ns, mode, state, battery)
         if message is None:
             return []

@@ -29,6 +29,7 @@ from protocol.mavlink import vehicle as wire
 from protocol.mavlink.frames import Frame, FrameReader, FrameWriter
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import BatteryReading, FlowReading, ImuReading, SensorReading
+from protocol.named_tuple import of_members
 
 FROZEN: Final = {"imu": "IMU", "flow": "optical flow", "range": "ultrasonic", "pressure": "pressure"}
 """Name of each sensor in the event."""
@@ -42,6 +43,7 @@ _CONFLICT_COUNT: Final = 20
 _EVENT_PERIOD_NS: Final = 10**9
 
 Reading = SensorReading | BatteryReading
+_imu_reading: Final = of_members(ImuReading)
 
 
 class VehicleLinkConfig(ConfigRecord):
@@ -95,6 +97,7 @@ class VehicleLink:
         """
         self._config = config
         self._acceleration_max_m_s2, self._rate_max_rad_s = config.acceleration_max_m_s2, config.rate_max_rad_s
+        self._pressures_pa = config.pressure_min_pa, config.pressure_max_pa
         clock = signing_clock or SigningClock()
         self._decoders = {
             wire.IMU: self._imu,
@@ -206,13 +209,14 @@ class VehicleLink:
         if reading is None:
             return self._refuse("imu_fields")
         stamp_ns, accelerometer, gyroscope, pressure_pa = reading
-        for sensor, limit, (x, y, z) in (
-            ("accelerometer", self._acceleration_max_m_s2, accelerometer),
-            ("gyroscope", self._rate_max_rad_s, gyroscope),
-        ):
-            if not (-limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit):  # also catches NaN
-                wrong = next(value for value in (x, y, z) if not -limit <= value <= limit)
-                return self._refuse_sensor(sensor, wrong, now_ns)
+        x, y, z = accelerometer
+        most = self._acceleration_max_m_s2
+        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):  # also catches NaN
+            return self._refuse_axis("accelerometer", accelerometer, most, now_ns)
+        x, y, z = gyroscope
+        most = self._rate_max_rad_s
+        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
+            return self._refuse_axis("gyroscope", gyroscope, most, now_ns)
         fault = self._clock.accept(stamp_ns, now_ns)
         if fault and not self._handle_clock(fault, now_ns):
             return None
@@ -224,11 +228,12 @@ class VehicleLink:
         self._gyroscope = gyroscope
         time_ns = self._clock.to_onboard(stamp_ns, now_ns)
         self.health.add(stamp_ns, now_ns - time_ns, now_ns, inertial)
-        return ImuReading(time_ns, accelerometer, gyroscope, pressure_pa)
+        return _imu_reading((time_ns, accelerometer, gyroscope, pressure_pa))
 
     def _checked_pressure(self, pressure_pa: float, now_ns: int) -> float | None:
         """The pressure, Pa; None if it is refused. The rest of the sample is still used."""
-        if not self._config.pressure_min_pa <= pressure_pa <= self._config.pressure_max_pa:
+        least_pa, most_pa = self._pressures_pa
+        if not least_pa <= pressure_pa <= most_pa:
             self._refuse_sensor("pressure", pressure_pa, now_ns)
         elif self._pressures.frozen(pressure_pa):
             self._refuse_frozen("pressure", now_ns)
@@ -309,6 +314,10 @@ class VehicleLink:
     def _refuse(self, reason: str) -> Reading | None:
         self.rejected[reason] += 1
         return None
+
+    def _refuse_axis(self, sensor: str, values: Vector3, limit: float, now_ns: int) -> Reading | None:
+        """Refuse a sample for the first of its axes that is outside plus or minus `limit`."""
+        return self._refuse_sensor(sensor, next(value for value in values if not -limit <= value <= limit), now_ns)
 
     def _refuse_sensor(self, sensor: str, value: float, now_ns: int) -> Reading | None:
         self._report(sensor, f"{sensor} gave {value:g}: sample ignored", now_ns)

@@ -20,6 +20,8 @@ class VehicleClock:
         """`restart_ns`: a step back of more may be a restart; a smaller one is a late datagram or a jump."""
         self._restart_ns = restart_ns
         self._map = ClockMap()
+        self.to_onboard: Final = self._map.to_ours
+        """Onboard time of a vehicle time stamp with its arrival: never after that."""
         self._suspects: list[int] = []  # their delays
         self._suspect_ns = NEVER_NS
         self._far = False
@@ -69,10 +71,6 @@ class VehicleClock:
             return len(self._suspects) >= SUSPECTS
         agree = max(self._suspects) - min(self._suspects) <= AGREE_NS
         return agree and len(self._suspects) == SHORT_STEP_SUSPECTS
-
-    def to_onboard(self, stamp_ns: int, arrival_ns: int) -> int:
-        """Onboard time of a vehicle time stamp: never after its arrival."""
-        return self._map.to_ours(stamp_ns, arrival_ns)
 
     def reset(self) -> None:
         """Forget the mapping; the next stamp starts a new one."""

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from protocol.mavlink.signing import SignatureCheck, SigningClock, check_key, signature
+from protocol.named_tuple import of_members
 
 MARKER: Final = 0xFD
 HEADER_BYTES: Final = 10
@@ -44,6 +45,8 @@ class Message(NamedTuple):
     """pymavlink's message class."""
     fields: Fields
     """Without trailing extension fields, which are then sent as 0."""
+    fixed: "FixedFields | None" = None
+    """The fields behind these, if they are the same in many messages."""
 
 
 class Frame(NamedTuple):
@@ -54,6 +57,9 @@ class Frame(NamedTuple):
     component: int
     sequence: int
     fields: Fields
+
+
+_frame: Final = of_members(Frame)
 
 
 class FrameBytes(bytes):
@@ -74,6 +80,35 @@ class Layout(NamedTuple):
     seed: bytes
     """The checksum ends with it: two layouts of one message id have different checksums."""
     field_count: int
+
+
+class FixedFields:
+    """The last fields of a kind of message, where they are the same in many: they are packed once.
+
+    kind: pymavlink's message class. fields: the last ones in wire order, with extension fields. Raises struct.error if
+    a field does not fit its type, or there are more than the message has.
+    """
+
+    def __init__(self, kind: Any, fields: Fields) -> None:
+        codes = _codes(kind.unpacker.format)
+        first = max(0, len(codes) - len(fields))
+        last = struct.Struct("<" + "".join(codes[first:]))
+        self.before: Final = struct.Struct("<" + "".join(codes[:first]))
+        """Of the other fields."""
+        self.packed: Final = last.pack(*fields)
+        self.received: Final[Fields] = last.unpack(self.packed)
+
+
+def _codes(layout: str) -> list[str]:
+    """The code of each field in a layout of the module struct: "<Q3f4s" has the fields Q, f, f, f and 4s."""
+    codes, count = list[str](), ""
+    for letter in layout.removeprefix("<"):
+        if letter.isdigit():
+            count += letter
+        else:
+            codes += [count + letter] if letter == "s" else int(count or 1) * [letter]
+            count = ""
+    return codes
 
 
 class AvailableModes:
@@ -223,18 +258,24 @@ class FrameWriter:
         self._system = system
         self._component = component
         self._sequence = 0
+        self._layouts: dict[Any, Layout] = {}
+        """Of the kinds of messages that were written."""
 
     def write(self, message: Message, now_ns: int) -> bytes:
         """The frame of a message; without a key as FrameBytes, whose fields are those that the bytes hold.
 
         Raises struct.error if a field does not fit its type (an error of the caller).
         """
-        kind, fields = message
-        message_id, layout, seed, count = layout_of(kind.id)
-        missing = count - len(fields)
-        if missing > 0:
-            fields += (0,) * missing
-        packed = layout.pack(*fields)
+        kind, fields, fixed = message
+        layout = self._layouts.get(kind)
+        if layout is None:
+            layout = self._layouts[kind] = layout_of(kind.id)
+        message_id, all_fields, seed, count = layout
+        if fixed is None:
+            packed = all_fields.pack(*fields, *(0,) * (count - len(fields)))
+        else:
+            before = fixed.before.pack(*fields)
+            packed = before + fixed.packed
         payload = packed.rstrip(b"\0") or b"\0"
         sequence, system, component = self._sequence, self._system, self._component
         self._sequence = (sequence + 1) & 0xFF
@@ -244,7 +285,8 @@ class FrameWriter:
         frame = _MARKER + body + checksum.to_bytes(2, "little")
         if self._key is None:
             written = FrameBytes(frame)
-            written.frame = Frame(message_id, system, component, sequence, layout.unpack(packed))
+            received = all_fields.unpack(packed) if fixed is None else fixed.before.unpack(before) + fixed.received
+            written.frame = _frame((message_id, system, component, sequence, received))
             return written
         frame += _LINK_ID + self._clock.next(now_ns).to_bytes(6, "little")
         return frame + signature(self._key, frame)

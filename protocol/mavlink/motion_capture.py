@@ -11,7 +11,8 @@ from typing import Final, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from protocol.geometry import Quaternion, Vector3, quaternion_of
-from protocol.mavlink.frames import Fields, Message
+from protocol.mavlink.frames import Fields, FixedFields, Message
+from protocol.named_tuple import of_members
 
 FRAME_BYTES_MAX: Final = 280
 _LOCAL_FRAMES: Final = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
@@ -30,10 +31,18 @@ class CapturedPose(NamedTuple):
     quaternion: Quaternion
 
 
-def odometry_covariances(position_variance: float, attitude_variance: float, velocity_variance: float) -> Fields:
-    """ODOMETRY's two covariances, m^2, rad^2 and (m/s)^2 per axis: upper triangles of diagonal 6 x 6 matrices."""
+_captured: Final = of_members(CapturedPose)
+_message: Final = of_members(Message)
+
+
+def odometry_covariances(position_variance: float, attitude_variance: float, velocity_variance: float) -> FixedFields:
+    """ODOMETRY's two covariances, m^2, rad^2 and (m/s)^2 per axis: upper triangles of diagonal 6 x 6 matrices.
+
+    Behind them, the fields that are always the same.
+    """
     pose = (position_variance,) * 3 + (attitude_variance,) * 3
-    return (*_triangle(pose), *_triangle((velocity_variance,) * 3 + (_UNKNOWN_RATE_VARIANCE,) * 3))
+    covariances = (*_triangle(pose), *_triangle((velocity_variance,) * 3 + (_UNKNOWN_RATE_VARIANCE,) * 3))
+    return FixedFields(mavlink.MAVLink_odometry_message, (*covariances, *_SENT))
 
 
 def _triangle(diagonal: tuple[float, ...]) -> tuple[float, ...]:
@@ -41,18 +50,18 @@ def _triangle(diagonal: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def encode_odometry(
-    time_us: int, position_ned_m: Vector3, quaternion: Quaternion, velocity_body_m_s: Vector3, covariances: Fields
+    time_us: int, position_ned_m: Vector3, quaternion: Quaternion, velocity_body_m_s: Vector3, covariances: FixedFields
 ) -> Message:
     """ODOMETRY: pose in LOCAL_FRD (here the same as NED), velocity in BODY_FRD, no rates."""
-    motion = (*position_ned_m, *quaternion, *velocity_body_m_s, 0.0, 0.0, 0.0)
-    return Message(mavlink.MAVLink_odometry_message, (time_us, *motion, *covariances, *_SENT))
+    fields = (time_us, *position_ned_m, *quaternion, *velocity_body_m_s, 0.0, 0.0, 0.0)
+    return _message((mavlink.MAVLink_odometry_message, fields, covariances))
 
 
 def _decode_odometry(f: Fields) -> CapturedPose | None:
     # time_usec, position 3, quaternion 4, six rates, two covariances of 21, frame_id, child_frame_id, ...
     if f[56] not in _LOCAL_FRAMES or f[57] != mavlink.MAV_FRAME_BODY_FRD:
         return None
-    return CapturedPose(f[0] * 1000, f[1:4], f[4:8])
+    return _captured((f[0] * 1000, f[1:4], f[4:8]))
 
 
 def _decode_att_pos_mocap(f: Fields) -> CapturedPose:

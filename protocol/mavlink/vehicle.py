@@ -10,7 +10,8 @@ from typing import Final, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from protocol.geometry import Vector3
-from protocol.mavlink.frames import Fields, Message
+from protocol.mavlink.frames import Fields, FixedFields, Message
+from protocol.named_tuple import of_members
 
 IMU: Final[int] = mavlink.MAVLINK_MSG_ID_HIL_SENSOR
 FLOWS: Final = (mavlink.MAVLINK_MSG_ID_HIL_OPTICAL_FLOW, mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD)
@@ -47,11 +48,15 @@ class ImuReading(NamedTuple):
     """None if the sample has no pressure."""
 
 
+_imu_reading: Final = of_members(ImuReading)
+_message: Final = of_members(Message)
+
+
 def encode_imu(time_us: int, accelerometer: Vector3, gyroscope: Vector3, pressure_pa: float) -> Message:
     """HIL_SENSOR with pressure; magnetometer, differential pressure and altitude are 0 and not marked as updated."""
     air = (pressure_pa * 0.01, 0.0, 0.0, _TEMPERATURE_C)
     fields = (time_us, *accelerometer, *gyroscope, 0.0, 0.0, 0.0, *air, _SENT_FIELDS)
-    return Message(mavlink.MAVLink_hil_sensor_message, fields)
+    return _message((mavlink.MAVLink_hil_sensor_message, fields, None))
 
 
 def decode_imu(f: Fields) -> ImuReading | None:
@@ -59,7 +64,7 @@ def decode_imu(f: Fields) -> ImuReading | None:
     # time_usec, accelerometer 3, gyroscope 3, magnetometer 3, abs_pressure (hPa), ..., fields_updated, id
     if f[14] & _INERTIAL_FIELDS != _INERTIAL_FIELDS or f[15] or f[0] > _MICROSECONDS_MAX:
         return None
-    return ImuReading(f[0] * 1000, f[1:4], f[4:7], f[10] * 100.0 if f[14] & _PRESSURE_FIELD else None)
+    return _imu_reading((f[0] * 1000, f[1:4], f[4:7], f[10] * 100.0 if f[14] & _PRESSURE_FIELD else None))
 
 
 class FlowReading(NamedTuple):
@@ -89,7 +94,7 @@ def encode_flow(
     """HIL_OPTICAL_FLOW without a distance (-1: unknown)."""
     angles = (*flow_rad, *rotation_rad)
     fields = (time_us, round(integration_s * 1e6), *angles, 0, -1.0, _TEMPERATURE_CENTI_C, 0, quality)
-    return Message(mavlink.MAVLink_hil_optical_flow_message, fields)
+    return _message((mavlink.MAVLink_hil_optical_flow_message, fields, None))
 
 
 def decode_flow(f: Fields) -> FlowReading | None:
@@ -219,7 +224,9 @@ def _percent(remaining: float) -> int:
 
 Fractions = tuple[float, float, float, float]
 OFF: Final[Fractions] = (0.0, 0.0, 0.0, 0.0)
-_UNUSED: Final = (0.0,) * 12
+_ARMED: Final = FixedFields(mavlink.MAVLink_hil_actuator_controls_message, (*(0.0,) * 12, ARMED))
+_DISARMED: Final = FixedFields(mavlink.MAVLink_hil_actuator_controls_message, (*(0.0,) * 12, 0))
+"""The unused controls, and the mode."""
 
 
 def clip(fraction: float) -> float:
@@ -229,8 +236,8 @@ def clip(fraction: float) -> float:
 
 def encode_motors(time_us: int, fractions: Fractions, armed: bool) -> Message:
     """Motor command."""
-    fields = (time_us, 0, *fractions, *_UNUSED, ARMED if armed else 0)
-    return Message(mavlink.MAVLink_hil_actuator_controls_message, fields)
+    kind, fixed = mavlink.MAVLink_hil_actuator_controls_message, _ARMED if armed else _DISARMED
+    return _message((kind, (time_us, 0, *fractions), fixed))
 
 
 def decode_motors(f: Fields) -> tuple[Fractions, bool]:

@@ -43,6 +43,7 @@ class VehicleCodec:
         `capture_key` signs the poses.
         """
         self._clock = SigningClock()
+        self._signed = key is not None
         self._sensors = FrameWriter(config.system_id, config.component_id, key, self._clock)
         self._capture_identity = config.system_id, MOTION_CAPTURE_COMPONENT, capture_key
         self.start_capture(0)
@@ -95,8 +96,8 @@ class VehicleCodec:
         command = None
         for frame in self._reader.read(datagram, 0):
             command = self._checked(frame.fields) or command
-        # the vehicle has no clock of its own: it adopts onboard's time
-        self._clock.catch_up(self._reader.newest_signature_time)
+        if self._signed:  # the vehicle has no clock of its own: it adopts onboard's time
+            self._clock.catch_up(self._reader.newest_signature_time)
         return command
 
     def _checked(self, fields: Fields) -> tuple[Fractions, bool] | None:

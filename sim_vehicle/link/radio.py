@@ -20,6 +20,7 @@ from pydantic import Field, model_validator
 
 from configs.loader import ConfigRecord, merge
 from flight_log.schema import RecordType
+from protocol.named_tuple import of_members
 
 Direction = Literal["up", "down"]
 """up: onboard to offboard; down: offboard to onboard."""
@@ -118,6 +119,8 @@ class Delivery(NamedTuple):
     copy_delay_ns: int
     flipped_bit: int
 
+
+_delivery: Final = of_members(Delivery)
 
 DELIVERY: Final = RecordType(
     "radio/delivery",
@@ -223,6 +226,7 @@ class _Path:
         self._config = config
         self._draws = _Draws(rng)
         self.recording = RecordedDeliveries(recorded)
+        self._recorded = bool(recorded)
         self._in_bad_state = False
         self._free_ns = 0  # when the queue of the rate-limited sender is empty
         self._in_order_ns = 0  # arrival of the latest datagram that was not reordered
@@ -236,14 +240,15 @@ class _Path:
         if len(self._heap) >= IN_FLIGHT_MAX:
             delivery = _undelivered(datagram, now_ns, "queue")
         else:
-            recorded = self.recording.delivery(len(datagram), now_ns)
+            recorded = self.recording.delivery(len(datagram), now_ns) if self._recorded else None
             delivery = self._decide(datagram, now_ns, since_start_s, draws) if recorded is None else recorded
         self._count(delivery)
-        if delivery.outcome == "delivered":
-            arriving = datagram if delivery.flipped_bit < 0 else _flip(datagram, delivery.flipped_bit)
-            self._push(now_ns + delivery.delay_ns, False, arriving)
-            if delivery.copy_delay_ns >= 0:
-                self._push(now_ns + delivery.copy_delay_ns, True, arriving)
+        _, _, outcome, delay_ns, copy_delay_ns, flipped_bit = delivery
+        if outcome == "delivered":
+            arriving = datagram if flipped_bit < 0 else _flip(datagram, flipped_bit)
+            self._push(now_ns + delay_ns, False, arriving)
+            if copy_delay_ns >= 0:
+                self._push(now_ns + copy_delay_ns, True, arriving)
 
     def due(self, now_ns: int) -> list[bytes]:
         out: list[bytes] = []
@@ -261,12 +266,16 @@ class _Path:
         self._pushed += 1
 
     def _count(self, delivery: Delivery) -> None:
+        _, _, outcome, _, copy_delay_ns, flipped_bit = delivery
         counts = self.counts
         counts.sent += 1
-        counts.outcomes[delivery.outcome] += 1
-        counts.lost += delivery.outcome != "delivered"
-        counts.duplicated += delivery.copy_delay_ns >= 0
-        counts.corrupted += delivery.flipped_bit >= 0
+        counts.outcomes[outcome] += 1
+        if outcome != "delivered":
+            counts.lost += 1
+        if copy_delay_ns >= 0:
+            counts.duplicated += 1
+        if flipped_bit >= 0:
+            counts.corrupted += 1
         if len(self.deliveries) < DELIVERIES_MAX:
             self.deliveries.append(delivery)
 
@@ -289,7 +298,7 @@ class _Path:
         arrival_ns = self._arrival(left_ns, draws)
         copy_ns = arrival_ns + round(draws[7] * 1e6) - now_ns if draws[6] < c.duplication else -1
         bit = int(draws[9] * 8 * len(datagram)) if draws[8] < c.corruption and datagram else -1
-        return Delivery(now_ns, len(datagram), "delivered", arrival_ns - now_ns, copy_ns, bit)
+        return _delivery((now_ns, len(datagram), "delivered", arrival_ns - now_ns, copy_ns, bit))
 
     def _leave_queue(self, size_bytes: int, now_ns: int) -> int | None:
         """When the last bit is sent; None if the queue is full."""

@@ -52,9 +52,8 @@ def check_crash(state: Array, sums: Array, limits: Array) -> int:
     return NO_CRASH
 
 
-def crash_reason(state: Array, sums: Array, limits: Array) -> str:
-    """Why the vehicle has crashed; empty if it has not. Arguments as for `check_crash`."""
-    crash = check_crash(state, sums, limits)
+def crash_reason(crash: int, state: Array, sums: Array) -> str:
+    """Why the vehicle has crashed; empty if it has not. crash: what `check_crash` gave for `state` and `sums`."""
     if crash == NO_CRASH:
         return ""
     if crash == HARD_TOUCH:

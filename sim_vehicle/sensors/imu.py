@@ -2,16 +2,18 @@
 
 from collections import deque
 from math import cos, sin, sqrt
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import GRAVITY, Array
+from protocol.geometry import Vector3
+from protocol.named_tuple import of_members
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.draws import NormalRows
 from sim_vehicle.physics.parameters import ImuConfig
-from sim_vehicle.sensors.vibration import Vibration
+from sim_vehicle.sensors.vibration import Vibration, vibrate
 
 AIR_DENSITY = 1.184
 """kg/m^3, the value of the thrust map."""
@@ -96,12 +98,39 @@ def read_imu(
     reading[6] = quantised(value, settings[PRESSURE_STEP], PRESSURE_RANGE)
 
 
+@compiled
+def read_vibrating_imu(
+    state: Array,
+    sums: Array,
+    shaking: Array,
+    no_shaking: Array,
+    bias: Array,
+    noise: Array,
+    settings: Array,
+    reading: Array,
+    hover_thrust: float,
+    tones: Array,
+    broad: Array,
+    white: Array,
+    high_pass: Array,
+    vibration_noise: Array,
+    memory: Array,
+    vibration: Array,
+) -> None:
+    """`vibrate` into vibration[6], then `read_imu` with it: one call from Python for both. no_shaking: NO_SHAKING."""
+    vibrate(state, sums, shaking, hover_thrust, tones, broad, white, high_pass, vibration_noise, memory, vibration)
+    read_imu(state, sums, no_shaking, vibration, bias, noise, settings, reading)
+
+
 class ImuSample(NamedTuple):
     """One reading, body FRD."""
 
-    accelerometer_m_s2: tuple[float, float, float]
-    gyroscope_rad_s: tuple[float, float, float]
+    accelerometer_m_s2: Vector3
+    gyroscope_rad_s: Vector3
     pressure_pa: float
+
+
+_sample: Final = of_members(ImuSample)
 
 
 class Imu:
@@ -126,15 +155,16 @@ class Imu:
         self._vibration: Vibration | None = None
         if config.vibration is not None:
             self._vibration = Vibration(config.vibration, hover_thrust_n, seed, stream)
-        self._delayed: deque[list[float]] = deque(maxlen=config.gyroscope_delay_samples + 1)
+        self._delayed: deque[Vector3] = deque(maxlen=config.gyroscope_delay_samples + 1)
 
     def sample(self, state: Array, sums: Array, shaking: Array) -> ImuSample:
         """Read the sensors and zero the IMU's sums. shaking: [4, 2], see `read_imu`."""
-        vibration = NO_VIBRATION
-        if self._vibration is not None:
-            vibration, shaking = self._vibration.sample(state, sums, shaking), NO_SHAKING
-        read_imu(state, sums, shaking, vibration, self.bias, self._noise.take(), self._settings, self._reading)
-        ax, ay, az, *gyroscope, pressure = self._reading.tolist()
-        self._delayed.append(gyroscope)
-        p, q, r = self._delayed[0]
-        return ImuSample((ax, ay, az), (p, q, r), pressure)
+        noise, settings, reading = self._noise.take(), self._settings, self._reading
+        if self._vibration is None:
+            read_imu(state, sums, shaking, NO_VIBRATION, self.bias, noise, settings, reading)
+        else:
+            vibration = self._vibration.arguments()
+            read_vibrating_imu(state, sums, shaking, NO_SHAKING, self.bias, noise, settings, reading, *vibration)
+        ax, ay, az, p, q, r, pressure = reading.tolist()
+        self._delayed.append((p, q, r))
+        return _sample(((ax, ay, az), self._delayed[0], pressure))

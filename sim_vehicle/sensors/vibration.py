@@ -9,6 +9,7 @@ at high frequency and little in that band. Only the small white part is alike at
 """
 
 from math import pi, sqrt, tan
+from typing import Any
 
 import numpy as np
 
@@ -79,30 +80,16 @@ class Vibration:
     def __init__(self, config: MeasuredNoiseConfig, hover_thrust_n: float, seed: int, stream: int) -> None:
         rng = np.random.default_rng([seed, stream, VIBRATION_STREAM])
         tone = config.factor * np.array(config.accelerometer_tone_m_s2 + config.gyroscope_tone_rad_s)
-        self._tones = draw_tones(rng, tone, config.blade_share, config.rotor_spread)
-        self._broad = config.factor * np.array(config.accelerometer_broad_m_s2 + config.gyroscope_broad_rad_s)
-        self._white = config.factor * np.array(config.accelerometer_white_m_s2 + config.gyroscope_white_rad_s)
-        self._high_pass = butterworth_high_pass(config.broad_above_hz)
-        self._hover_thrust_n = hover_thrust_n
+        tones = draw_tones(rng, tone, config.blade_share, config.rotor_spread)
+        broad = config.factor * np.array(config.accelerometer_broad_m_s2 + config.gyroscope_broad_rad_s)
+        white = config.factor * np.array(config.accelerometer_white_m_s2 + config.gyroscope_white_rad_s)
+        self._constants = hover_thrust_n, tones, broad, white, butterworth_high_pass(config.broad_above_hz)
         self._noise = NormalRows(rng, 6 * SAMPLES + 6)
         self._memory, self._out = np.zeros((6, 2)), np.zeros(6)
 
-    def sample(self, state: Array, sums: Array, shaking: Array) -> Array:
-        """[6] accelerometer m/s^2 and gyro rad/s, body FRD. It is overwritten by the next call."""
-        vibrate(
-            state,
-            sums,
-            shaking,
-            self._hover_thrust_n,
-            self._tones,
-            self._broad,
-            self._white,
-            self._high_pass,
-            self._noise.take(),
-            self._memory,
-            self._out,
-        )
-        return self._out
+    def arguments(self) -> tuple[Any, ...]:
+        """The arguments of `vibrate` for the next reading, but for the first three: its result is in the last one."""
+        return *self._constants, self._noise.take(), self._memory, self._out
 
 
 def draw_tones(rng: np.random.Generator, tone: Array, blade_share: float, rotor_spread: float) -> Array:

@@ -51,9 +51,14 @@ def disturbance_class(kind: str) -> type[Disturbance]:
     return found
 
 
+@cache
+def _built_in() -> tuple[type[Disturbance], ...]:
+    return tuple(map(disturbance_class, kinds()))
+
+
 def acting_classes(disturbances: Iterable[Disturbance] = ()) -> tuple[type[Disturbance], ...]:
     """The classes with an `act`, in the order of their numbers: the built-in ones, then others of `disturbances`."""
-    classes = dict.fromkeys([*map(disturbance_class, kinds()), *(one.__class__ for one in disturbances)])
+    classes = dict.fromkeys([*_built_in(), *(one.__class__ for one in disturbances)])
     return tuple(one for one in classes if one.acts())
 
 

@@ -7,7 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from protocol.mavlink.frames import FrameBytes, FrameReader, FrameWriter, Message, checked_fields, layout_of
+from protocol.mavlink.frames import (
+    FixedFields,
+    FrameBytes,
+    FrameReader,
+    FrameWriter,
+    Message,
+    checked_fields,
+    layout_of,
+)
 from protocol.mavlink.signing import SigningClock
 
 KEY = bytes(range(32))
@@ -60,6 +68,25 @@ def test_frames_equal_those_of_pymavlink_bit_for_bit(kind, data):
     assert isinstance(ours, FrameBytes)
     assert ours.frame == frame, "what the frame carries is what its bytes hold"
     assert FrameReader([kind.id]).read(ours, 0) == [frame]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.msgname)
+@settings(max_examples=20, deadline=None)
+@given(data=st.data())
+def test_a_frame_with_fixed_fields_is_the_same(kind, data):
+    fields = random_fields(kind, data)
+    first = data.draw(st.integers(0, len(fields)))
+    fixed = FixedFields(kind, fields[first:])
+    for key in (None, KEY):
+        at_once = FrameWriter(7, 9, key).write(Message(kind, fields), 1000)
+        in_parts = FrameWriter(7, 9, key).write(Message(kind, fields[:first], fixed), 1000)
+        assert in_parts == at_once
+    assert FrameWriter(7, 9).write(Message(kind, fields[:first], fixed), 0).frame.fields == fields
+
+
+def test_more_fixed_fields_than_the_message_has_are_refused():
+    with pytest.raises(struct.error):
+        FixedFields(mavlink.MAVLink_heartbeat_message, (0,) * 7)
 
 
 def test_what_a_frame_carries_passes_no_check_that_its_bytes_fail() -> None:

@@ -96,6 +96,7 @@ def test_euler_angles_of_a_capture_become_a_quaternion(angles):
 
 def test_odometry_covariances_are_the_upper_triangles_of_diagonal_matrices():
     full = np.zeros((2, 6, 6))
-    full[:, *np.triu_indices(6)] = np.reshape(odometry_covariances(1.0, 2.0, 3.0), (2, 21))
+    covariances = odometry_covariances(1.0, 2.0, 3.0).received[:42]  # behind them: frames, estimator, quality
+    full[:, *np.triu_indices(6)] = np.reshape(covariances, (2, 21))
     np.testing.assert_array_equal(full[0], np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0]))
     np.testing.assert_array_equal(full[1], np.diag([3.0, 3.0, 3.0, 1e4, 1e4, 1e4]))

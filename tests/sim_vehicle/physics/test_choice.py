@@ -11,8 +11,7 @@ from experiments.flights.lockstep_flight import fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from flight_log.log_file import read_log_file
 from sim_vehicle.config import load_vehicle
-from sim_vehicle.physics.advance import advance
-from sim_vehicle.physics.choice import physics_of
+from sim_vehicle.physics.choice import advance_and_check, physics_of
 from sim_vehicle.vehicle import SimVehicle
 
 MISSING = (
@@ -34,7 +33,7 @@ def flight_file(tmp_path: Path) -> Path:
 
 def test_the_own_physics_is_the_default() -> None:
     assert load_vehicle().physics == "own"
-    assert physics_of(load_vehicle()) is advance
+    assert physics_of(load_vehicle()) is advance_and_check
 
 
 def test_another_name_is_refused() -> None:
@@ -100,7 +99,7 @@ def test_the_option_overrules_the_configuration(
         monkeypatch.setattr(f"sim_vehicle.command.{name}", other)
     out = tmp_path / "out"
     assert main(["sim", "--config", str(flight_file), "--out", str(out), *words]) == 0
-    assert [vehicle._config.physics for vehicle in flown] == [physics]
+    assert [vehicle._physics is advance_and_check for vehicle in flown] == [physics == "own"]
     assert read_log_file(out / "sim_vehicle.mcap").metadata["physics"] == physics
 
 

@@ -34,7 +34,9 @@ def vibration(count, seed=1, config=NOISE, shaking=STILL, thrust=HOVER):
         for step in range(SAMPLES):
             state[at.ROTOR_PHASE : at.ROTOR_PHASE + 4] = speed * 0.001 * (SAMPLES * k + step)
             account_tones(state, P, sums)
-        rows[k] = source.sample(state, sums, shaking)
+        *given, out = source.arguments()
+        vibrate(state, sums, shaking, *given, out)
+        rows[k] = out
     return rows
 
 
