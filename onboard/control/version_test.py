@@ -15,8 +15,8 @@ The path ahead is a line through it, with points so close that no cliff lies bet
 theta of law (2a), whose nu_cmd fades to it where nothing was measured; W of law (2).
 
 The states ahead are looked at in parts, one a tick (`Ahead`): first the slopes in a box of then, which takes long, and
-then the map on the path and in a box of now. What has been seen by the last part was in reach some 0.1 s before; the box
-reaches farther than that.
+then the map on the path and in a box of now. What has been seen by the last part was in reach some 0.1 s before; the
+box reaches farther than that.
 """
 
 from typing import Annotated, Final
