@@ -47,10 +47,8 @@ class CycleRecord(NamedTuple):
         return total
 
 
-def count_cycles(config: FlightConfig, with_offboard: bool = True, with_swaps: bool = False) -> CycleRecord:
+def count_cycles(config: FlightConfig, with_offboard: bool = True) -> CycleRecord:
     """Fly in lockstep with a stand-in that counts.
-
-    with_swaps: receive feature versions in flight.
 
     Raises
     ------
@@ -60,8 +58,7 @@ def count_cycles(config: FlightConfig, with_offboard: bool = True, with_swaps: b
     config = config if with_offboard else with_pose_wait(config)
     with TemporaryDirectory() as folder:
         counter = build_counter(Path(folder))
-        board = {"link": {"features_in_flight": with_swaps}}
-        core = FirmwareCore("mambo-qemu", config.onboard, LinkKeys(None, None, None), board, command=counter.command)
+        core = FirmwareCore("mambo-qemu", config.onboard, LinkKeys(None, None, None), command=counter.command)
         vehicle = SimVehicle(config.vehicle, config.seed)
         vehicle.start_capture(session_start_ns(OFFBOARD_SESSION))
         radio = Radio(config.radio, np.random.default_rng([config.seed, RADIO_STREAM]))
@@ -99,10 +96,9 @@ def main() -> None:
     parser.add_argument("--controller", default="dmrac")
     parser.add_argument("--duration", type=float, default=30.0, metavar="S")
     parser.add_argument("--no-offboard", action="store_true")
-    parser.add_argument("--swaps", action="store_true", help="receive feature versions in flight")
     arguments = parser.parse_args()
     config = resolve(arguments.scenario, Choices(arguments.controller, duration_s=arguments.duration, radio=RADIO))
-    record = count_cycles(config, not arguments.no_offboard, arguments.swaps)
+    record = count_cycles(config, not arguments.no_offboard)
     print(table(record))
     print(f"\n{len(record.total)} calls, {record.swapped.sum()} swaps, {record.instructions.mean():.0f} instructions")
 

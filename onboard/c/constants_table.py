@@ -36,7 +36,15 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
         *("STATES_PER_PART", "SLOPES_PER_PART", "UPDATES_PER_PART", "SLOPE_STRIDE", "FOLLOWED_MAX"),
     ),
     "onboard.control.version_test": (
-        *("AHEAD_PER_PART", "CHECKED_PER_PART", "BOX_POINTS", "BOX_AXES", "PATH_POINTS", "STEP_MIN_M"),
+        *(
+            "BOX_SLOPES_PER_PART",
+            "AHEAD_PER_PART",
+            "CHECKED_PER_PART",
+            "BOX_POINTS",
+            "BOX_AXES",
+            "PATH_POINTS",
+            "STEP_MIN_M",
+        ),
     ),
     "onboard.control.watch": ("STRIDE=WATCH_STRIDE",),
     "onboard.control.guard": ("LOSES_S",),

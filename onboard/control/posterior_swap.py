@@ -27,14 +27,14 @@ from onboard.control.laws.kalman_state import KalmanState
 from onboard.control.slope import SlopeLimits, flattened, largest_shares
 from protocol.conventions import Array
 
-STATES_PER_PART: Final = 6
+STATES_PER_PART: Final = 5
 """States whose features one part evaluates."""
-SLOPES_PER_PART: Final = 2
+SLOPES_PER_PART: Final = 1
 """States whose slope one part evaluates."""
-UPDATES_PER_PART: Final = 8
+UPDATES_PER_PART: Final = 4
 """States that one part of the filter takes."""
-SLOPE_STRIDE: Final = 2
-"""Of the recent states every second one is checked for its slope: 0.05 s apart."""
+SLOPE_STRIDE: Final = 4
+"""Of the recent states every fourth one is checked for its slope: 0.1 s apart."""
 FOLLOWED_MAX: Final = 64
 """States taken in addition while the swap is prepared; later ones are left to the law."""
 NOW: Final = 3

@@ -5,7 +5,7 @@ So each channel's features, slopes and filter (onboard.control.posterior_swap) a
 (onboard.control.version_test) are done in parts of bounded size. The number of parts depends on the sizes of the
 networks and on the states in the ring, on nothing measured, so that a flight repeats to the bit.
 
-- What is ahead comes last, so that the test is at most some 0.06 s old for each channel when the version flies.
+- The map on the states ahead comes last, so that they are at most some 0.1 s old when the version flies.
 - The law, the jump and the room of swaps are judged in the tick of the swap alone (Guard).
 - If what flies changes meanwhile, because the guard takes a version back, the preparation starts again.
 - A version that comes meanwhile waits (onboard.control.feature_reception).
@@ -20,7 +20,7 @@ from onboard.control.feature_swap import SwapPlan
 from onboard.control.features import Features
 from onboard.control.laws.adaptive import AdaptiveAugmentation
 from onboard.control.posterior_swap import PosteriorSwap
-from onboard.control.version_test import AHEAD_PER_PART, VersionTest
+from onboard.control.version_test import AHEAD_PER_PART, BOX_SLOPES_PER_PART, VersionTest
 from protocol.feature_set import ChannelFeatures, FeatureSet
 
 
@@ -57,7 +57,9 @@ class Preparation:
             if swap is not None:
                 self._swaps[i] = swap
         self._swapping, self._looking = list(self._swaps), [i for i in self._swaps if i in tests]
-        self._looks = False
+        self._sloping = list(self._looking)
+        self._begun = False
+        """Whether the slopes in the box, or the look ahead, of a channel have begun."""
         self.refusal = ""
 
     def step(self) -> bool:
@@ -69,17 +71,28 @@ class Preparation:
             if swap.step():
                 self._swapping.pop(0)
             self.refusal = swap.refusal
+        elif self._sloping:
+            self._check_slopes(self._sloping[0])
         elif self._looking:
             self._look_ahead(self._looking[0])
         return bool(self.refusal) or not (self._swapping or self._looking)
 
+    def _check_slopes(self, channel: int) -> None:
+        """At some states of the box around the vehicle as it was at the first part."""
+        swap, ahead = self._swaps[channel], self._tests[channel].ahead
+        if not self._begun:
+            ahead.begin_slopes(self._learners[channel].signals_now)
+        self._begun = not ahead.steepest(swap.new, swap.theta, BOX_SLOPES_PER_PART)
+        if not self._begun:
+            self._sloping.pop(0)
+
     def _look_ahead(self, channel: int) -> None:
         """Some states ahead of the vehicle, from where it was at the first part."""
         swap, ahead = self._swaps[channel], self._tests[channel].ahead
-        if not self._looks:
+        if not self._begun:
             ahead.begin(self._learners[channel].signals_now)
-        self._looks = not ahead.step(swap.new, swap.theta, AHEAD_PER_PART, with_slope=True)
-        if not self._looks:
+        self._begun = not ahead.step(swap.new, swap.theta, AHEAD_PER_PART)
+        if not self._begun:
             self._looking.pop(0)
 
     def plans(self) -> tuple[list[Plan], str]:

@@ -14,8 +14,9 @@ The path ahead is a line through it, with points so close that no cliff lies bet
 
 theta of law (2a), whose nu_cmd fades to it where nothing was measured; W of law (2).
 
-The states ahead are looked at in parts, one a tick (`Ahead`). What has been seen by the last one was in reach at the
-first one, some 0.06 s before; the box reaches farther than that.
+The states ahead are looked at in parts, one a tick (`Ahead`): first the slopes in a box of then, which takes long, and
+then the map on the path and in a box of now. What has been seen by the last part was in reach some 0.1 s before; the
+box reaches farther than that.
 """
 
 from typing import Annotated, Final
@@ -30,10 +31,12 @@ from protocol.conventions import Array
 from protocol.signals import SIGNAL_INDEX
 
 Size = Annotated[float, Field(gt=0, le=1e4)]
-AHEAD_PER_PART: Final = 3
-"""States ahead that one part looks at, of a version that is to fly: features and slope."""
-CHECKED_PER_PART: Final = 5
-"""The same of the map that flies: features alone."""
+BOX_SLOPES_PER_PART: Final = 1
+"""States of the box whose slope one part looks at, of a version that is to fly."""
+AHEAD_PER_PART: Final = 4
+"""States ahead at which one part evaluates the map of such a version."""
+CHECKED_PER_PART: Final = 3
+"""The same of the map that flies."""
 BOX_POINTS: Final = 32
 BOX_AXES: Final = 15
 PATH_POINTS: Final = 16
@@ -88,21 +91,32 @@ class Ahead:
         self._place_limit = next(limit for names, limit in limits.groups if names == PLACE)
         self._states: Array = np.zeros((0, PATH_POINTS + BOX_POINTS))
         self._nu: Array = np.zeros((3, PATH_POINTS + BOX_POINTS))
-        self._seen, self._over = 0, 0.0
+        self._seen, self._sloped, self._over = 0, 0, 0.0
 
     def begin(self, now: Array) -> None:
-        """Start at the present state, [SIGNAL_COUNT]."""
+        """Start at the present state, [SIGNAL_COUNT]. What `steepest` has found stays."""
         self._states = np.hstack(ahead(self._config, now))
-        self._seen, self._over = 0, 0.0
+        self._seen = 0
 
-    def step(self, features: Features, theta: Array, most: int, with_slope: bool) -> bool:
-        """Look at so many states, with theta [k, 3]; whether all have been seen."""
+    def begin_slopes(self, now: Array) -> None:
+        """Start with the slopes in the box of the present state."""
+        self.begin(now)
+        self._sloped, self._over = 0, 0.0
+
+    def steepest(self, features: Features, theta: Array, most: int) -> bool:
+        """The slope of theta'Phi, theta [k, 3], at so many states of the box; whether all are done."""
+        first = PATH_POINTS + self._sloped
+        if isinstance(features, NetworkFeatures):
+            states = self._states[:, first : first + most]
+            shares = largest_shares(features.channel, theta, self._limits, states)
+            self._over = float(np.maximum(self._over, shares.max()))
+        self._sloped += most
+        return self._sloped >= BOX_POINTS
+
+    def step(self, features: Features, theta: Array, most: int) -> bool:
+        """The map at so many states; whether all have been seen."""
         states = self._states[:, self._seen : self._seen + most]
         self._nu[:, self._seen : self._seen + most] = theta.T @ features.evaluate(features.select(states))
-        if with_slope and isinstance(features, NetworkFeatures):
-            in_box = states[:, max(PATH_POINTS - self._seen, 0) :]
-            shares = largest_shares(features.channel, theta, self._limits, in_box)
-            self._over = float(np.maximum(self._over, shares.max()))
         self._seen += most
         return self._seen >= PATH_POINTS + BOX_POINTS
 
@@ -146,9 +160,9 @@ class VersionTest:
         now: [SIGNAL_COUNT], the present state.
         recent: [SIGNAL_COUNT, n], those of the last second. residuals: [n, 3], measured there.
         """
-        self.ahead.begin(now)
-        while not self.ahead.step(features, theta, AHEAD_PER_PART, with_slope=True):
-            pass
+        self.ahead.begin_slopes(now)
+        self.ahead.steepest(features, theta, BOX_POINTS)
+        self.ahead.step(features, theta, PATH_POINTS + BOX_POINTS)
         over = 0.0
         if isinstance(features, NetworkFeatures):
             over = float(largest_shares(features.channel, theta, self._slope_limits, recent).max())
@@ -179,7 +193,7 @@ class VersionTest:
         """One part of a check of the map that flies, on what is ahead; after the last one whether it is good."""
         if not self.looks:
             self._look.begin(now)
-        self.looks = not self._look.step(features, theta, CHECKED_PER_PART, with_slope=False)
+        self.looks = not self._look.step(features, theta, CHECKED_PER_PART)
         if self.looks:
             return None
         spread, along, _ = self._look.found()

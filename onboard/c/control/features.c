@@ -98,6 +98,30 @@ void features_init_bias(Features *self) {
     self->feature_count = 1;
 }
 
+void features_copy(Features *self, const Features *from) {
+    const Network *network = &from->network;
+    int32_t inputs = from->selection.count, parameters = 0;
+    self->kind = from->kind;
+    self->feature_count = from->feature_count;
+    self->selection = from->selection;
+    memcpy(self->inverse, from->inverse, sizeof self->inverse);
+    memcpy(self->exponent, from->exponent, sizeof self->exponent);
+    memcpy(self->last_layer, from->last_layer, (size_t)(3 * from->feature_count) * sizeof(real));
+    self->network.layers = network->layers;
+    memcpy(self->network.width, network->width, sizeof network->width);
+    for (int32_t l = 0; from->kind == ADAPTIVE_FEATURES_NETWORK && l < network->layers; l++) {
+        parameters += network->width[l] * (inputs + 1);
+        inputs = network->width[l];
+    }
+    memcpy(self->network.parameters, network->parameters, (size_t)parameters * sizeof(real));
+#ifdef DMRAC_Q15_FEATURES
+    self->q15 = from->q15;
+    memcpy(self->whole.pairs, from->whole.pairs, (size_t)(parameters / 2) * sizeof(int32_t));
+    memcpy(self->whole.biases, from->whole.biases, sizeof self->whole.biases);
+    memcpy(self->whole.bits, from->whole.bits, sizeof self->whole.bits);
+#endif
+}
+
 real features_layer_norm(const Features *self, int32_t layer, NormWorkspace *work) {
 #ifdef DMRAC_Q15_FEATURES
     if (self->q15) {

@@ -94,6 +94,9 @@ void features_init_bias(Features *self);
  * numbers. */
 real network_lipschitz(const Network *network, int32_t inputs, real *work);
 
+/* The same features as `from`: of its arrays only what is used is copied. */
+void features_copy(Features *self, const Features *from);
+
 /* The spectral norm of a layer's W, which has been taken over. In 16-bit whole numbers it is exact to about 1 %. */
 real features_layer_norm(const Features *self, int32_t layer, NormWorkspace *work);
 

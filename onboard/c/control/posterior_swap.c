@@ -224,7 +224,7 @@ void posterior_swap_plan(PosteriorSwap *self, const SwapConfig *config, const Ka
     if (self->used > 0 && law->config.composite_gain > REAL(0.0)) {
         kalman_state_predict(&self->filter, since);
     }
-    *state = self->filter;
+    kalman_state_copy(state, &self->filter);
     if (config->naive && law->feature_count == k) {
         keep_all(law, plan->theta, state);
     }

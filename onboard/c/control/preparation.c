@@ -16,7 +16,7 @@ static int32_t next_of(const bool these[2], int32_t channel) {
 void preparation_begin(Preparation *self, const FeatureSet *features, const Augmentation *laws, const bool learns[2],
                        bool tested) {
     self->tested = tested;
-    self->looks = false;
+    self->begun = false;
     self->refusal = REFUSAL_NONE;
     for (int32_t i = 0; i < 2; i++) {
         const ChannelFeatures *channel = features->channels + i;
@@ -24,18 +24,31 @@ void preparation_begin(Preparation *self, const FeatureSet *features, const Augm
         self->swaps[i] = self->changes[i] && adaptive_prepare(&laws[i].adaptive, channel, self->posterior + i);
     }
     self->swapping = next_of(self->swaps, 0);
-    self->looking = tested ? next_of(self->swaps, 0) : 2;
+    self->sloping = self->looking = tested ? next_of(self->swaps, 0) : 2;
+}
+
+/* Preparation._check_slopes */
+static void check_slopes(Preparation *self, const Augmentation *laws, VersionTest *tests) {
+    PosteriorSwap *swap = self->posterior + self->sloping;
+    VersionTest *test = tests + self->sloping;
+    if (!self->begun) {
+        ahead_begin_slopes(&test->ahead, test, laws[self->sloping].adaptive.signals);
+    }
+    self->begun = !ahead_steepest(&test->ahead, test, &swap->features, swap->theta, BOX_SLOPES_PER_PART);
+    if (!self->begun) {
+        self->sloping = next_of(self->swaps, self->sloping + 1);
+    }
 }
 
 /* Preparation._look_ahead */
 static void look_ahead(Preparation *self, const Augmentation *laws, VersionTest *tests) {
     PosteriorSwap *swap = self->posterior + self->looking;
     VersionTest *test = tests + self->looking;
-    if (!self->looks) {
+    if (!self->begun) {
         ahead_begin(&test->ahead, test, laws[self->looking].adaptive.signals);
     }
-    self->looks = !ahead_step(&test->ahead, test, &swap->features, swap->theta, AHEAD_PER_PART, true);
-    if (!self->looks) {
+    self->begun = !ahead_step(&test->ahead, &swap->features, swap->theta, AHEAD_PER_PART);
+    if (!self->begun) {
         self->looking = next_of(self->swaps, self->looking + 1);
     }
 }
@@ -54,6 +67,8 @@ bool preparation_step(Preparation *self, const Augmentation *laws, VersionTest *
             self->swapping = next_of(self->swaps, self->swapping + 1);
         }
         self->refusal = swap->refusal;
+    } else if (self->sloping < 2) {
+        check_slopes(self, laws, tests);
     } else if (self->looking < 2) {
         look_ahead(self, laws, tests);
     }

@@ -17,8 +17,9 @@ typedef struct {
     bool swaps[2];   /* of them, whose swap is prepared: those of the law with a covariance */
     bool tested;
     int32_t swapping; /* channel whose swap is being prepared; 2: all are */
+    int32_t sloping;  /* channel whose slopes in the box are checked; 2: all are */
     int32_t looking;  /* channel for which the states ahead are looked at; 2: all are */
-    bool looks;       /* whether that has begun */
+    bool begun;       /* whether the slopes, or the look ahead, of a channel have begun */
     Refusal refusal;
     PosteriorSwap posterior[2];
     Features features[2]; /* of the gradient law */

@@ -69,6 +69,13 @@ void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COU
         box_state(&test->config, now, test->corners + point, self->states + (PATH_POINTS + point) * SIGNAL_COUNT);
     }
     self->seen = 0;
+    self->steps[0] = self->steps[1] = self->steps[2] = REAL(0.0);
+}
+
+/* Ahead.begin_slopes */
+void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]) {
+    ahead_begin(self, test, now);
+    self->sloped = 0;
     self->over = REAL(0.0);
 }
 
@@ -86,19 +93,44 @@ static real largest_of(const real three[3]) {
     return real_largest(real_largest(three[0], three[1]), three[2]);
 }
 
-/* Ahead.step */
-bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most,
-                bool with_slope) {
-    for (int32_t i = 0; i < most && self->seen < PATH_POINTS + BOX_POINTS; i++, self->seen++) {
-        const real *state = self->states + self->seen * SIGNAL_COUNT;
-        real z[INPUTS_MAX], Phi[FEATURES_MAX], shares[3];
-        features_select(features, state, z);
-        features_evaluate(features, z, Phi);
-        map_of(theta, Phi, features->feature_count, self->nu + 3 * self->seen);
-        if (with_slope && self->seen >= PATH_POINTS && features->kind == ADAPTIVE_FEATURES_NETWORK) {
+/* Ahead.steepest */
+bool ahead_steepest(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most) {
+    for (int32_t i = 0; i < most && self->sloped < BOX_POINTS; i++, self->sloped++) {
+        const real *state = self->states + (PATH_POINTS + self->sloped) * SIGNAL_COUNT;
+        real shares[3];
+        if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
             largest_shares(features, theta, &test->slope_limits, state, 1, shares);
             self->over = real_largest(self->over, largest_of(shares));
         }
+    }
+    return self->sloped == BOX_POINTS;
+}
+
+/* What `found` needs of nu at the next state. */
+static void note_nu(Ahead *self, const real nu[3]) {
+    for (int axis = 0; axis < 3; axis++) {
+        real step = REAL(0.0);
+        if (self->seen == 0) {
+            self->here[axis] = self->low[axis] = self->high[axis] = nu[axis];
+        } else if (self->seen < PATH_POINTS) {
+            step = real_abs(nu[axis] - self->last[axis]);
+        }
+        self->high[axis] = real_largest(self->high[axis], nu[axis]);
+        self->low[axis] = -real_largest(-self->low[axis], -nu[axis]);
+        self->steps[axis] = real_largest(self->steps[axis], step);
+        self->last[axis] = nu[axis];
+    }
+}
+
+/* Ahead.step */
+bool ahead_step(Ahead *self, const Features *features, const real *theta, int32_t most) {
+    for (int32_t i = 0; i < most && self->seen < PATH_POINTS + BOX_POINTS; i++, self->seen++) {
+        const real *state = self->states + self->seen * SIGNAL_COUNT;
+        real z[INPUTS_MAX], Phi[FEATURES_MAX], nu[3];
+        features_select(features, state, z);
+        features_evaluate(features, z, Phi);
+        map_of(theta, Phi, features->feature_count, nu);
+        note_nu(self, nu);
     }
     return self->seen == PATH_POINTS + BOX_POINTS;
 }
@@ -107,7 +139,7 @@ bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, 
 static real change_to(const Ahead *self, const real nu[3]) {
     real change[3];
     for (int axis = 0; axis < 3; axis++) {
-        change[axis] = real_abs(nu[axis] - self->nu[axis]);
+        change[axis] = real_abs(nu[axis] - self->here[axis]);
     }
     return largest_of(change);
 }
@@ -118,15 +150,10 @@ static void find(const Ahead *self, const SlopeLimits *limits, real *spread, rea
     real step[3];
     vector_subtract(self->states + SIGNAL_COUNT + SIGNAL_POSITION_N, self->states + SIGNAL_POSITION_N, step);
     real apart = vector_length(step);
-    *spread = *along = REAL(0.0);
-    for (int i = 0; i < PATH_POINTS + BOX_POINTS; i++) {
-        *spread = real_largest(*spread, change_to(self, self->nu + 3 * i));
-    }
+    *spread = real_largest(change_to(self, self->low), change_to(self, self->high));
+    *along = REAL(0.0);
     for (int axis = 0; axis < 3; axis++) {
-        for (int i = 1; i < PATH_POINTS; i++) {
-            real change = real_abs(self->nu[3 * i + axis] - self->nu[3 * (i - 1) + axis]);
-            *along = real_largest(*along, change / apart / place_limit[axis]);
-        }
+        *along = real_largest(*along, self->steps[axis] / apart / place_limit[axis]);
     }
 }
 
@@ -196,9 +223,9 @@ Refusal version_test_refusal(VersionTest *self, const Features *features, const 
     real z[INPUTS_MAX], Phi[FEATURES_MAX], shares[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     RecentMap map;
     memset(&map, 0, sizeof map);
-    ahead_begin(&self->ahead, self, now);
-    while (!ahead_step(&self->ahead, self, features, theta, AHEAD_PER_PART, true)) {
-    }
+    ahead_begin_slopes(&self->ahead, self, now);
+    ahead_steepest(&self->ahead, self, features, theta, BOX_POINTS);
+    ahead_step(&self->ahead, features, theta, PATH_POINTS + BOX_POINTS);
     if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
         largest_shares(features, theta, &self->slope_limits, recent, n, shares);
     }
@@ -217,7 +244,7 @@ bool version_test_look(VersionTest *self, const Features *features, const real *
     if (!self->looks) {
         ahead_begin(&self->look, self, now);
     }
-    self->looks = !ahead_step(&self->look, self, features, theta, CHECKED_PER_PART, false);
+    self->looks = !ahead_step(&self->look, features, theta, CHECKED_PER_PART);
     if (self->looks) {
         return false;
     }

@@ -27,9 +27,14 @@ typedef struct {
 /* A map on the path and the box ahead, in parts. */
 typedef struct {
     real states[(PATH_POINTS + BOX_POINTS) * SIGNAL_COUNT]; /* on the line ahead, from here on, then in the box */
-    real nu[(PATH_POINTS + BOX_POINTS) * 3];                /* of each state */
+    real here[3];                                           /* nu at the first state */
+    real last[3];                                           /* and at the last one seen */
+    real low[3];                                            /* the least and the largest of each axis */
+    real high[3];
+    real steps[3]; /* the largest change from one state of the path to the next */
     int32_t seen;
-    real over; /* largest slope over the states, share of its limit */
+    int32_t sloped; /* states of the box whose slope is known */
+    real over;      /* largest slope over the states, share of its limit */
 } Ahead;
 
 /* The test of one channel's maps. */
@@ -47,12 +52,17 @@ typedef struct {
 
 void version_test_init(VersionTest *self, const VersionTestConfig *config, int32_t channel, const SlopeLimits *limits);
 
-/* Start at the present state. */
+/* Start at the present state. What `ahead_steepest` has found stays. */
 void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
 
-/* Look at so many states; whether all have been seen. */
-bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most,
-                bool with_slope);
+/* Start with the slopes in the box of the present state. */
+void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
+
+/* The slope of the map at so many states of the box; whether all are done. */
+bool ahead_steepest(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most);
+
+/* The map at so many states; whether all have been seen. */
+bool ahead_step(Ahead *self, const Features *features, const real *theta, int32_t most);
 
 /* Add a recent state, with nu there and the residual measured. */
 void recent_map_add(RecentMap *self, const real nu[3], const real residual[3]);

@@ -187,7 +187,7 @@ const real *adaptive_prior_of(const Adaptive *self, const SwapPlan *plan) {
 /* AdaptiveAugmentation.learnt */
 void adaptive_learnt(const Adaptive *self, Learnt *out) {
     size_t layer = (size_t)(3 * self->features.feature_count) * sizeof(real);
-    out->features = self->features;
+    features_copy(&out->features, &self->features);
     if (has_covariance(self)) {
         const KalmanState *state = &self->kalman_layer.state;
         memcpy(out->theta, self->kalman_layer.theta, layer);
@@ -219,7 +219,7 @@ static void close_gap(Adaptive *self, const real *Phi) {
 /* AdaptiveAugmentation.restore */
 void adaptive_restore(Adaptive *self, const Learnt *learnt, const real nu[3]) {
     real Phi[3 * FEATURES_MAX], W[STATES_MAX * 3], now[3], nu_cmd[3];
-    self->features = learnt->features;
+    features_copy(&self->features, &learnt->features);
     use_features(self);
     int32_t rows = self->features.feature_count + (has_covariance(self) ? 1 : 0);
     memcpy(W, learnt->W, (size_t)(3 * rows) * sizeof(real));
@@ -322,7 +322,7 @@ void adaptive_plan(const Adaptive *self, const ChannelFeatures *channel, Feature
 /* AdaptiveAugmentation.commit */
 void adaptive_commit(Adaptive *self, const Features *new_features, const SwapPlan *plan) {
     real Phi[3 * FEATURES_MAX];
-    self->features = *new_features;
+    features_copy(&self->features, new_features);
     use_features(self);
     take_over(self, plan->theta, has_covariance(self) ? plan->posterior.X : plan->W, plan->posterior.S);
     features_of_tick(self, Phi);

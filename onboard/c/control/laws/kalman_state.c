@@ -196,10 +196,22 @@ static void subtract_square(KalmanState *self, const real *u) {
 
 #endif
 
+static void start_whole(KalmanState *self) {
+#ifdef DMRAC_WHOLE_COVARIANCE
+    memset(self->loss, 0, sizeof self->loss);
+    self->broken = false;
+#else
+    (void)self;
+#endif
+}
+
 /* KalmanState.__init__ */
 void kalman_state_init(KalmanState *self, const real *prior_variance, const real *rates, int32_t size) {
-    memset(self, 0, sizeof *self);
     self->size = size;
+    self->dt = REAL(0.0);
+    memset(self->X, 0, (size_t)(3 * size) * sizeof(real));
+    memset(self->S, 0, (size_t)(size * size) * sizeof(covariance));
+    start_whole(self);
     for (int i = 0; i < size; i++) {
         self->prior_variance[i] = prior_variance[i];
         self->rates[i] = rates[i];
@@ -244,6 +256,16 @@ void kalman_state_predict(KalmanState *self, real dt) {
         }
         predict_row(self, i);
     }
+}
+
+void kalman_state_copy(KalmanState *self, const KalmanState *from) {
+    size_t n = (size_t)from->size;
+    kalman_state_init(self, from->prior_variance, from->rates, from->size);
+    memcpy(self->X, from->X, 3 * n * sizeof(real));
+    memcpy(self->S, from->S, n * n * sizeof(covariance));
+#ifdef DMRAC_WHOLE_COVARIANCE
+    self->broken = from->broken;
+#endif
 }
 
 /* KalmanState.along */

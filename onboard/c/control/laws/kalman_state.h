@@ -48,6 +48,9 @@ typedef struct {
 /* Start from X = 0 and S = S0. `prior_variance` and `rates` [n]. */
 void kalman_state_init(KalmanState *self, const real *prior_variance, const real *rates, int32_t size);
 
+/* The same numbers as `from`, in a state that need not have been started. */
+void kalman_state_copy(KalmanState *self, const KalmanState *from);
+
 /* X <- D X, S <- D S D + (I - D^2) S0, over dt, s. */
 void kalman_state_predict(KalmanState *self, real dt);
 
