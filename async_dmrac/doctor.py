@@ -7,8 +7,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -72,8 +74,7 @@ def examine(folder: Path) -> Iterator[Finding]:
     yield from map(_extra, EXTRAS)
     yield _compiler()
     yield _clock()
-    yield from _priorities()
-    yield _wake_up()
+    yield from _of_the_loop()
     yield _ports()
     yield _receive_buffer()
     yield _disk(folder)
@@ -123,8 +124,17 @@ def _clock() -> Finding:
     return Finding("clock", "ok", f"monotonic, {source}, resolution {resolution_ns:.0f} ns")
 
 
+def _of_the_loop() -> list[Finding]:
+    """What the kernel grants onboard's loop, and how late such a loop wakes: tried in a process that ends then."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(_loop_like_onboard).result()
+
+
+def _loop_like_onboard() -> list[Finding]:
+    return [*_priorities(), _wake_up()]
+
+
 def _priorities() -> Iterator[Finding]:
-    """What the kernel grants onboard's loop; this process requests the same."""
     for grant in request_realtime(RealtimeConfig().priority):
         state: State = "ok" if grant.granted else "warning"
         yield Finding(grant.name, state, grant.detail, "" if grant.granted else "docs/realtime.md")

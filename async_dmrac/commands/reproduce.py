@@ -4,7 +4,14 @@ import argparse
 import time
 from pathlib import Path
 
-from async_dmrac.commands.shared import add_worker_options, open_workers, plain_console, positive, progress_bar
+from async_dmrac.commands.shared import (
+    add_core_option,
+    add_worker_options,
+    open_workers,
+    plain_console,
+    positive,
+    progress_bar,
+)
 from configs.loader import ConfigError
 from runtime.waiting import waiting
 
@@ -13,6 +20,7 @@ EXAMPLES = """examples:
   dmrac reproduce                  all seeds, hours; continues after an interruption
   dmrac reproduce --seeds 20       fewer seeds per point
   dmrac reproduce --only retention transfer
+  dmrac reproduce --core c         with the core in C, several times as fast
   dmrac reproduce --extend --seeds 40
                                    start from the rows in docs/data: fly what is missing of 40 seeds
 """
@@ -27,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--extend", action="store_true", help="start from the rows published beside the page; keep its other campaigns"
     )
     add_worker_options(parser)
+    add_core_option(parser)
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the flights (default: campaigns/full or campaigns/quick)"
     )
@@ -44,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = arguments.out or Path("campaigns") / ("quick" if arguments.quick else "full")
     page = arguments.page or (folder / "results.md" if arguments.quick else Path("docs/results.md"))
     only = tuple(name for name in CAMPAIGNS if name in (arguments.only or CAMPAIGNS))
-    plan = Reproduction(folder, page, arguments.quick, arguments.seeds, only, arguments.extend)
+    plan = Reproduction(folder, page, arguments.quick, arguments.seeds, only, arguments.extend, arguments.core)
     console = plain_console()
 
     started, reports, failed = time.monotonic(), [], 0

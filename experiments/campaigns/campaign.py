@@ -85,12 +85,26 @@ class Flown(ConfigRecord):
     point: dict[str, Any] = Field(default_factory=dict)
 
 
+class Rivals(ConfigRecord):
+    """Names one group of flights, or those of several controllers: then the one with the least median counts."""
+
+    case: str
+    controller: str | Annotated[tuple[str, ...], Field(min_length=2)]
+    point: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def flown(self) -> tuple[Flown, ...]:
+        """The groups."""
+        names = (self.controller,) if isinstance(self.controller, str) else self.controller
+        return tuple(Flown(case=self.case, controller=name, point=self.point) for name in names)
+
+
 class Target(ConfigRecord):
     """A target for a ratio: median of ours / theirs, paired by seed."""
 
     label: str
     ours: Flown
-    theirs: Flown
+    theirs: Rivals
     metric: str
     at_most: float
 

@@ -20,6 +20,7 @@ from experiments.campaigns.flight_row import Row, outcomes
 from experiments.campaigns.flown import read_flown
 from experiments.campaigns.provenance import by_place
 from experiments.results.statistics import Estimate, median, paired_ratio, wilson
+from onboard.cores import NUMPY, core_option
 from protocol.conventions import Array
 
 REPORT_SEED = 20_000
@@ -93,6 +94,8 @@ class CampaignData:
     failed: tuple[Row, ...] = field(default=())
     flown_on: tuple[str, ...] = ()
     """One line for each machine and set of versions, with the commits that flew there."""
+    core: str = NUMPY
+    """The onboard core of all flights, one of onboard.cores.CORES."""
     as_today: bool = True
     """Whether the campaign's file of today flies the same flights; True if there is none."""
 
@@ -100,7 +103,7 @@ class CampaignData:
     def command(self) -> str:
         """The command that flies the same flights."""
         seeds = {row["seed"] for row in (*self.rows, *self.failed)}
-        return f"dmrac campaign {self.name} --seeds {len(seeds)}"
+        return " ".join([f"dmrac campaign {self.name} --seeds {len(seeds)}", *core_option(self.core)])
 
     @cached_property
     def groups(self) -> list[Group]:
@@ -216,7 +219,7 @@ def load_data(folder: Path) -> CampaignData:
     good = tuple(row for row in rows if not row["error"])
     failed = tuple(row for row in rows if row["error"])
     config, as_today = _presented(flown.config, name)
-    return CampaignData(folder, name, config, good, failed, by_place(flown.about.flown_on), as_today)
+    return CampaignData(folder, name, config, good, failed, by_place(flown.about.flown_on), flown.about.core, as_today)
 
 
 def _presented(config: CampaignConfig, name: str) -> tuple[CampaignConfig, bool]:

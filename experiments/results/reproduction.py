@@ -18,11 +18,22 @@ from experiments.results.comparisons import BETTER, OPEN, WORSE, Comparison, jud
 from experiments.results.figure_style import save
 from experiments.results.heat_map import HEAT_MAP_CAPTION, draw_heat_map
 from experiments.results.tables import TARGET_HEADER, Table
+from onboard.cores import NUMPY, core_option
 from runtime.files import write_atomically
 
 CAMPAIGNS: Final = (
-    *("wind_figure8", "chip_in_flight", "retention", "transfer", "rotor_chip", "steady_wind", "cloth_circle"),
-    *("sim_to_real", "features", "dropouts", "shared_trainer", "paper_preset", "ablations"),
+    *(
+        "wind_figure8",
+        "wind_lissajous",
+        "chip_in_flight",
+        "retention",
+        "transfer",
+        "memory",
+        "rotor_chip",
+        "steady_wind",
+    ),
+    *("cloth_circle", "survival", "second_vehicle", "sim_to_real", "features", "dropouts", "shared_trainer"),
+    *("paper_preset", "ablations"),
 )
 """In the order of docs/results.md."""
 
@@ -50,6 +61,8 @@ class Reproduction:
     """Campaigns to fly."""
     extend: bool = False
     """Start from the rows beside the page, and keep its other campaigns."""
+    core: str = NUMPY
+    """The onboard core that flies, one of onboard.cores.CORES."""
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -64,6 +77,7 @@ class Reproduction:
         words += ["--quick"] if self.quick else []
         words += ["--extend"] if self.extend else []
         words += [f"--seeds {self.seeds}"] if self.seeds is not None else []
+        words += core_option(self.core)
         words += ["--only", *self.only] if self.only != CAMPAIGNS else []
         return " ".join(words)
 
@@ -71,7 +85,7 @@ class Reproduction:
         """Return one of the campaigns."""
         campaign, _ = load_campaign(name)
         seeds = campaign.quick_seeds if self.quick else self.seeds
-        return CampaignRun(campaign, name, self.folder / name, seeds)
+        return CampaignRun(campaign, name, self.folder / name, seeds, core=self.core)
 
 
 def fly(

@@ -185,10 +185,17 @@ def _group(data: CampaignData, flown: Flown) -> Group | None:
     return found[0] if found else None
 
 
-def target_ratio(data: CampaignData, target: Target) -> Estimate | None:
-    """Return the ratio of a target; None if its flights were not flown."""
-    ours, theirs = _group(data, target.ours), _group(data, target.theirs)
-    return ours.ratio(theirs, target.metric) if ours is not None and theirs is not None else None
+def target_ratio(data: CampaignData, target: Target) -> tuple[Estimate, str] | None:
+    """Return the ratio of a target and the controller that ours is compared with; None if a group was not flown.
+
+    Of several controllers it is the one with the least median: the strongest there, named after the fact.
+    """
+    ours, theirs = _group(data, target.ours), [_group(data, flown) for flown in target.theirs.flown]
+    flown = [group for group in theirs if group is not None and isfinite(group.median(target.metric))]
+    if ours is None or len(flown) < len(theirs):
+        return None
+    best = min(flown, key=lambda group: group.median(target.metric))
+    return ours.ratio(best, target.metric), best.controller
 
 
 def _targets(data: CampaignData) -> Table:
@@ -199,10 +206,12 @@ def target_rows(data: CampaignData) -> list[tuple[str, ...]]:
     """Return the rows of the table of targets, for the targets that have flights."""
     rows: list[tuple[str, ...]] = []
     for target in data.config.targets:
-        ratio = target_ratio(data, target)
-        if ratio is not None:
+        found = target_ratio(data, target)
+        if found is not None:
+            ratio, against = found
+            label = target.label if isinstance(target.theirs.controller, str) else f"{target.label} ({against})"
             met = "yes" if ratio.value <= target.at_most else "**no**"
-            rows.append((target.label, show(ratio, 2), str(ratio.count), f"≤ {target.at_most:.2f}", met))
+            rows.append((label, show(ratio, 2), str(ratio.count), f"≤ {target.at_most:.2f}", met))
     return rows
 
 

@@ -1,9 +1,9 @@
 """A round of training that starts from a prior: what earlier flights taught (offboard.memory).
 
 Two entrants per channel: the prior's inner layers with their last layer refitted towards theta, and the networks that
-the round has trained on this flight, which also start from the prior. Trained on a few seconds, the second may be wrong
-wherever the vehicle has not been yet. It flies only after it has predicted better: each round's entrants are tried on
-the samples that arrive after them (`Contest`). Whoever leads there is the round's candidate, which the gate then judges
+the round has trained on this flight, from the start that they would have without a prior: a prior of another condition
+may be a bad one. In the first round, held-out samples say who leads. Later, each round's entrants are tried on the
+samples that arrive after them (`Contest`). Whoever leads there is the round's candidate, which the gate then judges
 like any other.
 """
 
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from offboard.data.buffer import TRAINING, SampleTable
+from offboard.data.buffer import TRAINING, VALIDATION, SampleTable
 from offboard.memory.memory import INDEPENDENT_S, Prior, posterior_mean
-from offboard.training.evidence import as_sent, evidence_of
+from offboard.training.evidence import as_sent, evidence_of, held_out
 from offboard.training.mixture import draw_probability, of_split
 from offboard.training.network import InputPlan, feature_set, phi
 from protocol.feature_set import ChannelFeatures, FeatureSet
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 EVIDENCE_HALF_LIFE_S: Final = 4.0
 EVIDENCE_MINIMUM_S: Final = 2.0
-"""Newer samples than this decide before the networks trained on this flight may fly."""
+"""s of newer samples, before they may give the lead to the networks trained on this flight."""
 LEAD: Final = 0.03
 """Share by which an entrant's errors must be smaller to take the lead of a channel."""
 
@@ -62,6 +62,11 @@ class Contest:
         leads = self._lead(0, a, c, seconds), self._lead(1, b, d, seconds)
         return replace(self, errors=((a, b), (c, d)), seconds=seconds, trained_leads=leads)
 
+    def opened(self, refitted: FeatureSet, trained: FeatureSet, held_out: SampleTable) -> "Contest":
+        """The contest of the first round: held-out samples say who leads."""
+        (a, b), (c, d) = (_scatter(entrant, held_out) for entrant in (refitted, trained))
+        return replace(self, trained_leads=(c < a, d < b))
+
     def _lead(self, channel: int, refitted: float, trained: float, seconds: float) -> bool:
         """Whether the trained networks lead with these errors: the lead changes only by a clear margin."""
         if self.trained_leads[channel]:
@@ -78,9 +83,10 @@ def with_contest(job: "TrainingJob", result: "TrainingResult") -> "TrainingResul
     if prior is None:
         return result
     known = job.buffer.joined(job.newest)
-    contest = job.contest.continued(job.newest)
-    refitted = as_sent(job, refit(job, prior))
-    trained = result.candidate
+    refitted, trained = as_sent(job, refit(job, prior)), result.candidate
+    begun = job.contest.refitted is not None
+    contest = job.contest
+    contest = contest.continued(job.newest) if begun else contest.opened(refitted, trained, held_out(job, VALIDATION))
     leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
     candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
     contest = replace(contest, made_ns=int(known.time_ns.max(initial=0)), refitted=refitted, trained=trained)

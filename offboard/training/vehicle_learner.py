@@ -246,9 +246,11 @@ class VehicleLearner:
         self.latest = features
 
     def recall(self, memory: Memory) -> None:
-        """Start from a memory: its inner layers and theta are the latest version, and every round starts from them.
+        """Start from a memory: its inner layers and theta are the latest version, and an entrant of every round.
 
-        A memory whose inner layers have not been learnt yet changes nothing.
+        A channel of which theta is zero, because its conditions share nothing, is left out of that version: inner
+        layers alone are no better than the start without a memory. The networks of this flight start as they would
+        without it. A memory whose inner layers have not been learnt yet changes nothing.
 
         Raises
         ------
@@ -259,7 +261,10 @@ class VehicleLearner:
         if memory.learnt == 0:
             return
         self._memory = memory
-        self.warm_start(memory.version())
+        known = memory.version()
+        position, attitude = (one if one is not None and one.last_layer.any() else None for one in known.by_channel)
+        if position is not None or attitude is not None:
+            self.latest = replace(known, position=position, attitude=attitude)
 
     def condition(self, name: str) -> Condition:
         """The flight so far as a condition of a memory."""

@@ -15,8 +15,10 @@ at all, the loop with its feed-forward. The decision uses measurements of this v
    refusal for the trainer.
 4. **Proof**: a version is good when evidence says so: `proof_s` in which it disagreed with the bias-only law and was no
    worse. Time alone proves nothing. The newest good version and its W are kept, whatever the trainer does.
-5. **Audition**: a version that arrives on the ground, or while a simpler law flies, flies only after `audition_s` of
-   evidence. It runs beside the bias-only law until then. So theta is zero or proven when a flight begins.
+5. **Audition**: a version that arrives on the ground, or while a simpler law flies, runs beside the bias-only law
+   first. It flies after `audition_s` of evidence. Without evidence, after `agreement_s` in the air in which it said
+   what the bias says: it then changes nothing, and is on probation like a version that arrives in flight. A map that
+   failed, and any version after `losses_max` in a row that lost to the bias, need evidence.
 6. **Memory**: the content of a version that was taken back is never accepted again, under no number. After
    `strikes_max` of them no version is accepted for the rest of the session.
 
@@ -64,6 +66,10 @@ class GuardConfig(ConfigRecord):
     ] = 2.0
     strikes_max: Annotated[
         int, Field(ge=1, le=10**6, description="versions taken back, after which no other is accepted")
+    ] = 3
+    losses_max: Annotated[
+        int,
+        Field(ge=1, le=10**6, description="versions in a row that lost when the next came, before each is auditioned"),
     ] = 3
 
 
@@ -135,6 +141,10 @@ class Guard:
         self._content: bytes = b""
         self._refused: set[bytes] = set()
         self._strikes = 0
+        self._losses = 0
+        """Versions in a row that had lost to the bias when the next one came."""
+        self._needs_evidence = False
+        """A map that says what the bias says may not fly for that alone."""
         self._falls: list[Fall] = []
         self._swaps: deque[tuple[float, float]] = deque()
         """Time and jump of each swap of the last second."""
@@ -195,8 +205,9 @@ class Guard:
         if self.level is Level.MAP:
             if not self._proven and all(one.stands(watch.proof_s) for one in self._informed(watch.proof_s)):
                 self._proven = bool(self._informed(watch.proof_s))
+                self._losses = 0 if self._proven else self._losses
             return self._look_ahead()
-        if self.level is Level.BIAS and self._may_fly(watch.audition_s):
+        if self.level is Level.BIAS and self._may_fly(watch):
             self._enter(Level.MAP)
             self._say(0, f"version {self.version} flies after its audition")
         return None
@@ -205,13 +216,15 @@ class Guard:
         """The channels with enough evidence."""
         return [one for one in self._watches.values() if one.evidence_s >= evidence_s]
 
-    def _may_fly(self, evidence_s: float) -> bool:
-        informed = self._informed(evidence_s)
+    def _may_fly(self, watch: WatchConfig) -> bool:
+        """Whether the map that runs beside the bias-only law has passed its audition."""
+        informed, every = self._informed(watch.audition_s), self._watches.values()
+        agrees = not self._needs_evidence and all(one.agreed_s >= watch.agreement_s for one in every)
         return (
             self._strikes < self._config.strikes_max
-            and bool(informed)
-            and all(one.stands(evidence_s) for one in informed)
-            and not any(one.worse(0, 1) for one in self._watches.values())
+            and (bool(informed) or agrees)
+            and all(one.stands(watch.audition_s) for one in informed)
+            and not any(one.worse(0, 1) for one in every)
         )
 
     def _look_ahead(self) -> None:
@@ -239,6 +252,7 @@ class Guard:
         if back:
             self._take_back(reason)
         else:
+            self._needs_evidence = True
             self._enter(Level(self.level + 1))
             self._say(bad, f"{reason}: {LAWS[self.level]} flies")
 
@@ -294,6 +308,7 @@ class Guard:
         refusal = refusal or self._too_often(plans)
         watched = self._config.watch.enabled and self.level is Level.MAP and not self._proven
         if plans and not refusal and watched and self._loses():
+            self._losses += 1
             self._take_back("misfit of the version before")
             plans, refusal = self._plans(features)
         if refusal:
@@ -306,8 +321,9 @@ class Guard:
         for channel, new, plan in plans:
             self._learners[channel].commit(new, plan)
         self.version, self._content, self._proven = features.version, content, False
-        audition = self._config.watch.enabled and not (self._adapting and self.level is Level.MAP)
-        self._enter(Level.BIAS if audition else Level.MAP)
+        self._needs_evidence = self._losses >= self._config.losses_max
+        at_once = self._adapting and self.level is Level.MAP and not self._needs_evidence
+        self._enter(Level.MAP if at_once or not self._config.watch.enabled else Level.BIAS)
         return ""
 
     def _renumber(self, version: int) -> None:

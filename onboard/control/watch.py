@@ -53,6 +53,9 @@ class WatchConfig(ConfigRecord):
     )
     proof_s: Annotated[Seconds, Field(description="s of evidence after which a version is proven")] = 0.5
     audition_s: Annotated[Seconds, Field(description="s of evidence after which a version may fly at all")] = 0.4
+    agreement_s: Annotated[
+        Seconds, Field(description="or s in which it says what the bias says, where none has failed before")
+    ] = 1.0
 
 
 def _squares(x: Vector3, y: Vector3) -> float:
@@ -89,6 +92,8 @@ class ChannelWatch:
         self._worse_s = 0.0
         self.evidence_s = 0.0
         """Time in which the two laws disagreed."""
+        self.agreed_s = 0.0
+        """Time in which they did not."""
         self._trial = 0.0, 0.0
         """Mean squared misfits of the map and of the bias-only law, over trial_s of evidence."""
         self._gain = 0.0
@@ -141,6 +146,8 @@ class ChannelWatch:
             self._gain += dt * (n1 - n0)
             (t0, t1), fresh = self._trial, max(min(dt / self._config.trial_s, 1.0), dt / self.evidence_s)
             self._trial = t0 + fresh * (n0 - t0), t1 + fresh * (n1 - t1)
+        else:
+            self.agreed_s += dt
         self._worse_s = self._worse_s + dt if self.worse(level, level + 1) else max(self._worse_s - dt, 0.0)
 
     def _squared_errors(self, e: list[float], flown: Vector3, other: Vector3, dt: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """What `dmrac doctor` finds."""
 
 import importlib.util
+import os
 import socket
 from pathlib import Path
 
@@ -23,6 +24,12 @@ def test_it_names_every_extra(tmp_path: Path) -> None:
     assert {f"extra {name}" for name in EXTRAS} <= set(found)
     assert found["record"].detail.startswith(str(tmp_path))
     assert {"Python", "C compiler", "clock", "timer slack", "real-time priority", "wake-up", "ports"} <= set(found)
+
+
+def test_it_leaves_the_process_that_asks_as_it_was(tmp_path: Path) -> None:
+    before = os.sched_getscheduler(0), Path("/proc/self/timerslack_ns").read_text(encoding="ascii")
+    findings(tmp_path)
+    assert (os.sched_getscheduler(0), Path("/proc/self/timerslack_ns").read_text(encoding="ascii")) == before
 
 
 def test_something_that_a_flight_needs_gives_status_1(

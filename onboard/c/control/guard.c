@@ -155,6 +155,7 @@ static void fall_back(Guard *self, Augmentation *augmentations, FallReason reaso
     if (back) {
         take_back(self, augmentations, fall);
     } else {
+        self->needs_evidence = true;
         enter(self, (Level)(self->level + 1));
         say(self, fall);
     }
@@ -180,14 +181,18 @@ static int32_t informed(const Guard *self, real evidence_s, bool *stands) {
     return count;
 }
 
-/* Guard._may_fly */
-static bool may_fly(const Guard *self, real evidence_s) {
-    bool stands;
-    bool has_evidence = informed(self, evidence_s, &stands) > 0;
+/* Guard._may_fly: whether the map that runs beside the bias-only law has passed its audition */
+static bool may_fly(const Guard *self, const WatchConfig *config) {
+    bool stands, agrees = !self->needs_evidence;
+    bool has_evidence = informed(self, config->audition_s, &stands) > 0;
     for (int channel = 0; channel < 2; channel++) {
-        stands = stands && !(self->learns[channel] && watch_worse(self->watches + channel, 0, 1) != WATCH_NO_WORSE);
+        const ChannelWatch *watch = self->watches + channel;
+        if (self->learns[channel]) {
+            agrees = agrees && watch->agreed_s >= config->agreement_s;
+            stands = stands && watch_worse(watch, 0, 1) == WATCH_NO_WORSE;
+        }
     }
-    return !trusts_none(self) && has_evidence && stands;
+    return !trusts_none(self) && (has_evidence || agrees) && stands;
 }
 
 /* Guard._look_ahead: check the map that flies on what is ahead now, one channel in a tick, attitude first */
@@ -230,9 +235,12 @@ void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adaptin
         }
     }
     if (self->level == LEVEL_MAP) {
-        self->proven = self->proven || (informed(self, self->config.watch.proof_s, &stands) > 0 && stands);
+        if (!self->proven && informed(self, self->config.watch.proof_s, &stands) > 0 && stands) {
+            self->proven = true;
+            self->losses = 0;
+        }
         look_ahead(self, augmentations);
-    } else if (self->level == LEVEL_BIAS && may_fly(self, self->config.watch.audition_s)) {
+    } else if (self->level == LEVEL_BIAS && may_fly(self, &self->config.watch)) {
         enter(self, LEVEL_MAP);
         say(self, (Fall){.kind = FALL_UP});
     }
@@ -357,6 +365,7 @@ Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *
     refusal = refusal == REFUSAL_NONE ? too_often(self, augmentations) : refusal;
     if (refusal == REFUSAL_NONE && plans_any(self) && self->level == LEVEL_MAP && !self->proven &&
         self->config.watch.enabled && loses(self)) {
+        self->losses++;
         take_back(self, augmentations, (Fall){.reason = FALL_BEFORE});
         refusal = plan_all(self, augmentations, features);
     }
@@ -374,7 +383,8 @@ Refusal guard_offer(Guard *self, Augmentation *augmentations, const FeatureSet *
     self->version = features->version;
     memcpy(self->content, content, sizeof content);
     self->proven = false;
-    bool audition = self->config.watch.enabled && !(self->adapting && self->level == LEVEL_MAP);
-    enter(self, audition ? LEVEL_BIAS : LEVEL_MAP);
+    self->needs_evidence = self->losses >= self->config.losses_max;
+    bool at_once = self->adapting && self->level == LEVEL_MAP && !self->needs_evidence;
+    enter(self, at_once || !self->config.watch.enabled ? LEVEL_MAP : LEVEL_BIAS);
     return REFUSAL_NONE;
 }

@@ -73,6 +73,8 @@ typedef struct {
     uint8_t refused[CONTENTS_MAX * CONTENT_BYTES];
     int32_t refused_count;
     int32_t strikes;
+    int32_t losses;      /* versions in a row that had lost to the bias when the next one came */
+    bool needs_evidence; /* a map that says what the bias says may not fly for that alone */
     Fall falls[FALLS_MAX];
     int32_t fall_count;
     int32_t falls_lost;

@@ -35,7 +35,7 @@ void watch_restart(ChannelWatch *self) {
     vector_zero(self->delta_2);
     vector_zero(self->misfits);
     self->errors[0] = self->errors[1] = self->trial[0] = self->trial[1] = REAL(0.0);
-    self->worse_s = self->evidence_s = self->gain = REAL(0.0);
+    self->worse_s = self->evidence_s = self->agreed_s = self->gain = REAL(0.0);
 }
 
 /* _squares */
@@ -103,6 +103,8 @@ static void compare(ChannelWatch *self, const real e[6], const real Delta_hat[3]
         for (int law = 0; law < 2; law++) {
             self->trial[law] += part * (misfits[law] - self->trial[law]);
         }
+    } else {
+        self->agreed_s += dt;
     }
     bool worse = watch_worse(self, level, level + 1) != WATCH_NO_WORSE;
     self->worse_s = worse ? self->worse_s + dt : real_max(self->worse_s - dt, REAL(0.0));

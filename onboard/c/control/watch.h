@@ -36,6 +36,7 @@ typedef struct {
     real errors[2];  /* the same of the weighted e: the map, the bias-only law */
     real worse_s;
     real evidence_s; /* time in which the two laws disagreed */
+    real agreed_s;   /* time in which they did not */
     real trial[2];   /* mean squared misfits of the map and of the bias-only law, over trial_s of evidence */
     real gain;       /* sum over it of the bias-only law's squared misfit less the map's */
 } ChannelWatch;

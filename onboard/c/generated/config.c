@@ -399,6 +399,7 @@ static void read_WatchConfig(Cursor *from, WatchConfig *out) {
     }
     out->proof_s = read_real(from);
     out->audition_s = read_real(from);
+    out->agreement_s = read_real(from);
 }
 
 static void read_GuardConfig(Cursor *from, GuardConfig *out) {
@@ -408,6 +409,7 @@ static void read_GuardConfig(Cursor *from, GuardConfig *out) {
     out->swaps_per_s_max = read_real(from);
     out->jumps_max = read_real(from);
     out->strikes_max = (int32_t)read_int(from);
+    out->losses_max = (int32_t)read_int(from);
 }
 
 static void read_CascadeSettings(Cursor *from, CascadeSettings *out) {
@@ -459,7 +461,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x48, 0xfd, 0x79, 0xce, 0x30, 0x70, 0xc2, 0xdd};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x2e, 0x69, 0x9d, 0xb8, 0x0c, 0xc0, 0x44, 0x84};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

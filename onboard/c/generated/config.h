@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4180
+#define CONFIG_IMAGE_BYTES 4196
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -345,15 +345,17 @@ typedef struct {
     real disagreement[2]; /* 96: above this a tick is evidence, units of u */
     real proof_s; /* 112: s of evidence after which a version is proven */
     real audition_s; /* 120: s of evidence after which a version may fly at all */
+    real agreement_s; /* 128: or s in which it says what the bias says, where none has failed before */
 } WatchConfig;
 
 typedef struct {
     RoomConfig room; /* 0 */
     VersionTestConfig test; /* 40 */
     WatchConfig watch; /* 160 */
-    real swaps_per_s_max; /* 288: 1/s, accepted versions */
-    real jumps_max; /* 296: summed jumps of nu_cmd in a second, over jump_max of the channel */
-    int32_t strikes_max; /* 304: versions taken back, after which no other is accepted */
+    real swaps_per_s_max; /* 296: 1/s, accepted versions */
+    real jumps_max; /* 304: summed jumps of nu_cmd in a second, over jump_max of the channel */
+    int32_t strikes_max; /* 312: versions taken back, after which no other is accepted */
+    int32_t losses_max; /* 320: versions in a row that lost when the next came, before each is auditioned */
 } GuardConfig;
 
 typedef struct {
@@ -363,10 +365,10 @@ typedef struct {
     real position_error_max_m; /* 952 */
     DemandLimitsConfig limits; /* 960 */
     GuardConfig guard; /* 1000 */
-    bool prediction; /* 1312: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1320: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1328: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1336 */
+    bool prediction; /* 1328: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1336: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1344: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1352 */
 } CascadeSettings;
 
 typedef struct {
@@ -395,9 +397,9 @@ typedef struct {
     SupervisorConfig supervisor; /* 664 */
     GuidanceConfig guidance; /* 928 */
     CascadeSettings controller; /* 2664: of the cascade */
-    SamplerConfig samples; /* 4008 */
-    Swing lissajous[2]; /* 4056: north and east; zero on another path */
-    int32_t layout[8]; /* 4104: bytes of feature_digest */
+    SamplerConfig samples; /* 4024 */
+    Swing lissajous[2]; /* 4072: north and east; zero on another path */
+    int32_t layout[8]; /* 4120: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

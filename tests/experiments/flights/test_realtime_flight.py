@@ -102,7 +102,8 @@ def test_continues_when_offboard_is_killed(stand_ins, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("end", ["import os; os.kill(os.getpid(), 9)", "raise MemoryError('none left')"])
 def test_flies_without_an_offboard_that_dies_before_it_is_ready(stand_ins, tmp_path: Path, end: str) -> None:
-    stand_ins(offboard=end)
+    long_enough = BODIES["sim"].replace("serve(0.6)", "serve(4.0)")  # for onboard to start on a busy machine
+    stand_ins(offboard=end, sim=long_enough)
     result = fly(tmp_path)
     assert result.sim == {"asked": 0, "survived": True}
     assert result.onboard == {"asked": 1, "ticks": 1}

@@ -216,11 +216,25 @@ def test_targets_and_failures_are_in_the_tables(folder: Path) -> None:
     found = {table.caption: table for table in tables(data)}
     target = found["Targets: medians of ratios paired by seed"]
     assert target.rows == (("dmrac / mrac", "0.40 [0.40, 0.40]", "12", "≤ 0.75", "yes"),)
-    assert target_ratio(data, data.config.targets[0]) is not None
     failures = next(table for caption, table in found.items() if caption.startswith("1 flights failed"))
     assert failures.rows[0][2] == "dmrac fly x"
     half = next(table for caption, table in found.items() if caption.startswith("Where half"))
     assert 0.7 < float(half.rows[2][3].split()[0]) < 0.9
+
+
+def test_a_target_against_several_controllers_counts_the_one_with_the_least_median(folder: Path) -> None:
+    data = load_data(folder)
+    target = data.config.targets[0]
+    best = target.model_copy(update={"theirs": target.theirs.model_copy(update={"controller": ("pid", "mrac")})})
+    found = target_ratio(data, best)
+    assert found == target_ratio(data, target)
+    assert found is not None
+    assert found[1] == "mrac"
+    weaker = target.model_copy(update={"theirs": target.theirs.model_copy(update={"controller": ("pid", "indi")})})
+    assert target_ratio(data, weaker) is None, "indi was not flown"
+    config = data.config.model_copy(update={"targets": (best,)})
+    found_table = {table.caption: table for table in tables(replace(data, config=config))}
+    assert found_table["Targets: medians of ratios paired by seed"].rows[0][0] == "dmrac / mrac (mrac)"
 
 
 def test_the_coverage_of_the_live_bound_is_in_a_table_for_controllers_and_campaign(folder: Path) -> None:

@@ -23,7 +23,7 @@ def test_a_trainer_starts_from_a_memory_and_adds_its_flight(tmp_path: Path) -> N
     folder = tmp_path / "memory"
     write_memory(folder, Memory(FEATURES, random_prior(), (condition("jet", jet=1.0),), 1))
     (vehicle,) = vehicles(tmp_path, "--memory", str(folder), "--remember")
-    assert vehicle.core.learner.latest is not None
+    assert vehicle.core.learner._memory is not None
     assert command._remember(vehicle)
     assert [one.name for one in open_memory(folder).conditions] == ["jet"]  # a flight without samples adds nothing
 

@@ -28,6 +28,15 @@ def memory(learnt: int = 2) -> Memory:
     return Memory(FEATURES, prior(), (condition("a"), condition("b", seed=1)), learnt)
 
 
+def knowing() -> Memory:
+    """A memory whose theta is not zero in the position channel."""
+    start = memory()
+    network = start.prior.network
+    last_layer = network.last_layer.copy()
+    last_layer[0] += 0.3
+    return replace(start, prior=replace(start.prior, network=replace(network, last_layer=last_layer)))
+
+
 def recalling(batches: int = 120) -> VehicleLearner:
     learner = VehicleLearner(offboard_config())
     learner.recall(memory())
@@ -116,12 +125,33 @@ def test_old_samples_and_none_decide_nothing() -> None:
     assert NO_CONTEST.continued(samples(version, 1.0)) is NO_CONTEST
 
 
-def test_the_first_rounds_fly_the_refitted_prior() -> None:
+def test_in_the_first_round_held_out_samples_say_who_leads() -> None:
+    job = job_after()
+    known, other = refit(job, prior()), memory().version()
+    held_out = samples(known, 0.01)
+    assert NO_CONTEST.opened(other, known, held_out).trained_leads == (True, True)
+    assert NO_CONTEST.opened(known, other, held_out).trained_leads == (False, False)
+
+
+def test_the_first_candidate_is_the_one_that_leads_in_each_channel() -> None:
     result = job_after().run()
-    assert result.contest.refitted is not None
-    expected = result.contest.refitted
-    for channel, other in zip(result.candidate.channels, expected.channels, strict=True):
-        assert channel.same_as(other)
+    contest = result.contest
+    assert contest.refitted is not None
+    assert contest.trained is not None
+    for at, leads in enumerate(contest.trained_leads):
+        leader = contest.trained if leads else contest.refitted
+        mine, expected = result.candidate.by_channel[at], leader.by_channel[at]
+        assert mine is not None
+        assert expected is not None
+        assert mine.same_as(expected)
+
+
+def test_the_networks_of_the_flight_start_as_without_a_memory() -> None:
+    """What another condition taught may be a bad start."""
+    remembering, cold = VehicleLearner(offboard_config()), VehicleLearner(offboard_config())
+    remembering.recall(memory())
+    for mine, other in zip(remembering._state.network.weights, cold._state.network.weights, strict=True):
+        np.testing.assert_array_equal(mine, other)
 
 
 def test_a_channel_that_flies_better_flies_on() -> None:
@@ -138,10 +168,23 @@ def test_a_channel_that_flies_better_flies_on() -> None:
     assert mixed.attitude.same_as(candidate.attitude)  # the new one
 
 
-def test_a_memory_is_the_first_version_and_every_round_starts_from_it() -> None:
-    learner = recalling()
+def test_what_a_memory_knows_is_the_first_version() -> None:
+    learner = VehicleLearner(offboard_config())
+    learner.recall(knowing())
     assert learner.latest is not None
     assert learner.latest.version == 1
+    assert learner.latest.position is not None
+    assert learner.latest.attitude is None, "its theta is zero"
+
+
+def test_inner_layers_alone_are_no_version() -> None:
+    learner = VehicleLearner(offboard_config())
+    learner.recall(memory())
+    assert learner.latest is None
+
+
+def test_a_memory_is_in_every_round() -> None:
+    learner = recalling()
     job = learner.job(0)
     assert job is not None
     assert job.prior is not None

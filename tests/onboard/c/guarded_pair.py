@@ -167,6 +167,7 @@ class Pair:
             len(theirs._refused),
             theirs.limited,
         )
+        assert (ours.losses, ours.needs_evidence) == (theirs._losses, theirs._needs_evidence)
         assert ours.good.version == theirs._good.version
         assert (ours.time_s, ours.next_check_s, ours.swap_count) == (
             theirs._time_s,
@@ -177,7 +178,7 @@ class Pair:
         for side, watch in theirs._watches.items():
             own, scale = ours.watches[side], SIZES[side] ** 2
             same(view(own.d), watch.d, self.rtol, SIZES[side])
-            same([own.worse_s, own.evidence_s], [watch._worse_s, watch.evidence_s], 1e-12)
+            same([own.worse_s, own.evidence_s, own.agreed_s], [watch._worse_s, watch.evidence_s, watch.agreed_s], 1e-12)
             same(
                 [*own.misfits, *own.errors, own.gain], [*watch._misfits, *watch._errors, watch._gain], self.rtol, scale
             )

@@ -65,6 +65,7 @@ TOUCHY = {
     "worse_s": 0.1,
     "proof_s": 0.2,
     "audition_s": 0.1,
+    "agreement_s": 0.2,
 }
 """A watch that takes a law back for little, and believes in one for little."""
 GUARDS = st.fixed_dictionaries(
@@ -74,6 +75,7 @@ GUARDS = st.fixed_dictionaries(
         "watch": st.sampled_from([TOUCHY, TOUCHY, TOUCHY, {}, {"enabled": False}]),
         "swaps_per_s_max": st.sampled_from([1.0, 4.0]),
         "strikes_max": st.sampled_from([1, 2, 3]),
+        "losses_max": st.sampled_from([1, 2, 3]),
         "jumps_max": st.sampled_from([0.5, 50.0]),
     }
 )
@@ -180,6 +182,16 @@ def test_a_version_from_the_ground_flies_after_its_audition(core: Core, law: str
 
 
 @pytest.mark.parametrize("law", FEATURED)
+def test_a_version_that_agrees_with_the_bias_flies_without_evidence(core: Core, law: str) -> None:
+    pair = Pair(core, law, {**FREE, "watch": {"disagreement": (90.0, 900.0), "agreement_s": 0.5}})
+    fly(pair, 30, "ground")
+    assert Trainer(pair).offer("true") == ""
+    fly(pair, 300)
+    assert pair.texts == ["guard: version 1 flies after its audition"]
+    assert pair.theirs._watches[0].evidence_s == 0.0
+
+
+@pytest.mark.parametrize("law", FEATURED)
 def test_a_cliff_that_comes_into_reach(core: Core, law: str) -> None:
     """It is far away when the version comes."""
     floors = {"misfit_floor": (90.0, 900.0)}
@@ -197,7 +209,7 @@ def test_a_cliff_that_comes_into_reach(core: Core, law: str) -> None:
 @pytest.mark.parametrize("law", FEATURED)
 def test_a_version_that_loses_when_the_next_one_comes(core: Core, law: str) -> None:
     quiet = {"misfit_floor": (90.0, 900.0), "error_floor": (90.0, 900.0), "disagreement": (0.01, 0.01), "trial_s": 30.0}
-    pair = Pair(core, law, {**FREE, "watch": quiet})
+    pair = Pair(core, law, {**FREE, "watch": quiet, "losses_max": 1})
     trainer = Trainer(pair)
     fly(pair, 60)
     assert trainer.offer("wrong") == ""
@@ -205,6 +217,8 @@ def test_a_version_that_loses_when_the_next_one_comes(core: Core, law: str) -> N
     assert trainer.offer("true") == ""
     assert pair.texts == ["guard: misfit of the version before: version 1 taken back, version 0 flies"]
     assert pair.theirs.version == 2
+    assert pair.theirs.level is Level.BIAS, "it needs evidence first"
+    fly(pair, 50)
 
 
 @pytest.mark.parametrize("law", FEATURED)

@@ -226,3 +226,64 @@ def test_a_controller_without_learnt_features_is_not_watched():
 def test_settings_out_of_range_are_refused(bad):
     with pytest.raises(ValidationError):
         GuardConfig(**bad)
+
+
+def agree(guard):
+    """What a second looks like in which the map said what the bias says, in both channels."""
+    for watch in guard._watches.values():
+        watch.evidence_s, watch.agreed_s = 0.0, 1.5
+    guard.judge(DT, True)
+
+
+def test_a_version_from_the_ground_that_agrees_with_the_bias_flies_after_a_second():
+    one = rig()
+    guard = one.controller.guard
+    assert guard.offer(version(1, 0.3, attitude=True)) == ""
+    assert guard.level is Level.BIAS
+    guard._watches[0].agreed_s = 1.5
+    guard.judge(DT, True)
+    assert guard.level is Level.BIAS, "one channel is not enough"
+    agree(guard)
+    assert guard.level is Level.MAP
+    assert "after its audition" in guard.take_falls()[-1].text
+
+
+def test_agreement_is_not_enough_for_a_map_that_failed():
+    one = flown(rig())
+    guard = one.controller.guard
+    fail(guard)
+    assert guard.level is Level.BIAS
+    agree(guard)
+    assert guard.level is Level.BIAS
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._gain = 2.0, 1.0
+    guard.judge(DT, True)
+    assert guard.level is Level.MAP
+
+
+def lose(guard):
+    """A version that is worse than the bias when the next one comes."""
+    guard._watches[0].evidence_s, guard._watches[0]._trial = 0.5, (4.0, 1.0)
+
+
+def test_after_so_many_losses_in_a_row_a_version_needs_evidence_before_it_flies():
+    one = flown(rig(losses_max=2, swaps_per_s_max=100.0, jumps_max=100.0))
+    guard = one.controller.guard
+    for number in (1, 2):
+        assert guard.offer(version(number, 0.3)) == ""
+        assert guard.level is Level.MAP
+        lose(guard)
+    assert guard.offer(version(3, 0.3)) == ""
+    assert guard.level is Level.BIAS
+    agree(guard)
+    assert guard.level is Level.BIAS
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._gain = 2.0, 1.0
+    guard.judge(DT, True)
+    assert guard.level is Level.MAP
+    guard.judge(DT, True)
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._gain = 2.0, 1.0
+    guard.judge(DT, True)
+    assert guard.offer(version(4, 0.3)) == ""
+    assert guard.level is Level.MAP, "a proven version ends the row"
