@@ -18,7 +18,7 @@ refuse_shadowed_packages()
 if TYPE_CHECKING:
     from pydantic import Field
 
-    from async_dmrac.interface import campaign, configure, fly, load_flight
+    from async_dmrac.interface import campaign, campaign_file, configure, fly, load_flight
     from async_dmrac.learner import Learner
     from async_dmrac.record import CampaignResult, Flight, Table, controllers, scenarios
     from configs.loader import ConfigError, ConfigRecord
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from sim_vehicle.world.interface import Condition, Disturbance
 
 _MODULES: Final = {
-    "async_dmrac.interface": ("campaign", "configure", "fly", "load_flight"),
+    "async_dmrac.interface": ("campaign", "campaign_file", "configure", "fly", "load_flight"),
     "async_dmrac.learner": ("Learner",),
     "async_dmrac.record": ("CampaignResult", "Flight", "Table", "controllers", "scenarios"),
     "configs.loader": ("ConfigError", "ConfigRecord"),
@@ -58,6 +58,7 @@ __all__ = [
     "Table",
     "__version__",
     "campaign",
+    "campaign_file",
     "configure",
     "controllers",
     "fly",

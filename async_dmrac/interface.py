@@ -1,4 +1,4 @@
-"""The public functions of async_dmrac: fly once, fly a campaign, read a record."""
+"""The public functions of async_dmrac: fly once, fly a campaign, read a record or a campaign file."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import yaml
 
 from async_dmrac.record import CampaignResult, Flight
 from configs.addresses import LINK_KEYS
-from configs.loader import ConfigError, fill
+from configs.loader import ConfigError, fill, read_tree
 from configs.user_class import SESSION, name_of
 from experiments.flights.flight_folder import clear_folder, make_folder
 from experiments.flights.logged_flight import fly_logged
@@ -22,7 +22,7 @@ from runtime.kernel import cores
 from sim_vehicle.world.catalogue import kind_of
 from sim_vehicle.world.interface import Disturbance
 
-__all__ = ["campaign", "configure", "fly", "load_flight"]
+__all__ = ["campaign", "campaign_file", "configure", "fly", "load_flight"]
 
 
 def configure(
@@ -117,6 +117,7 @@ def campaign(
     out: str | Path | None = None,
     seeds: int | None = None,
     jobs: int | None = None,
+    core: str = "numpy",
     resume: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> CampaignResult:
@@ -130,6 +131,7 @@ def campaign(
     out: folder of the rows; None: campaigns/<name>. With `resume` flights that are there already are not flown again.
     seeds: seeds per point; None: the campaign's.
     jobs: flights side by side; None: one per core.
+    core: onboard's core, "numpy" or "c".
     progress: called after every flight with the flights that are done, and all.
 
     Raises
@@ -141,13 +143,14 @@ def campaign(
     from experiments.campaigns.runner import CampaignRun, open_store, prepare_folder, run_campaign
     from experiments.campaigns.worker_pools import LocalPool
 
+    _require_core(core)
     if isinstance(campaign, str):
         config, path = load_campaign(campaign)
         name = path.stem
     else:
         config, name = fill(CampaignConfig, campaign, "campaign"), "campaign"
     folder = Path("campaigns") / name if out is None else Path(out)
-    run = CampaignRun(config, name, folder, seeds)
+    run = CampaignRun(config, name, folder, seeds, core=core)
     prepare_folder(run, resume)
     with open_store(folder) as store:
         report = (lambda state: progress(state.done, state.total)) if progress else (lambda state: None)
@@ -155,10 +158,26 @@ def campaign(
     return CampaignResult(folder, result.total, result.flown, result.lost, result.errors)
 
 
+def campaign_file(name: str) -> dict[str, Any]:
+    """Return the content of a campaign file, to change and hand to `campaign`.
+
+    Parameters
+    ----------
+    name: a name in configs/campaigns, or the path of a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such campaign.
+    """
+    from experiments.campaigns.campaign import campaign_file as path_of
+
+    return read_tree(path_of(name))
+
+
 def _require_flyable(config: FlightConfig, core: str, offboard: bool, realtime: bool) -> None:
     """Raise ConfigError or StartError for what would fail after the start."""
-    if core not in CORES:
-        raise ConfigError(f"core: {core!r}: allowed are {', '.join(CORES)}")
+    _require_core(core)
     if realtime and (core != "numpy" or not offboard):
         raise ConfigError("realtime=True: allowed with core='numpy' and offboard=True only")
     if realtime:
@@ -166,6 +185,11 @@ def _require_flyable(config: FlightConfig, core: str, offboard: bool, realtime: 
         require_free_ports(config.network)
     for key in LINK_KEYS.values():
         load_key(getattr(config.network, key.setting))
+
+
+def _require_core(core: str) -> None:
+    if core not in CORES:
+        raise ConfigError(f"core: {core!r}: allowed are {', '.join(CORES)}")
 
 
 def _require_classes_for_processes(config: FlightConfig) -> None:

@@ -136,9 +136,9 @@ class Learner:
         self._block_s = block_s
         period = min(max(round(RECENT_S * rate_hz / RECENT_STATES), 1), 100)
         self._swap_config = SwapConfig(jump_max=jump_max, ring_period_ticks=period, ring_size=RECENT_STATES)
-        self._recent = RecentStates(RECENT_STATES, len(inputs), len(outputs))
         self._collected: deque[tuple[Array, Array]] = deque(maxlen=COLLECTED_MAX)
-        self._now, self._residual, self._ticks, self.version = np.zeros(len(inputs)), np.zeros(len(outputs)), 0, 0
+        self.version = 0
+        self._forget()
         self._networks: OwnNetworks | None = None
         self._state: TrainerState | None = None
         self._features: NetworkFeatures | None = None
@@ -249,6 +249,15 @@ class Learner:
         estimate: Array = self.law.estimate(Phi)[:, 0] * scale
         return estimate
 
+    def restart(self) -> None:
+        """Start a new series of samples: the last layer is again the one that came with the features in use.
+
+        What `update` has collected for `fit` stays. Raises ValueError if nothing was fitted yet.
+        """
+        features, _ = self._ready()
+        self._forget()
+        self.law.start(features.channel.last_layer, self._dt, self._PB)
+
     def predict(self, signals: Any) -> Array:
         """The present estimate W'Phi + b at these signals: [n, q], or [q] for one row that is no array of rows.
 
@@ -276,6 +285,11 @@ class Learner:
         self._state = self._networks.start(self._seed)
         self._features = NetworkFeatures(channel_features(self._state.network, self._networks.plan, 0))
         self.law.start(np.zeros((count, len(self.outputs))), self._dt, self._PB)
+
+    def _forget(self) -> None:
+        """No samples yet in this series."""
+        self._recent = RecentStates(RECENT_STATES, len(self.inputs), len(self.outputs))
+        self._now, self._residual, self._ticks = np.zeros(len(self.inputs)), np.zeros(len(self.outputs)), 0
 
     def _ready(self) -> tuple[NetworkFeatures, Array]:
         if self._features is None or self.output_scales is None:

@@ -174,6 +174,14 @@ class CampaignResult:
         frame: pd.DataFrame = self.to_arrow().to_pandas()
         return frame
 
+    def tables(self) -> str:
+        """Return the tables of the results page about these flights, as Markdown."""
+        require_modules("pyarrow", purpose="tables")
+        from experiments.results.campaign_data import load_data
+        from experiments.results.tables import tables
+
+        return "\n".join(table.markdown() for table in tables(load_data(self.folder)))
+
     def __getitem__(self, column: str) -> NDArray[Any]:
         """Return one column of all rows, [n]. Raises KeyError, which lists the columns."""
         rows = self.to_arrow()

@@ -1,13 +1,14 @@
 """Hooks of mkdocs: pages that are not in docs/, and links that lead out of it.
 
-README, CONTRIBUTING, CHANGELOG and the READMEs of the C core and of mambo/ become pages, and the options of every
-subcommand become one. Links to a source file lead to a copy of it in the site; a link to a folder becomes plain text.
+README, CONTRIBUTING, CHANGELOG and the READMEs of the C core and of mambo/ become pages, the options of every
+subcommand become one, and each example becomes a page and a notebook to download. Links to a source file lead to a copy of it in the site; a link to a folder becomes plain text.
 """
 
 import re
 from pathlib import Path
 from typing import Any, Final
 
+import jupytext
 from mkdocs.structure.files import File, Files
 
 from async_dmrac.command_line import SUBCOMMANDS, build_whole_parser
@@ -23,6 +24,9 @@ PAGES: Final = {
 """File of the project -> page of the site."""
 DOCS: Final = ROOT / "docs"
 COMMANDS: Final = "reference/commands.md"
+EXAMPLES: Final = ROOT / "examples"
+NOTEBOOKS: Final = "notebooks"
+"""Folder of the site with the examples."""
 _LINK: Final = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<target>[^)\s]+)\)")
 _HTML: Final = re.compile(r'(?P<name>href|src)="(?P<target>[^":]+)"')
 
@@ -32,6 +36,9 @@ def on_files(files: Files, config: Any) -> Files:
     for source, page in PAGES.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, COMMANDS, content=commands_page()))
+    for example in sorted(EXAMPLES.glob("*.py")):
+        for uri, content in notebook_files(example).items():
+            files.append(File.generated(config, uri, content=content))
     linked = set()
     for file in files.documentation_pages():
         base = base_of(file.src_uri)
@@ -86,6 +93,20 @@ def relocated(target: str, base: Path, depth: int) -> str | None:
 def source_uri(path: Path) -> str:
     """Where the copy of a source file is in the site."""
     return f"source/{path.relative_to(ROOT)}.txt"
+
+
+def notebook_files(example: Path) -> dict[str, str]:
+    """The page of an example and its notebook, by their places in the site."""
+    notebook = jupytext.read(example)
+    cells = [
+        cell.source if cell.cell_type == "markdown" else f"```python\n{cell.source}\n```" for cell in notebook.cells
+    ]
+    download = f"[Download as a notebook]({example.stem}.ipynb)"
+    title, *rest = cells
+    return {
+        f"{NOTEBOOKS}/{example.stem}.md": "\n\n".join([title, download, *rest]) + "\n",
+        f"{NOTEBOOKS}/{example.stem}.ipynb": jupytext.writes(notebook, fmt="ipynb"),
+    }
 
 
 def commands_page() -> str:

@@ -23,7 +23,10 @@ env = gymnasium.make_vec(
     draws=[{"path": "vehicle.body.mass_kg", "uniform": [0.058, 0.072]}],
 )
 
-# %% Cross-entropy method over two gains: acceleration = (a e + b e_dot) / limit
+# %% [markdown]
+# ## Cross-entropy method over two gains: acceleration = (a e + b e_dot) / limit
+
+# %%
 rng = np.random.default_rng(1)
 mean, spread = np.array([2.0, 1.0]), np.array([3.0, 2.0])
 for number in range(ROUNDS):
@@ -40,7 +43,11 @@ for number in range(ROUNDS):
     print(f"round {number}: mean reward of a step {returns.mean() / STEPS:.3f}, gains {mean.round(2)}")
 
 
-# %% The agent as a controller of the full system
+# %% [markdown]
+# ## The agent as a controller of the full system
+
+
+# %%
 class Agent:
     """The learnt gains, and an attitude loop."""
 

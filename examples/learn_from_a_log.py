@@ -9,9 +9,12 @@ import numpy as np
 import async_dmrac
 
 RATE_HZ = 50.0
-flight = async_dmrac.fly("figure8_wind", "bias", seed=3, duration_s=35.0, out="learn_from_a_log/flight")
+flight = async_dmrac.fly("figure8_wind", "bias", seed=3, duration_s=35.0, core="c", out="learn_from_a_log/flight")
 
-# %% Samples: every fourth tick on the path
+# %% [markdown]
+# ## Samples: every fourth tick on the path
+
+# %%
 tick = flight["onboard/tick"]
 rows = np.flatnonzero(flight.trace.on_path)[::4]
 inputs = [f"{name}_{axis}" for name in ("position", "velocity") for axis in "ned"]
@@ -24,7 +27,10 @@ def part(table, rows):
     return {name: column[rows] for name, column in table.items()}
 
 
-# %% Off line: train on the first half
+# %% [markdown]
+# ## Off line: train on the first half
+
+# %%
 learner = async_dmrac.Learner(inputs, outputs, rate_hz=RATE_HZ)
 fit = learner.fit(part(signals, slice(None, half)), part(labels, slice(None, half)))
 print("held-out RMSE by output, m/s^2:", {name: round(value, 3) for name, value in fit.rmse.items()})
@@ -35,7 +41,10 @@ def rmse(found, where):
     return float(np.sqrt(np.square(found - truth).sum(axis=1).mean()))
 
 
-# %% On line: the last layer follows the second half; each prediction is made before its sample is seen
+# %% [markdown]
+# ## On line: the last layer follows the second half; each prediction is made before its sample is seen
+
+# %%
 second = slice(half, None)
 map_alone = rmse(learner.predict(part(signals, second)), second)
 ahead = []
@@ -46,6 +55,9 @@ mean = np.mean([labels[name][:half] for name in outputs], axis=1)
 print(f"error on the second half, m/s^2: mean {rmse(mean, second):.2f}, trained map {map_alone:.2f}, ", end="")
 print(f"with the last layer on line {rmse(np.array(ahead), second):.2f}")
 
-# %% Train again on what was seen meanwhile, and swap without a jump
+# %% [markdown]
+# ## Train again on what was seen meanwhile, and swap without a jump
+
+# %%
 plan = learner.swap(learner.fit(rounds=5, use=False))
 print("swap:", plan.refusal or "done", f"largest change {plan.jump:.2f} of the usual size")

@@ -46,7 +46,10 @@ class MyController:
         return ControlOutput(thrust_n=max(thrust, 0.0), torque_nm=(roll, pitch, yaw))
 
 
-# %% Fly it
+# %% [markdown]
+# ## Fly it
+
+# %%
 settings = {"position_gain": 12.0, "velocity_gain": 5.0, "angle_gain": 150.0, "rate_gain": 20.0}
 flight = async_dmrac.fly(
     "figure8_calm", MyController, seed=3, settings=settings, duration_s=15.0, out="my_controller/flight"

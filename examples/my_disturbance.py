@@ -29,10 +29,13 @@ class Sway(Disturbance):
         effect[FORCE + 2] += v[2] * s
 
 
-# %% The same force for two controllers
+# %% [markdown]
+# ## The same force for two controllers
+
+# %%
 sway = Sway(onset_s=6.0, amplitude_ned_n=(0.08, 0.0, 0.0), frequency_hz=0.5)
 for name in ("none", "l1"):
     out = f"my_disturbance/{name}"
-    flight = async_dmrac.fly("hover", name, seed=3, disturbances=[sway], duration_s=15.0, out=out)
+    flight = async_dmrac.fly("hover", name, seed=3, disturbances=[sway], duration_s=15.0, core="c", out=out)
     force = flight["sim_vehicle/truth"]["disturbance_force_n"]
     print(f"{name:5} largest force {abs(force).max():.3f} N, position RMSE {flight.metrics.position_rmse_m:.3f} m")

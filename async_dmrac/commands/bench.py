@@ -2,7 +2,8 @@
 
 `dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
 flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's; `dmrac bench gym` counts the
-steps per second of the Gymnasium environments.
+steps per second of the Gymnasium environments; `dmrac bench neural-fly` and `omac` run the learner alone on tasks of
+others.
 """
 
 import argparse
@@ -20,6 +21,10 @@ SENSORS: Final = "sensors"
 FLOOD: Final = "flood"
 CORE: Final = "core"
 GYM: Final = "gym"
+NEURAL_FLY: Final = "neural-fly"
+OMAC: Final = "omac"
+FOLDERS: Final = {NEURAL_FLY: "data", OMAC: "code"}
+"""Option with the folder of others that a kind needs. Nothing is downloaded."""
 VEHICLES_MAX: Final = 64
 """Of --vehicles, unless given."""
 EXAMPLES: Final = """examples:
@@ -28,6 +33,8 @@ EXAMPLES: Final = """examples:
   dmrac bench flood --controller mrac --seconds 12
   dmrac bench core --seconds 20 --vehicles 64
   dmrac bench gym
+  dmrac bench neural-fly --data neural-fly/data
+  dmrac bench omac --code Online-Meta-Adaptive-Control/quadsim --seconds 60
   dmrac bench figure8_wind --controller mrac --seconds 30 --out bench.json
 """
 
@@ -40,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
         "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; gym: the "
-        "Gymnasium environments",
+        "Gymnasium environments; neural-fly, omac: the learner alone on the tasks of others",
     )
     parser.add_argument(
         "--vehicles",
@@ -48,6 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"core: most vehicles in one process (default: {VEHICLES_MAX})",
     )
+    parser.add_argument("--data", type=Path, metavar="FOLDER", help="neural-fly: their folder `data`")
+    parser.add_argument("--code", type=Path, metavar="FOLDER", help="omac: the folder with their `threedeequadsim`")
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value by path")
@@ -61,7 +70,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
     if arguments.vehicles is not None and arguments.scenario != CORE:
         raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {CORE}")
-    kinds = {SENSORS: _sensors, FLOOD: _flood, CORE: _core, GYM: _gym}
+    for kind, option in FOLDERS.items():
+        if getattr(arguments, option) is not None and arguments.scenario != kind:
+            raise ConfigError(f"--{option} {getattr(arguments, option)}: only with dmrac bench {kind}")
+    kinds = {SENSORS: _sensors, FLOOD: _flood, CORE: _core, GYM: _gym, NEURAL_FLY: _neural_fly, OMAC: _omac}
     report: Any = kinds.get(arguments.scenario, _times)(arguments)
     if arguments.json:
         print_json(report)
@@ -109,6 +121,40 @@ def _gym(arguments: argparse.Namespace) -> dict[str, float]:
     show = plain_console(arguments.json).print
     show("\n".join(f"{name:34} {speed:9.0f} steps/s" for name, speed in speeds.items()))
     return speeds
+
+
+def _neural_fly(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    from async_dmrac.benchmarks.neural_fly import WHERE, as_json, compare
+
+    found, show = compare(_folder(arguments, WHERE)), plain_console(arguments.json).print
+    show("mean squared error of the force; fitted and published: the last layer fits the whole flight; ahead: on line")
+    show(f"{'flight':10} {'samples':>8} {'zero':>7} {'mean':>7} {'fitted':>7} {'published':>9} {'ahead':>7} untrained")
+    for one in found:
+        published = f"{one.published:9.2f}" if one.published is not None else f"{'-':>9}"
+        show(
+            f"{one.condition:10} {one.samples:8d} {one.zero:7.2f} {one.mean:7.2f} {one.fitted:7.2f} {published}"
+            f" {one.ahead:7.2f} {one.ahead_untrained:9.2f}"
+        )
+    return as_json(found)
+
+
+def _omac(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    from async_dmrac.benchmarks.omac import WHERE, as_json, compare
+
+    found, show = compare(_folder(arguments, WHERE), arguments.seconds), plain_console(arguments.json).print
+    show(f"{'controller':12} {'mean error':>11} {'second half':>12}")
+    for one in found:
+        show(f"{one.controller:12} {one.position_m:9.3f} m {one.settled_m:10.3f} m")
+    return as_json(found)
+
+
+def _folder(arguments: argparse.Namespace, where: str) -> Path:
+    """The folder of others. Raises ConfigError, which says where to get it, without one."""
+    option = FOLDERS[arguments.scenario]
+    folder: Path | None = getattr(arguments, option)
+    if folder is None:
+        raise ConfigError(f"--{option}: missing; dmrac bench {arguments.scenario} downloads nothing: {where}")
+    return folder
 
 
 def _sensors(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 import argparse
 import json
 import shlex
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from rich.console import Console
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--view", action="store_true", help="show the flight live in the 3-D viewer (real time only)")
     parser.add_argument("--web", action="store_true", help="with --view: serve it to a browser on this machine")
     parser.add_argument(
-        "--tensorboard", action="store_true", help="also write the training as a TensorBoard run into the record"
+        "--tensorboard", action="store_true", help="also write the training as a TensorBoard run, while it is flown"
     )
     add_json_option(parser, "summary.json")
 
@@ -125,7 +126,10 @@ def run(arguments: argparse.Namespace) -> int:
     console = console_for(arguments)
     port = WEB_PORT + number - 1 if arguments.web else None
     try:
-        with live_view(folder, arguments.web, port) if arguments.view else nullcontext() as wait_for_viewer:
+        with (
+            live_view(folder, arguments.web, port) if arguments.view else nullcontext() as wait_for_viewer,
+            _tensorboard(folder, console) if arguments.tensorboard else nullcontext(),
+        ):
             command = repeat_command(arguments, config)
             with_offboard, core, log = not arguments.no_offboard, library or arguments.core, not arguments.no_log
             summary = fly_logged(config, folder, arguments.lockstep, with_offboard, command, console, core, log)
@@ -133,8 +137,6 @@ def run(arguments: argparse.Namespace) -> int:
                 print_json({**summary, "record": str(folder)})
             else:
                 print_summary(summary, folder, console)
-            if arguments.tensorboard:
-                _write_tensorboard(folder, console)
             if arguments.remember:
                 console.print(f"memory          {remember(arguments.memory, folder)}", soft_wrap=True, highlight=False)
             if wait_for_viewer is not None:
@@ -144,18 +146,17 @@ def run(arguments: argparse.Namespace) -> int:
     return EXIT_STATUS[summary["outcome"]] or int(bool(summary["record_faults"]))
 
 
-def _write_tensorboard(folder: Path, console: Console) -> None:
-    """Write the training of the flight into its record, and print where it is."""
-    from flight_log.reader import FlightError, open_flight
-    from flight_log.tensorboard import write_tensorboard
+@contextmanager
+def _tensorboard(folder: Path, console: Console) -> Iterator[None]:
+    """Write the training into the record while the flight goes on, and print where it is."""
+    from flight_log.tensorboard import live_tensorboard
 
     run = folder / "tensorboard"
-    try:
-        write_tensorboard(open_flight(folder), run)
-        line = str(run)
-    except FlightError as error:
-        line = str(error)
-    console.print(f"tensorboard     {line}", soft_wrap=True, highlight=False, markup=False)
+    with live_tensorboard(folder, run) as follower:
+        console.print(f"tensorboard --logdir {shlex.quote(str(run))}", soft_wrap=True, highlight=False, markup=False)
+        yield
+    if follower.run is None:
+        console.print("tensorboard     nothing was trained in this flight", soft_wrap=True, highlight=False)
 
 
 def _require_free_ports(arguments: argparse.Namespace, choices: Choices) -> None:

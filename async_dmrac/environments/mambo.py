@@ -38,7 +38,7 @@ class MamboEnv(gymnasium.Env[Observation, Action]):
         """Raise ConfigError that names the option, its value and what is allowed."""
         self.render_mode = render_mode
         self.task = Task(1, **options)
-        self.observation_space, self.action_space = _spaces(self.task)
+        self.observation_space, self.action_space = spaces(self.task)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -80,7 +80,7 @@ class MamboVectorEnv(VectorEnv[Observation, Action, NDArray[Any]]):
         """Raise ConfigError that names the option, its value and what is allowed."""
         self.num_envs, self.render_mode = num_envs, render_mode
         self.task = Task(num_envs, **options)
-        self.single_observation_space, self.single_action_space = _spaces(self.task)
+        self.single_observation_space, self.single_action_space = spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
@@ -118,7 +118,7 @@ class MamboVectorEnv(VectorEnv[Observation, Action, NDArray[Any]]):
         return task.observations(), rewards, terminated, truncated, {}
 
 
-def _spaces(task: Task) -> tuple[Any, Any]:
+def spaces(task: Task) -> tuple[Any, Any]:
     """Of what is seen, and of actions."""
     seen = Box(-np.inf, np.inf, (len(task.observation_names),), dtype=np.float32)
     return seen, Box(-1.0, 1.0, (task.action_width,), dtype=np.float32)

@@ -52,13 +52,14 @@ def disturbance_class(kind: str) -> type[Disturbance]:
 
 
 @cache
-def _built_in() -> tuple[type[Disturbance], ...]:
+def _built_in_classes() -> tuple[type[Disturbance], ...]:
+    """The classes of `kinds`; finding and checking them takes longer than starting a vehicle again."""
     return tuple(map(disturbance_class, kinds()))
 
 
 def acting_classes(disturbances: Iterable[Disturbance] = ()) -> tuple[type[Disturbance], ...]:
     """The classes with an `act`, in the order of their numbers: the built-in ones, then others of `disturbances`."""
-    classes = dict.fromkeys([*_built_in(), *(one.__class__ for one in disturbances)])
+    classes = dict.fromkeys([*_built_in_classes(), *(one.__class__ for one in disturbances)])
     return tuple(one for one in classes if one.acts())
 
 

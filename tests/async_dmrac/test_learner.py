@@ -294,3 +294,25 @@ def test_the_law_takes_its_own_settings() -> None:
     usual, slower = (Learner(INPUTS, OUTPUTS, law=law, **scales) for law in (KalmanLaw(), KalmanLaw(slow)))
     found = [one.update(np.ones(7), [1.0, 1.0]) for one in (usual, slower)]
     assert found[0][0] > 20.0 * found[1][0] > 0.0
+
+
+@pytest.mark.parametrize("law", [KalmanLaw, GradientLaw])
+def test_a_restarted_learner_behaves_like_a_new_one(law: type) -> None:
+    def new() -> Learner:
+        scales, sizes = dict.fromkeys(INPUTS, (0.0, 1.0)), dict(zip(OUTPUTS, SIZES.tolist(), strict=True))
+        return Learner(INPUTS, OUTPUTS, rate_hz=RATE_HZ, law=law(), input_scales=scales, output_scales=sizes)
+
+    def fly(learner: Learner) -> Array:
+        return np.array([learner.update(a, b) for a, b in zip(x, y, strict=True)])
+
+    (x, y), learner = samples(2.0, 3), new()
+    first = fly(learner)
+    going_on = fly(learner)
+    learner.restart()
+    assert (fly(learner) == first).all()
+    assert not np.allclose(going_on, first)
+
+
+def test_a_learner_without_scales_cannot_restart() -> None:
+    with pytest.raises(ValueError, match="nothing was fitted yet"):
+        Learner(INPUTS, OUTPUTS, rate_hz=RATE_HZ).restart()

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import nbformat
 import pytest
 
 from async_dmrac.command_line import SUBCOMMANDS
@@ -51,3 +52,18 @@ def test_every_subcommand_is_in_the_reference(hooks: ModuleType) -> None:
         assert f"## dmrac {name}\n" in page
         assert subcommand.help in page
     assert "--lockstep" in page
+
+
+def test_every_example_is_a_page_and_a_notebook_of_the_site(hooks: ModuleType) -> None:
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for example in (ROOT / "examples").glob("*.py"):
+        files = hooks.notebook_files(example)
+        page, notebook = files[f"notebooks/{example.stem}.md"], files[f"notebooks/{example.stem}.ipynb"]
+        assert f"notebooks/{example.stem}.md" in site
+        assert page.startswith("# ")
+        assert f"({example.stem}.ipynb)" in page
+        cells = nbformat.reads(notebook, as_version=4).cells
+        code = "\n".join(cell.source for cell in cells if cell.cell_type == "code")
+        shown = [line for line in example.read_text(encoding="utf-8").splitlines() if not line.startswith("# ")]
+        assert [line for line in code.splitlines() if line.strip()] == [line for line in shown if line.strip()]
+        assert all(cell.source in page for cell in cells)

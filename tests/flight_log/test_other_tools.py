@@ -1,6 +1,7 @@
 """Exports for other tools, read back with the libraries that those tools use."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,47 @@ def test_tensorboard_shows_the_losses(exported: Path, flight: Flight) -> None:
     assert [point.step for point in points] == training["round"].astype(int).tolist()
     np.testing.assert_allclose([point.value for point in points], training["validation_loss_position"], rtol=1e-6)
     assert "gate/verdict" in run.Tags()["scalars"]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_tensorboard_follows_a_flight_while_it_is_logged(
+    exported: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    import flight_log.tensorboard as board
+
+    def scalars(run: Path) -> list[tuple[float, int, float]]:
+        accumulator = EventAccumulator(str(run))
+        accumulator.Reload()
+        points = accumulator.Scalars("validation_loss/position")
+        return [(point.wall_time, point.step, point.value) for point in points]
+
+    monkeypatch.setattr(board, "POLL_PERIOD_S", 0.01)
+    flight, growing, run = open_flight(folder), tmp_path / "growing", tmp_path / "run"
+    expected = sum(len(flight[topic]) for topic in (board.TRAINING_TOPIC, board.EPOCH_TOPIC) if topic in flight)
+    growing.mkdir()
+    with board.live_tensorboard(growing, run) as follower:
+        for name in ("onboard.mcap", "offboard.mcap"):
+            data = (folder / name).read_bytes()
+            with (growing / name).open("wb") as file:
+                for part in (data[: len(data) // 2], data[len(data) // 2 :]):
+                    file.write(part)
+                    file.flush()
+                    time.sleep(0.1)
+        deadline = time.monotonic() + 60.0
+        while (follower.run is None or follower.run.entries < expected) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert scalars(run) == scalars(exported / "tensorboard")  # before the flight has ended
+
+
+def test_a_flight_that_trains_nothing_leaves_no_run(flight_folder: Path, tmp_path: Path) -> None:
+    from flight_log.tensorboard import live_tensorboard
+
+    with live_tensorboard(flight_folder, tmp_path / "run") as follower:
+        pass
+    assert follower.run is None
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(("word", "message"), [("--foxglove", "exists already"), ("--rosbag", "exists already")])

@@ -1,0 +1,1 @@
+"""The learner alone on the tasks of others, through `async_dmrac.Learner` and no private name."""
