@@ -49,7 +49,7 @@ def test_good_features_come_into_use_and_are_reported():
 def test_features_are_refused_with_the_reason(controller, sent, reason):
     loop = in_flight(controller)
     loop.peer.sender.offer(sent, loop.now_ns)
-    loop.fly(0.5)
+    loop.fly(1.2)
     status = loop.peer.statuses[-1]
     assert (status.refused_version, REFUSALS[status.refusal]) == (1, reason)
     assert status.feature_version == 0
@@ -65,14 +65,14 @@ def test_features_that_jump_too_far_are_refused_in_flight():
     position._signals = position._signals + np.array([0.0, 0.5, 0.0])
     position.step = lambda channel, telemetry: np.zeros(3)  # the next tick would see hover again
     loop.peer.sender.offer(features(last_layer=1.0), loop.now_ns)
-    loop.fly(0.5)
+    loop.fly(1.2)
     assert REFUSALS[loop.peer.statuses[-1].refusal] == "swap_jump"
 
 
 def test_undecodable_features_are_refused_on_arrival():
     loop = Loop("dmrac", peer=Peer()).fly(1.0)
     loop.waiting += split(b"no feature set" * 30, 4, 1000)
-    loop.fly(0.5)
+    loop.fly(1.2)
     assert loop.peer.statuses[-1].refused_version == 4
     assert loop.peer.statuses[-1].refusal > 0
 
@@ -93,7 +93,7 @@ def test_a_controller_that_does_not_learn_refuses():
 def test_a_version_taken_back_is_reported_to_the_trainer_and_on_the_pilots_screen():
     loop = in_flight("dmrac")
     loop.peer.sender.offer(features(), loop.now_ns)
-    loop.fly(0.5)
+    loop.fly(1.2)
     loop.core.controller.guard._watches[0]._worse_s = 1.0
     texts = []
     send_text = loop.core._ground_link.send_text
@@ -116,7 +116,7 @@ def test_chunks_of_a_peer_that_has_not_proven_life_are_not_taken():
     ]
     loop.core._offboard_link.endpoint.layout = loop.peer.endpoint.layout = bytes(8)  # the layout has a check of its own
     loop.peer.sender.offer(features(), loop.now_ns)
-    loop.fly(0.5)
+    loop.fly(1.2)
     assert loop.core.summary()["features"]["version"] == 0
     assert loop.core.summary()["rejected"]["not_alive"] > 0
     loop.peer.take_in = take_in
@@ -176,7 +176,7 @@ def test_a_version_is_prepared_over_many_ticks_and_swapped_in_one():
     while loop.core.summary()["features"]["version"] == 0:
         loop.step()
         ticks += 1
-        assert ticks < 100
+        assert ticks < 250
     assert ticks > 20
     assert loop.column("feature_version")[-1] == 1
 
@@ -189,7 +189,7 @@ def test_the_version_in_preparation_is_finished_first_and_the_newest_of_the_othe
             for chunk in split(encode_feature_set(features(number), "float32"), number, 1000)
         ]
         loop.step()
-    loop.fly(1.0)
+    loop.fly(2.4)
     assert [text for text in loop.said("in use") if "features" in text] == [
         "features 1 in use, parent 0, 100 samples",
         "features 3 in use, parent 0, 100 samples",
@@ -214,18 +214,18 @@ def test_a_version_is_swapped_in_while_offboard_is_silent():
     loop.extra = [loop.peer.endpoint.encode(chunk, loop.now_ns + CLOCK_NS) for chunk in chunks]
     loop.step()
     loop.peer, loop.waiting = None, []
-    loop.fly(1.0)
+    loop.fly(1.2)
     assert loop.core.summary()["features"]["version"] == 1
 
 
 def test_a_restarted_peer_may_number_its_features_anew():
     loop = Loop("dmrac", peer=Peer(session=2)).fly(1.0)
     loop.peer.sender.offer(features(version=9), loop.now_ns)
-    loop.fly(1.0)
+    loop.fly(1.5)
     assert loop.column("feature_version")[-1] == 9
     loop.join(Peer(session=3))
-    loop.fly(0.5)
+    loop.fly(1.2)
     assert loop.said("offboard restarted")
     loop.waiting += split(encode_feature_set(features(version=1), "float32"), 1, 1000)
-    loop.fly(0.5)
+    loop.fly(1.2)
     assert loop.column("feature_version")[-1] == 1

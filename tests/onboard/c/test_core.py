@@ -236,12 +236,12 @@ def versions_good_bad_and_taken_back(variant: Variant) -> ShadowLoop:
     texts = ["features 1 in use", "features 2 refused: lipschitz", "features 3 refused: weight_norm"]
     for version in (features(1), features(2, gain=100.0), features(3, last_layer=100.0)):
         loop.peer.sender.offer(version, loop.now_ns)
-        loop.fly(0.3)
+        loop.fly(1.2)
     fail(loop)
     loop.fly(0.3)
     loop.waiting += split(b"no feature set" * 30, 4, 1000)
     loop.peer.sender.offer(features(5, last_layer=0.05), loop.now_ns)
-    loop.fly(0.3)
+    loop.fly(1.2)
     for _ in range(3):  # back to the start features, to the bias alone, to none
         fail(loop)
         loop.fly(0.3)
