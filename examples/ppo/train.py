@@ -3,8 +3,8 @@
     pip install 'async-dmrac[rl,gym]'
     python examples/ppo/train.py --seconds 300
 
-A hundred vehicles fly at once. Each episode draws the vehicle and the wind. The policy sees what OBSERVATION names and commands
-collective thrust and body rates, 50 times a second.
+A hundred vehicles fly at once. Each episode draws the vehicle and the wind. The policy sees what OBSERVATION names and
+commands collective thrust and body rates, 50 times a second.
 """
 
 import argparse
