@@ -1,7 +1,8 @@
 """Hooks of mkdocs: pages that are not in docs/, and links that lead out of it.
 
 README, CONTRIBUTING, CHANGELOG and the READMEs of the C core and of mambo/ become pages, the options of every
-subcommand become one, and each example becomes a page and a notebook to download. Links to a source file lead to a copy of it in the site; a link to a folder becomes plain text.
+subcommand become one, and each example becomes a page and a notebook to download. Links to a source file lead to a copy
+of it in the site; a link to a folder becomes plain text.
 """
 
 import re

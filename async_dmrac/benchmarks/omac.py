@@ -122,7 +122,7 @@ def learner_controller(control: Any) -> type:
     `meta_adapt()` trains and swaps, once the wind has changed.
     """
 
-    class LearnerControl(control.MetaAdapt):  # type: ignore[misc, name-defined]
+    class LearnerControl(control.MetaAdapt):  # type: ignore[misc]
         _name = "learner"
         name_long = "Learner of async_dmrac"
 

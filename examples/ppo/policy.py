@@ -6,8 +6,8 @@ import numpy as np
 
 from async_dmrac import ConfigRecord, ControlInputs, ControlOutput, Field
 
-TICKS = 2
-"""Ticks of 5 ms from one action to the next: 100 actions a second, as in the training."""
+TICKS = 4
+"""Ticks of 5 ms from one action to the next: 50 actions a second, as in the training."""
 RATES_MAX_RAD_S = 6.0
 """Body rate that an action of 1 commands, as in the environment."""
 

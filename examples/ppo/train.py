@@ -3,8 +3,8 @@
     pip install 'async-dmrac[rl,gym]'
     python examples/ppo/train.py --seconds 300
 
-A hundred vehicles fly at once. Each episode draws the vehicle and the wind. The policy sees what OBSERVATION names and commands
-collective thrust and body rates, 100 times a second.
+A hundred vehicles fly at once. Each episode draws the vehicle and the wind. The policy sees what OBSERVATION names and
+commands collective thrust and body rates, 50 times a second.
 """
 
 import argparse
@@ -21,7 +21,8 @@ from async_dmrac.environments.stable_baselines import MamboBatch
 from async_dmrac.physics import Wind
 
 OBSERVATION = ("position_error", "velocity_error", "rotation", "rates", "last_action")
-RATE_HZ = 100.0
+RATE_HZ = 50.0
+"""Motors hold their command for 20 ms: stands for the delays of sensors, estimator and link, which training has not."""
 
 
 class Budget(BaseCallback):
@@ -69,7 +70,7 @@ def main() -> None:
         ],
         start_spread=1.5,
     )
-    env = VecNormalize(batch, norm_obs=True, norm_reward=True, gamma=0.99)
+    env = VecNormalize(batch, norm_obs=True, norm_reward=True, gamma=0.98)
     agent = PPO(
         "MlpPolicy",
         env,
@@ -77,7 +78,7 @@ def main() -> None:
         batch_size=1600,
         n_epochs=5,
         learning_rate=1e-3,
-        gamma=0.99,
+        gamma=0.98,
         gae_lambda=0.95,
         policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.0},
         seed=arguments.seed,

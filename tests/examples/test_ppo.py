@@ -64,8 +64,8 @@ def test_an_action_commands_in_flight_what_it_commanded_in_training(task: Task, 
     action, settings, state = np.array([0.1, 0.2, -0.3, 0.1]), task._settings, task.batch.states[0]
     policy.act = lambda seen: action
     output = policy.step(inputs_of(task))
-    alpha = settings[loop.ATTITUDE_K2 : loop.ATTITUDE_K2 + 3] * (6.0 * action[1:] - state[10:13])
-    assert output.torque_nm == pytest.approx(loop.torque_for(tuple(alpha), state, settings), rel=1e-3)
+    alpha = policy.gain * (6.0 * action[1:] - state[10:13])
+    assert output.torque_nm == pytest.approx(loop.torque_for(tuple(alpha), state, settings))
     assert output.thrust_n == pytest.approx(2.0 * 1.1 * settings[loop.MAX_THRUST])
 
 
