@@ -138,6 +138,9 @@ class Learner:
         self._swap_config = SwapConfig(jump_max=jump_max, ring_period_ticks=period, ring_size=RECENT_STATES)
         self._collected: deque[tuple[Array, Array]] = deque(maxlen=COLLECTED_MAX)
         self.version = 0
+        self._now: Array
+        self._residual: Array
+        self._ticks: int
         self._forget()
         self._networks: OwnNetworks | None = None
         self._state: TrainerState | None = None

@@ -92,20 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.controller, arguments.seed, arguments.duration, assignments, vehicle=number, radio=arguments.radio
     )
     config = resolve(arguments.scenario, choices)
-    if arguments.no_offboard and not arguments.lockstep:
-        raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
-    if arguments.core != NUMPY and not arguments.lockstep:
-        raise ConfigError(f"--core {arguments.core}: only with --lockstep")
-    if arguments.no_log and not arguments.lockstep:
-        raise ConfigError("--no-log: only with --lockstep")
-    if arguments.no_log and arguments.remember:
-        raise ConfigError("--no-log: not with --remember, which learns from the log")
-    if arguments.view and arguments.lockstep:
-        raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
-    if arguments.view and arguments.json:
-        raise ConfigError("--json: not with --view, which prints its address")
-    if arguments.web and not arguments.view:
-        raise ConfigError("--web: only with --view")
+    _check_options(arguments)
     if arguments.view:
         require_viewer(arguments.web)
     learns = not arguments.no_offboard and config.offboard.experience.mode != "frozen"
@@ -144,6 +131,24 @@ def run(arguments: argparse.Namespace) -> int:
     except (FlightStartError, ConfigError) as error:
         raise type(error)(f"{error}{clear_folder(folder, earlier)}") from None
     return EXIT_STATUS[summary["outcome"]] or int(bool(summary["record_faults"]))
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Raise ConfigError for options that do not go together."""
+    if arguments.no_offboard and not arguments.lockstep:
+        raise ConfigError("--no-offboard: only with --lockstep; in real time start the processes one by one")
+    if arguments.core != NUMPY and not arguments.lockstep:
+        raise ConfigError(f"--core {arguments.core}: only with --lockstep")
+    if arguments.no_log and not arguments.lockstep:
+        raise ConfigError("--no-log: only with --lockstep")
+    if arguments.no_log and arguments.remember:
+        raise ConfigError("--no-log: not with --remember, which learns from the log")
+    if arguments.view and arguments.lockstep:
+        raise ConfigError("--view: only in real time; show a lockstep flight afterwards with dmrac view")
+    if arguments.view and arguments.json:
+        raise ConfigError("--json: not with --view, which prints its address")
+    if arguments.web and not arguments.view:
+        raise ConfigError("--web: only with --view")
 
 
 @contextmanager

@@ -30,18 +30,11 @@ from onboard.control.reference_model import AttitudeReferenceModel, ChannelGains
 from onboard.control.slope import SlopeLimits
 from onboard.control.tracking_bound import TrackingBounds
 from onboard.flight.trajectory import PathPoint
+from protocol import geometry
 from protocol.conventions import Array
 from protocol.feature_config import ChannelName, FeaturesConfig
 from protocol.feature_set import FeatureSet
-from protocol.geometry import (
-    Quaternion,
-    Vector3,
-    add,
-    attitude_for_thrust,
-    quaternion_multiply,
-    quaternion_to_rotation_vector,
-    vector,
-)
+from protocol.geometry import Quaternion, Vector3, add, vector
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 
 AugmentationConfig = Annotated[
@@ -49,8 +42,7 @@ AugmentationConfig = Annotated[
     Field(discriminator="kind"),
 ]
 
-POSITION_N = SIGNAL_INDEX["position_n"]
-VELOCITY_N = SIGNAL_INDEX["velocity_n"]
+POSITION_N, VELOCITY_N = SIGNAL_INDEX["position_n"], SIGNAL_INDEX["velocity_n"]
 BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
 YAW_ERROR_MAX_RAD = 0.5
@@ -346,7 +338,7 @@ class CascadedController:
         self._limits.step(inputs.adapt, float(inputs.position.residual[2]), inputs.dt)
         fx, fy, fz = self._limits.specific_thrust(u, float(self._output.position.adaptive[2]))
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
-        commanded = attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)
+        commanded = geometry.attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()
         return self._airframe.mass_kg * thrust_along((fx, fy, fz), (r02, r12, r22)), commanded
 
@@ -354,7 +346,8 @@ class CascadedController:
         """Rate of the commanded attitude, rad/s, filtered; zero without that feed-forward and on the ground."""
         w, x, y, z = self._commanded
         self._commanded = commanded
-        self._command_turn = turn = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
+        turned = geometry.quaternion_multiply((w, -x, -y, -z), commanded)
+        self._command_turn = turn = geometry.quaternion_to_rotation_vector(turned)
         if self._settings.command_rate_filter_s == 0.0 or not inputs.adapt:
             self._command_rate = (0.0, 0.0, 0.0)
             return self._command_rate
@@ -384,15 +377,14 @@ class CascadedController:
             w_i + dt * (0.5 * (u1 + u2) + n) + 0.5 * dt * (u2 + n)
             for w_i, u1, u2, n in zip(here, now, next_, nu, strict=True)
         )
-        h = 0.5 * 1.5 * dt
-        turn = vector(h * 0.5 * (a + b) for a, b in zip(here, there, strict=True))
-        return quaternion_multiply((w, x, y, z), (1.0, *turn)), there
+        turn = vector(0.5 * 1.5 * dt * 0.5 * (a + b) for a, b in zip(here, there, strict=True))
+        return geometry.quaternion_multiply((w, x, y, z), (1.0, *turn)), there
 
     def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
         """u = K_1 e_R - K_2 (omega - omega_d) - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
         channel, telemetry = self._channels[1], self._output.attitude
         (w, x, y, z), omega = self._predicted(inputs)
-        ex, ey, ez = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), commanded))
+        ex, ey, ez = geometry.quaternion_to_rotation_vector(geometry.quaternion_multiply((w, -x, -y, -z), commanded))
         e_R = ex, ey, min(max(ez, -YAW_ERROR_MAX_RAD), YAW_ERROR_MAX_RAD)
         p, q, r = omega
         channel.tracking_error[:] = (*e_R, -p, -q, -r)

@@ -3,14 +3,12 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "control/q15_pairs.h"
 #include "numerics/elementary.h"
 
 #define INPUT_BITS 13
-#define OUTPUT_BITS 15
 #define SUM_BITS 16
-#define STEP_BITS 11       /* of a number with SUM_BITS, within one step of the table: 1/32 */
-#define SUM_GUARD_BITS 6   /* of a sum of up to WIDTH_MAX products */
-#define DIRECTION_MAX 4000 /* of a vector: no sum of WIDTH_MAX squares exceeds 32 bits */
+#define STEP_BITS 11 /* of a number with SUM_BITS, within one step of the table: 1/32 */
 #define SIZE_MAX_Q REAL(32767.0)
 #define SUM_MAX_Q REAL(65000.0) /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
 
@@ -34,55 +32,6 @@ static const int16_t TANH[TANH_POINTS] = {
     32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767, 32767,
     32767};
 
-/* Two numbers of 16 bits in one of 32, so that a processor loads both at once. */
-static int32_t pair_of(int32_t low, int32_t high) {
-    return (int32_t)(((uint32_t)high << 16) | ((uint32_t)low & 0xffff));
-}
-
-static int32_t low_of(int32_t pair) {
-    return (int16_t)pair;
-}
-
-static int32_t high_of(int32_t pair) {
-    return pair >> 16;
-}
-
-static int32_t number_of(const int32_t *pairs, int32_t i) {
-    return i % 2 == 0 ? low_of(pairs[i / 2]) : high_of(pairs[i / 2]);
-}
-
-static int32_t dot_of_pairs(const int32_t *a, const int32_t *b, int32_t pairs) {
-    int32_t sum = 0;
-    for (; pairs >= 4; pairs -= 4, a += 4, b += 4) {
-        sum += low_of(a[0]) * low_of(b[0]);
-        sum += high_of(a[0]) * high_of(b[0]);
-        sum += low_of(a[1]) * low_of(b[1]);
-        sum += high_of(a[1]) * high_of(b[1]);
-        sum += low_of(a[2]) * low_of(b[2]);
-        sum += high_of(a[2]) * high_of(b[2]);
-        sum += low_of(a[3]) * low_of(b[3]);
-        sum += high_of(a[3]) * high_of(b[3]);
-    }
-    for (; pairs > 0; pairs--, a++, b++) {
-        sum += low_of(*a) * low_of(*b);
-        sum += high_of(*a) * high_of(*b);
-    }
-    return sum;
-}
-
-static int32_t pairs_for(int32_t numbers) {
-    return (numbers + 1) / 2;
-}
-
-/* x / 2^shift, rounded; a negative shift multiplies, up to the largest number. */
-static int32_t shifted(int32_t x, int32_t shift) {
-    if (shift > 0) {
-        return shift > 31 ? 0 : ((x >> (shift - 1)) + 1) >> 1;
-    }
-    int32_t most = INT32_MAX >> -shift;
-    return x > most ? INT32_MAX : x < -most ? -INT32_MAX : x * (int32_t)(1U << -shift);
-}
-
 int16_t tanh_q15(int32_t x) {
     int32_t size = x < 0 ? -x : x, place = size >> STEP_BITS, value = TANH[TANH_POINTS - 1];
     if (place < TANH_POINTS - 1) {
@@ -93,29 +42,6 @@ int16_t tanh_q15(int32_t x) {
 }
 
 /* --- a network, rounded --- */
-
-/* Where a layer begins. */
-typedef struct {
-    int32_t parameters; /* in Network */
-    int32_t row;        /* in the biases and bits */
-    int32_t pair;       /* in the pairs */
-    int32_t inputs;
-} Place;
-
-static Place place_of(const Network *network, int32_t inputs, int32_t layer) {
-    Place place = {0, 0, 0, inputs};
-    for (int32_t l = 0; l < layer; l++) {
-        place.parameters += network->width[l] * (place.inputs + 1);
-        place.row += network->width[l];
-        place.pair += network->width[l] * pairs_for(place.inputs);
-        place.inputs = network->width[l];
-    }
-    return place;
-}
-
-static int32_t rounded(real x) {
-    return (int32_t)(x < REAL(0.0) ? x - REAL(0.5) : x + REAL(0.5));
-}
 
 /* Fractional bits with which every number of a row fits into 16 bits, and every sum into 32; -1 if none. */
 static int32_t bits_of(const real *row, int32_t count) {
@@ -294,14 +220,6 @@ static void fit(int32_t sums[INPUTS_MAX][WIDTH_MAX], int32_t n, int32_t width, r
     out->unit = shift >= 0 ? unit * (real)((int32_t)1 << shift) : unit / (real)((int32_t)1 << -shift);
 }
 
-static int32_t fewest_bits(const int8_t *bits, int32_t count) {
-    int32_t fewest = OUTPUT_BITS;
-    for (int32_t i = 0; i < count; i++) {
-        fewest = bits[i] < fewest ? bits[i] : fewest;
-    }
-    return fewest;
-}
-
 /* D W J of one layer, whose outputs are given: for each input the sum over the outputs below; the first layer has one number
  * for each input. */
 static void slopes_of_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *outputs,
@@ -372,118 +290,6 @@ void q15_map_slope(const Features *self, const real *theta, const real *z, const
             slope[axis * n + j] = sensible ? (real)along * (slopes.unit / scale) : REAL(0.0) * sum;
         }
     }
-}
-
-/* --- the spectral norm of a layer --- */
-
-/* W W' or W'W, whichever is smaller, [n, n], of rows that have one number of fractional bits. */
-static void gram_of_layer(const int32_t *rows, const int8_t *bits, int32_t width, int32_t inputs, int32_t *out) {
-    int32_t pairs = pairs_for(inputs), n = width <= inputs ? width : inputs, fewest = fewest_bits(bits, width);
-    for (int32_t i = 0; i < n; i++) {
-        for (int32_t j = 0; j <= i; j++) {
-            int32_t sum = 0;
-            if (width <= inputs) {
-                const int32_t *a = rows + i * pairs, *b = rows + j * pairs;
-                sum = dot_of_pairs(a, b, pairs) >> (bits[i] + bits[j] - 2 * fewest);
-            } else {
-                for (int32_t m = 0; m < width; m++) {
-                    int32_t product = number_of(rows + m * pairs, i) * number_of(rows + m * pairs, j);
-                    sum += product >> (2 * (bits[m] - fewest) + SUM_GUARD_BITS);
-                }
-            }
-            out[i * n + j] = out[j * n + i] = sum;
-        }
-    }
-}
-
-/* Bring a positive semidefinite matrix to a trace of at most 2^15, so that no number of its square exceeds 32 bits. */
-static void fit_matrix(const int32_t *sums, int32_t n, int32_t *rows) {
-    int32_t pairs = pairs_for(n), shift = 0;
-    int64_t trace = 1;
-    for (int32_t i = 0; i < n; i++) {
-        trace += sums[i * n + i];
-    }
-    for (; trace > 32000; trace >>= 1) {
-        shift++;
-    }
-    for (int32_t i = 0; i < n; i++) {
-        for (int32_t j = 0; j < n; j += 2) {
-            int32_t high = j + 1 < n ? sums[i * n + j + 1] >> shift : 0;
-            rows[i * pairs + j / 2] = pair_of(sums[i * n + j] >> shift, high);
-        }
-    }
-}
-
-/* out = M v, brought to 16 bits. */
-static void turn_vector(const int32_t *rows, int32_t n, const int32_t *v, int32_t *out) {
-    int32_t sums[WIDTH_MAX], largest = 1, shift = 0, pairs = pairs_for(n);
-    for (int32_t i = 0; i < n; i++) {
-        sums[i] = dot_of_pairs(rows + i * pairs, v, pairs);
-        int32_t size = sums[i] < 0 ? -sums[i] : sums[i];
-        largest = size > largest ? size : largest;
-    }
-    for (; largest > DIRECTION_MAX; largest >>= 1) {
-        shift++;
-    }
-    for (int32_t i = 0; i < n; i += 2) {
-        out[i / 2] = pair_of(shifted(sums[i], shift), i + 1 < n ? shifted(sums[i + 1], shift) : 0);
-    }
-}
-
-/* The direction of the largest singular value, in pairs: of W's inputs or outputs, whichever are fewer. */
-static void main_direction(const int32_t *rows, const int8_t *bits, int32_t width, int32_t inputs, int32_t *sums,
-                           int32_t *v) {
-    int32_t n = width <= inputs ? width : inputs, pairs = pairs_for(n), best = 0;
-    int32_t power[WIDTH_MAX * PAIRS_MAX], before[PAIRS_MAX];
-    gram_of_layer(rows, bits, width, inputs, sums);
-    fit_matrix(sums, n, power);
-    for (int step = 0; step < NORM_SQUARINGS; step++) {
-        for (int32_t i = 0; i < n; i++) {
-            for (int32_t j = 0; j <= i; j++) {
-                sums[i * n + j] = sums[j * n + i] = dot_of_pairs(power + i * pairs, power + j * pairs, pairs);
-            }
-        }
-        fit_matrix(sums, n, power);
-    }
-    for (int32_t i = 1; i < n; i++) {
-        best = number_of(power + i * pairs, i) > number_of(power + best * pairs, best) ? i : best;
-    }
-    memcpy(v, power + best * pairs, (size_t)pairs * sizeof *v);
-    for (int step = 0; step < NORM_STEPS; step++) {
-        memcpy(before, v, (size_t)pairs * sizeof *v);
-        turn_vector(power, n, before, v);
-    }
-}
-
-real q15_layer_norm(const Features *self, int32_t layer, NormWorkspace *work) {
-    Place at = place_of(&self->network, self->selection.count, layer);
-    const int32_t *rows = self->whole.pairs + at.pair;
-    const int8_t *bits = self->whole.bits + at.row;
-    int32_t width = self->network.width[layer], pairs = pairs_for(at.inputs), v[PAIRS_MAX], x[PAIRS_MAX];
-    main_direction(rows, bits, width, at.inputs, work->whole, v);
-    if (width <= at.inputs) { /* v is a direction of the outputs: W'v is one of the inputs */
-        real sums[WIDTH_MAX], largest = REAL(0.0);
-        for (int32_t j = 0; j < at.inputs; j++) {
-            int64_t sum = 0;
-            for (int32_t i = 0; i < width; i++) {
-                sum += ((int64_t)number_of(rows + i * pairs, j) * number_of(v, i)) >> bits[i];
-            }
-            sums[j] = (real)sum;
-            largest = real_max(largest, real_abs(sums[j]));
-        }
-        real scale = largest > REAL(0.0) ? (real)DIRECTION_MAX / largest : REAL(0.0);
-        for (int32_t j = 0; j < at.inputs; j += 2) {
-            x[j / 2] = pair_of(rounded(sums[j] * scale), j + 1 < at.inputs ? rounded(sums[j + 1] * scale) : 0);
-        }
-    } else {
-        memcpy(x, v, sizeof v);
-    }
-    real of_v = (real)dot_of_pairs(x, x, pairs), of_W = REAL(0.0);
-    for (int32_t i = 0; i < width; i++) {
-        real y = (real)dot_of_pairs(rows + i * pairs, x, pairs) / (real)((int32_t)1 << bits[i]);
-        of_W += y * y;
-    }
-    return of_v > REAL(0.0) ? real_sqrt(of_W / of_v) : REAL(0.0);
 }
 
 #endif

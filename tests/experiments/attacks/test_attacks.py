@@ -34,23 +34,32 @@ def test_without_the_guard_cliffs_cost_the_vehicle():
     assert outcome.lost
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_each_part_of_the_guard_is_needed(seed):
+@pytest.mark.parametrize("seed", [1, 3])
+def test_room_and_test_are_needed_against_cliffs(seed):
     """Nothing; the room alone; room and probation; all."""
     parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
     flights = [fly_attack("steep_again", seed, duration_s=20.0, assignments=(*JET, *off)) for off in parts]
     _, room, probation, all_on = flights
     assert [bool(flight.lost) for flight in flights] == [True, False, False, False]
-    assert room.error_m > 1.5 * probation.error_m
-    assert room.swaps > probation.swaps > all_on.swaps, "the test refuses what probation would have to take back"
+    assert min(room.swaps, probation.swaps) > all_on.swaps == 0, "the test refuses them"
+    assert min(room.error_m, probation.error_m) > 1.1 * all_on.error_m
     assert all_on.error_m < ERROR_MAX_M
 
 
-def test_a_cliff_that_is_out_of_reach_on_arrival_is_taken_back_before_it_is_reached():
+def test_probation_is_needed_against_a_wrong_map():
+    """One version, the honest map scaled up to the bound: without the test it flies, and the room alone lets it."""
+    room, probation = (
+        fly_attack("scaled", 3, duration_s=20.0, assignments=(*JET, *off)) for off in (OFF[1:], (OFF[1], *OFF[3:]))
+    )
+    assert room.error_m > 1.5 * probation.error_m
+    assert probation.refused[1] == "probation"
+
+
+def test_a_cliff_that_is_out_of_reach_on_arrival_is_found_before_it_is_reached():
+    """While the version is prepared it comes into reach, and the test refuses it."""
     outcome = fly_attack("far_cliff", 1, assignments=JET)
     assert not outcome.lost
-    assert outcome.refused[1] == "probation"
-    assert any("taken back" in event for event in outcome.events)
+    assert outcome.refused[1] == "reach"
     assert outcome.error_m < ERROR_MAX_M
 
 

@@ -1,0 +1,90 @@
+/* Numbers of 16 bits in pairs, for the networks in whole numbers (features_q15.h) and their norms (spectral_q15.c). */
+#ifndef DMRAC_Q15_PAIRS_H
+#define DMRAC_Q15_PAIRS_H
+
+#include "control/features_q15.h"
+#include "numerics/elementary.h"
+
+#define OUTPUT_BITS 15
+
+/* Two numbers of 16 bits in one of 32, so that a processor loads both at once. */
+static inline int32_t pair_of(int32_t low, int32_t high) {
+    return (int32_t)(((uint32_t)high << 16) | ((uint32_t)low & 0xffff));
+}
+
+static inline int32_t low_of(int32_t pair) {
+    return (int16_t)pair;
+}
+
+static inline int32_t high_of(int32_t pair) {
+    return pair >> 16;
+}
+
+static inline int32_t number_of(const int32_t *pairs, int32_t i) {
+    return i % 2 == 0 ? low_of(pairs[i / 2]) : high_of(pairs[i / 2]);
+}
+
+static inline int32_t dot_of_pairs(const int32_t *a, const int32_t *b, int32_t pairs) {
+    int32_t sum = 0;
+    for (; pairs >= 4; pairs -= 4, a += 4, b += 4) {
+        sum += low_of(a[0]) * low_of(b[0]);
+        sum += high_of(a[0]) * high_of(b[0]);
+        sum += low_of(a[1]) * low_of(b[1]);
+        sum += high_of(a[1]) * high_of(b[1]);
+        sum += low_of(a[2]) * low_of(b[2]);
+        sum += high_of(a[2]) * high_of(b[2]);
+        sum += low_of(a[3]) * low_of(b[3]);
+        sum += high_of(a[3]) * high_of(b[3]);
+    }
+    for (; pairs > 0; pairs--, a++, b++) {
+        sum += low_of(*a) * low_of(*b);
+        sum += high_of(*a) * high_of(*b);
+    }
+    return sum;
+}
+
+static inline int32_t pairs_for(int32_t numbers) {
+    return (numbers + 1) / 2;
+}
+
+/* x / 2^shift, rounded; a negative shift multiplies, up to the largest number. */
+static inline int32_t shifted(int32_t x, int32_t shift) {
+    if (shift > 0) {
+        return shift > 31 ? 0 : ((x >> (shift - 1)) + 1) >> 1;
+    }
+    int32_t most = INT32_MAX >> -shift;
+    return x > most ? INT32_MAX : x < -most ? -INT32_MAX : x * (int32_t)(1U << -shift);
+}
+
+/* Where a layer begins. */
+typedef struct {
+    int32_t parameters; /* in Network */
+    int32_t row;        /* in the biases and bits */
+    int32_t pair;       /* in the pairs */
+    int32_t inputs;
+} Place;
+
+static inline Place place_of(const Network *network, int32_t inputs, int32_t layer) {
+    Place place = {0, 0, 0, inputs};
+    for (int32_t l = 0; l < layer; l++) {
+        place.parameters += network->width[l] * (place.inputs + 1);
+        place.row += network->width[l];
+        place.pair += network->width[l] * pairs_for(place.inputs);
+        place.inputs = network->width[l];
+    }
+    return place;
+}
+
+static inline int32_t rounded(real x) {
+    return (int32_t)(x < REAL(0.0) ? x - REAL(0.5) : x + REAL(0.5));
+}
+
+static inline int32_t fewest_bits(const int8_t *bits, int32_t count) {
+    int32_t fewest = OUTPUT_BITS;
+    for (int32_t i = 0; i < count; i++) {
+        fewest = bits[i] < fewest ? bits[i] : fewest;
+    }
+    return fewest;
+}
+
+#endif
