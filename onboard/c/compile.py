@@ -99,9 +99,9 @@ def compile_core(variant: Variant, out: Path) -> None:
 
 
 def preprocessed_headers(variant: Variant) -> str:
-    """What the core's own headers declare, constants put in. Raises BuildError."""
+    """What the core's own headers declare, constants put in, without inline functions. Raises BuildError."""
     includes = "".join(f'#include "{path.relative_to(FOLDER).as_posix()}"\n' for path in headers())
-    return _own_lines(run([*compiler(), *variant.flags, "-E", "-xc", "-"], includes))
+    return _own_lines(run([*compiler(), *variant.flags, "-DDMRAC_DECLARATIONS", "-E", "-xc", "-"], includes))
 
 
 def run(command: list[str], given: str | None = None) -> str:

@@ -5,6 +5,8 @@
 #include "control/features_q15.h"
 #include "numerics/elementary.h"
 
+#ifndef DMRAC_DECLARATIONS /* what Python reads (onboard/c/compile.py) has no inline functions */
+
 #define OUTPUT_BITS 15
 
 /* Two numbers of 16 bits in one of 32, so that a processor loads both at once. */
@@ -86,5 +88,7 @@ static inline int32_t fewest_bits(const int8_t *bits, int32_t count) {
     }
     return fewest;
 }
+
+#endif
 
 #endif
