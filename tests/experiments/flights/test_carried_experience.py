@@ -69,7 +69,7 @@ def test_a_flight_starts_from_a_memory_or_says_why_not(tmp_path: Path) -> None:
     assert data is not None
     dmrac, trainer = cores("dmrac")
     start_from(data, dmrac, trainer)
-    assert trainer.learner.latest is not None
+    assert trainer.learner._memory is not None
     pid, relay = cores("pid")
     with pytest.raises(ConfigError, match="this controller uses none"):
         start_from(data, pid, relay)
