@@ -9,7 +9,7 @@ BLOCKS: Final[dict[str, tuple[str, ...]]] = {
     "link: MAC, decoding, chunks": ("links-", "protocol-"),
     "estimator": ("estimation-",),
     "guidance and flight modes": ("flight-", "generated-"),
-    "features": ("control-features",),
+    "features": ("control-features", "control-spectral_q15"),
     "last layer": ("control-laws-",),
     "slope bound": ("control-slope",),
     "guard": ("control-guard", "control-room", "control-watch", "control-tracking_bound"),

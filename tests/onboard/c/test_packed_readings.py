@@ -27,7 +27,9 @@ except BuildError as error:
 )
 def test_every_member_gets_its_number(real: str, name: str, layout: str, given: tuple[Any, ...]) -> None:
     library = load(Variant(real=real))
-    filled = _Packed(library, getattr(library, name), layout)(*given)
+    packed = _Packed(library, getattr(library, name), layout)
+    packed.fill(*given)
+    filled = packed.filled
     found: list[Any] = []
     for member, _ in filled._fields_:
         value = getattr(filled, member)
@@ -38,4 +40,4 @@ def test_every_member_gets_its_number(real: str, name: str, layout: str, given: 
 def test_a_number_too_many_is_an_error() -> None:
     library = load(Variant())
     with pytest.raises(struct.error):
-        _Packed(library, library.RangeReading, RANGE)(1, 2.0, 3.0)
+        _Packed(library, library.RangeReading, RANGE).fill(1, 2.0, 3.0)
