@@ -65,7 +65,7 @@ def losses_first(rows: Sequence[HeatMapRow]) -> str:
         return f"In no condition of the picture another controller has a smaller median error than {OURS}.\n"
     worst = sorted(behind, key=lambda row: row.ratios[OURS], reverse=True)[:LOSSES_SHOWN]
     lines = [
-        f"{OURS} has a larger median error than the best other controller in {len(behind)} of {len(rows)} conditions:\n"
+        f"{OURS.upper()} has a larger median error than the best other controller in {len(behind)} of {len(rows)} conditions:\n"
     ]
     for row in worst:
         error = f"{row.metric}, {row.ratios[OURS]:.2f} times that of {row.best_other}"

@@ -199,9 +199,9 @@ def test_a_step_that_failed_in_flight_must_fail_here_too(flight: RecordedFlight)
 
 
 def test_changed_code_is_found(flight: RecordedFlight) -> None:
-    """The purpose of the check: it detects a gain that differs in its last digits."""
+    """The purpose of the check: it detects a number that differs in its ninth digit."""
     config = flight.config
-    lag = config.onboard.airframe.motor_lag_up_s * (1.0 + 1e-12)
+    lag = config.onboard.airframe.motor_lag_up_s * (1.0 + 1e-8)
     airframe = config.onboard.airframe.model_copy(update={"motor_lag_up_s": lag})
     onboard = config.onboard.model_copy(update={"airframe": airframe})
     changed = dataclasses.replace(flight, config=config.model_copy(update={"onboard": onboard}))

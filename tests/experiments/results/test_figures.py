@@ -227,7 +227,7 @@ def test_losses_come_first_the_worst_at_the_head(folder: Path) -> None:
     ]
     text = losses_first([replace(worse[0], ratios={**worse[0].ratios, "dmrac": 0.9}), *worse])
     assert text.startswith(
-        f"dmrac has a larger median error than the best other controller in {len(worse)} of {len(worse) + 1}"
+        f"DMRAC has a larger median error than the best other controller in {len(worse)} of {len(worse) + 1}"
     )
     named = [line for line in text.splitlines() if line.startswith("- ")]
     assert len(named) == min(3, len(worse))

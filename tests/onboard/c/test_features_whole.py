@@ -80,7 +80,7 @@ def test_spectral_norms_of_the_layers(whole: Core, side: str, steeper: float) ->
             rows = network.width[layer]
             W = view(network.parameters)[at : at + rows * (inputs + 1)].reshape(rows, inputs + 1)[:, :-1]
             norm = np.linalg.norm(W.astype(np.float64), 2)
-            assert 0.98 * norm <= whole.features_layer_norm(features, layer, work) <= 1.001 * norm
+            assert 0.95 * norm <= whole.features_layer_norm(features, layer, work) <= 1.001 * norm
             at, inputs = at + rows * (inputs + 1), rows
 
 
