@@ -64,9 +64,8 @@ def losses_first(rows: Sequence[HeatMapRow]) -> str:
     if not behind:
         return f"In no condition of the picture another controller has a smaller median error than {OURS}.\n"
     worst = sorted(behind, key=lambda row: row.ratios[OURS], reverse=True)[:LOSSES_SHOWN]
-    lines = [
-        f"{OURS.upper()} has a larger median error than the best other controller in {len(behind)} of {len(rows)} conditions:\n"
-    ]
+    count = f"{len(behind)} of {len(rows)} conditions"
+    lines = [f"{OURS.upper()} has a larger median error than the best other controller in {count}:\n"]
     for row in worst:
         error = f"{row.metric}, {row.ratios[OURS]:.2f} times that of {row.best_other}"
         lines.append(f"- {row.campaign}, {row.condition}: {error}")
