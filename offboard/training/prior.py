@@ -84,9 +84,10 @@ def with_contest(job: "TrainingJob", result: "TrainingResult") -> "TrainingResul
         return result
     known = job.buffer.joined(job.newest)
     refitted, trained = as_sent(job, refit(job, prior)), result.candidate
-    begun = job.contest.refitted is not None
-    contest = job.contest
-    contest = contest.continued(job.newest) if begun else contest.opened(refitted, trained, held_out(job, VALIDATION))
+    if job.contest.refitted is None:
+        contest = job.contest.opened(refitted, trained, held_out(job, VALIDATION))
+    else:
+        contest = job.contest.continued(job.newest)
     leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
     candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
     contest = replace(contest, made_ns=int(known.time_ns.max(initial=0)), refitted=refitted, trained=trained)

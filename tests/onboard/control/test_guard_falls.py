@@ -12,6 +12,13 @@ from tests.onboard.control.fixture import DT, Rig, shipped_controller
 from tests.onboard.control.guard_rig import fail, flown, rig, version
 
 
+def prove(guard):
+    """What enough evidence for the map looks like, in both channels."""
+    for watch in guard._watches.values():
+        watch.evidence_s, watch._gain = 2.0, 1.0
+    guard.judge(DT, True)
+
+
 def test_a_bad_version_goes_back_to_the_good_one_with_its_w_then_to_the_bias_then_to_none():
     one = flown(rig())
     guard = one.controller.guard
@@ -63,9 +70,7 @@ def test_the_good_version_is_refused_too_once_it_has_failed():
     guard = one.controller.guard
     good, bad = version(1, 0.3), version(2, 0.3)
     assert guard.offer(good) == ""
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.offer(bad) == ""
     fail(guard)
     assert guard.version == 1
@@ -94,9 +99,7 @@ def test_only_proven_versions_are_kept_as_good():
     assert guard.version == 0  # not 1, of which nothing is known
     guard._time_s += 2.0
     assert guard.offer(version(3, 0.3)) == ""
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.offer(version(4, 0.3)) == ""
     fail(guard)
     assert guard.version == 3
@@ -153,9 +156,7 @@ def test_the_good_version_gets_its_new_number_too():
     guard = one.controller.guard
     good = version(1, 0.3)
     assert guard.offer(good) == ""
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.offer(version(2, 0.3)) == ""
     fail(guard)
     assert guard.version == 1
@@ -190,9 +191,7 @@ def test_theta_from_before_the_flight_flies_only_after_its_audition():
     assert guard.level is Level.BIAS
     one.fly(0.5)
     assert guard.level is Level.BIAS
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.level is Level.MAP
     assert "after its audition" in guard.take_falls()[0].text
 
@@ -255,9 +254,7 @@ def test_agreement_is_not_enough_for_a_map_that_failed():
     assert guard.level is Level.BIAS
     agree(guard)
     assert guard.level is Level.BIAS
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.level is Level.MAP
 
 
@@ -277,13 +274,9 @@ def test_after_so_many_losses_in_a_row_a_version_needs_evidence_before_it_flies(
     assert guard.level is Level.BIAS
     agree(guard)
     assert guard.level is Level.BIAS
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.level is Level.MAP
     guard.judge(DT, True)
-    for watch in guard._watches.values():
-        watch.evidence_s, watch._gain = 2.0, 1.0
-    guard.judge(DT, True)
+    prove(guard)
     assert guard.offer(version(4, 0.3)) == ""
     assert guard.level is Level.MAP, "a proven version ends the row"
