@@ -168,6 +168,7 @@ bool kalman_state_is_finite(const KalmanState *self) {
     return true;
 }
 
+/* NOLINTNEXTLINE(readability-non-const-parameter): the packed form writes into it. */
 const real *kalman_state_dense(const KalmanState *self, real *space) {
     (void)space;
     return self->S;
