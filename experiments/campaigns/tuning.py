@@ -51,6 +51,7 @@ NOT_FLOWN_MAX: Final = 5000
 """Sets of gains without the margins, after which a search gives up."""
 FLOWN: Final = "flown"
 NOMINAL: Final = "nominal"
+STEEPEST_MAP: Final = "steepest_map"
 HOPELESS: Final = 1.15
 GLOBAL_EVERY: Final = 4
 ENDED: Final = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
@@ -78,6 +79,8 @@ class TuneConfig(ConfigRecord):
     """Least predicted margins of every loop, on the nominal vehicle."""
     corners: tuple[Corner, ...] = ()
     """Other vehicles, each with its least predicted margins."""
+    steepest_map: MarginRequirement | None = None
+    """Least predicted margins of the position loop with the steepest map that the guard accepts."""
     common: tuple[Parameter, ...]
     """Parameters of every controller, with the same ranges."""
     own: dict[str, tuple[Parameter, ...]]
@@ -93,9 +96,9 @@ class TuneConfig(ConfigRecord):
 
     @model_validator(mode="after")
     def _names_of_corners(self) -> Self:
-        names = [NOMINAL, *(corner.name for corner in self.corners)]
+        names = [NOMINAL, STEEPEST_MAP, *(corner.name for corner in self.corners)]
         if len(set(names)) < len(names):
-            raise ValueError(f"corners: {names[1:]}: expected different names, none of them {NOMINAL}")
+            raise ValueError(f"corners: {names[2:]}: expected different names, none of them {NOMINAL} or {STEEPEST_MAP}")
         return self
 
     @model_validator(mode="after")
@@ -173,12 +176,15 @@ def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tu
 
 
 def margin_shortfalls(search: Search, values: dict[str, float]) -> dict[str, float]:
-    """The share that these gains miss of the predicted margins: on the nominal vehicle and at each corner, by name."""
+    """The share that these gains miss of the predicted margins: nominal, at each corner, with the steepest map; by name."""
     gains = assignments(search.config.space(search.controller), values)
     choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
     flight, vehicle = resolve(choices=choices), read_scenario(DEFAULT_SCENARIO).vehicle
-    corners = {one.name: one.shortfall(flight, vehicle) for one in search.config.corners}
-    return {NOMINAL: search.config.margins.shortfall(flight)} | corners
+    missing = {NOMINAL: search.config.margins.shortfall(flight)}
+    missing |= {one.name: one.shortfall(flight, vehicle) for one in search.config.corners}
+    if search.config.steepest_map is not None:
+        missing[STEEPEST_MAP] = search.config.steepest_map.shortfall_with_the_steepest_map(flight)
+    return missing
 
 
 def margin_shortfall(search: Search, values: dict[str, float]) -> float:

@@ -10,7 +10,8 @@ from configs.loader import ConfigError, ConfigRecord, fill, set_path
 from configs.vehicle import read_vehicle
 from experiments.flights.scenario import FlightConfig
 from experiments.margins.linear import LinearModel, PredictedLoop
-from experiments.margins.stability import margins, unstable_poles
+from experiments.margins.stability import Margins, margins, unstable_poles
+from experiments.margins.steepest_map import steepest_map_margins
 from sim_vehicle.config import SimVehicleConfig
 
 OMEGA: Final = 2.0 * np.pi * np.geomspace(0.05, 40.0, 300)
@@ -49,16 +50,24 @@ class MarginRequirement(ConfigRecord):
 
         The margins of an unstable loop are how far it is from stability; with that, the shortfall grows above 1.
         """
-        found = margins(OMEGA, loop.L)
+        shares = self._shares(margins(OMEGA, loop.L))
+        if unstable_poles(loop.characteristic):
+            return 1.0 + min(*shares[:2], UNSTABLE_MAX)
+        return max(0.0, 1.0 - min(shares))
+
+    def shortfall_with_the_steepest_map(self, config: FlightConfig) -> float:
+        """The same of the position loop with the steepest map that the guard accepts; 0 for a law without such a map."""
+        found = [one.margins for one in steepest_map_margins(config, OMEGA)]
+        return max((1.0 - min(self._shares(one)) for one in found if min(self._shares(one)) < 1.0), default=0.0)
+
+    def _shares(self, found: Margins) -> list[float]:
+        """Of what is needed: gain, phase and delay margin."""
         pairs = (
             (found.gain_margin_db, self.gain_margin_db),
             (found.phase_margin_deg, self.phase_margin_deg),
             (found.delay_margin_ms, self.delay_margin_ms),
         )
-        shares = [float(has / needs) for has, needs in pairs]
-        if unstable_poles(loop.characteristic):
-            return 1.0 + min(*shares[:2], UNSTABLE_MAX)
-        return max(0.0, 1.0 - min(shares))
+        return [float(has / needs) for has, needs in pairs]
 
 
 class Corner(ConfigRecord):

@@ -26,6 +26,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.control.features": ("RBF_COUNT", "INPUT_LIMIT"),
     "onboard.control.laws.last_layer": ("PROJECTION_MARGIN", "SQUARE_MAX"),
     "onboard.control.laws.adaptive": ("EPS_1_MEMORY_S",),
+    "onboard.control.laws.forecast_skill": ("SLOW_S=SKILL_SLOW_S", "MEMORY_S=SKILL_MEMORY_S"),
     "onboard.control.laws.kalman_state": ("MULTIPLIER_STEPS", "MULTIPLIER_TOLERANCE"),
     "onboard.control.laws.slope_bound": ("PERIOD_TICKS=SLOPE_PERIOD_TICKS",),
     "onboard.control.tracking_bound": (

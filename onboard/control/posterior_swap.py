@@ -206,6 +206,7 @@ def _judged(
     """The plan with X and S `found`: b takes up the jump here, and the one ahead is judged. Phi, Phi_bar: [k, NOW]."""
     (X, S), learns, limit = found, law.config.composite_gain > 0.0, law.config.weight_norm_max
     flying, new_nu = law.at(Phi), evaluate(law.config, theta, X, S, Phi_bar)
+    law.look_ahead(new_nu)
     if learns:
         new_nu[:, 1] += new_nu[:, 0] - new_nu[:, 2]  # the gap is closed
     change = (new_nu - flying)[:, :2]

@@ -189,6 +189,7 @@ static void changes(const KalmanLastLayer *law, bool naive, const real *old, con
     real before[3 * SWAP_NOW], after[3 * SWAP_NOW], here[3], ahead[3];
     kalman_layer_at(law, old, SWAP_NOW, before);
     kalman_evaluate(&law->config, plan->theta, &plan->posterior, new_ones, SWAP_NOW, after);
+    kalman_layer_look_ahead(law, SWAP_NOW, after);
     for (int axis = 0; axis < 3; axis++) {
         real *row = after + SWAP_NOW * axis;
         if (learns) {

@@ -294,6 +294,7 @@ static void read_KalmanConfig(Cursor *from, KalmanConfig *out) {
     out->weight_norm_max = read_real(from);
     out->residual_filter_s = read_real(from);
     out->confidence = read_int(from) != 0;
+    out->skill = read_int(from) != 0;
     read_SlopeShares(from, &out->slope);
 }
 
@@ -461,7 +462,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x2e, 0x69, 0x9d, 0xb8, 0x0c, 0xc0, 0x44, 0x84};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xd9, 0x71, 0x79, 0x70, 0xba, 0xa4, 0x2a, 0xc6};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

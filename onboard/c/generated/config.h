@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4196
+#define CONFIG_IMAGE_BYTES 4212
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -260,7 +260,8 @@ typedef struct {
     real weight_norm_max; /* 56: W_max: radius of the balls of theta and of [W - theta; b] */
     real residual_filter_s; /* 64: time constant of Delta_hat */
     bool confidence; /* 72: false: ablation, a = 1 */
-    SlopeShares slope; /* 80 */
+    bool skill; /* 80: false: ablation, g = 1 */
+    SlopeShares slope; /* 88 */
 } KalmanConfig;
 
 typedef enum { LAW_GRADIENT, LAW_KALMAN } AdaptiveLawKind;
@@ -284,8 +285,8 @@ typedef struct {
     AdaptiveFeatures features; /* 0 */
     real rbf_width; /* 8: width of the Gaussians, scaled units per sqrt(input) */
     AdaptiveLaw law; /* 16 */
-    real error_weight[2]; /* 184 */
-    SwapConfig swap; /* 200 */
+    real error_weight[2]; /* 192 */
+    SwapConfig swap; /* 208 */
 } AdaptiveConfig;
 
 typedef enum { AUGMENTATION_NONE, AUGMENTATION_INTEGRAL, AUGMENTATION_L1, AUGMENTATION_INDI, AUGMENTATION_REPETITIVE, AUGMENTATION_ILC, AUGMENTATION_ADAPTIVE } ChannelSettingsAugmentationKind;
@@ -360,15 +361,15 @@ typedef struct {
 
 typedef struct {
     ChannelSettings position; /* 0 */
-    ChannelSettings attitude; /* 472 */
-    bool hedging; /* 944: pseudo-control hedging of both reference models */
-    real position_error_max_m; /* 952 */
-    DemandLimitsConfig limits; /* 960 */
-    GuardConfig guard; /* 1000 */
-    bool prediction; /* 1328: attitude and rates predicted over the loop's dead time */
-    real gyro_delay_ticks; /* 1336: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1344: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1352 */
+    ChannelSettings attitude; /* 480 */
+    bool hedging; /* 960: pseudo-control hedging of both reference models */
+    real position_error_max_m; /* 968 */
+    DemandLimitsConfig limits; /* 976 */
+    GuardConfig guard; /* 1016 */
+    bool prediction; /* 1344: attitude and rates predicted over the loop's dead time */
+    real gyro_delay_ticks; /* 1352: age of the rates, for the prediction */
+    real command_rate_filter_s; /* 1360: of the commanded attitude's rate, fed forward; 0: none */
+    real level_sink_speed_m_s; /* 1368 */
 } CascadeSettings;
 
 typedef struct {
@@ -397,9 +398,9 @@ typedef struct {
     SupervisorConfig supervisor; /* 664 */
     GuidanceConfig guidance; /* 928 */
     CascadeSettings controller; /* 2664: of the cascade */
-    SamplerConfig samples; /* 4024 */
-    Swing lissajous[2]; /* 4072: north and east; zero on another path */
-    int32_t layout[8]; /* 4120: bytes of feature_digest */
+    SamplerConfig samples; /* 4040 */
+    Swing lissajous[2]; /* 4088: north and east; zero on another path */
+    int32_t layout[8]; /* 4136: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

@@ -29,6 +29,8 @@
 #define PROJECTION_MARGIN REAL(0.1) /* onboard.control.laws.last_layer */
 #define SQUARE_MAX REAL(1e+30) /* onboard.control.laws.last_layer */
 #define EPS_1_MEMORY_S REAL(2.0) /* onboard.control.laws.adaptive */
+#define SKILL_SLOW_S REAL(0.3) /* onboard.control.laws.forecast_skill */
+#define SKILL_MEMORY_S REAL(20.0) /* onboard.control.laws.forecast_skill */
 #define MULTIPLIER_STEPS 8 /* onboard.control.laws.kalman_state */
 #define MULTIPLIER_TOLERANCE REAL(1e-09) /* onboard.control.laws.kalman_state */
 #define SLOPE_PERIOD_TICKS 4 /* onboard.control.laws.slope_bound */

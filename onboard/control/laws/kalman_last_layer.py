@@ -3,7 +3,7 @@
     Delta = W'Phi + b + v,    v ~ (0, R) in each tick
     W_dot = -s_w (W - theta) + noise,    b_dot = -s_b b + noise          stationary: S0 = diag(p^2, ..., sigma_b^2)
     nu     = W'Phi + b                                                   at the present state x
-    nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b + gap                 a: on the path, t_ahead from now
+    nu_cmd = W'Phi_p + g (theta'Phi_a + a (W - theta)'Phi_a - W'Phi_p) + b + gap      a: on the path, t_ahead from now
     gap   += s / (R_t + s) (W'Phi - W'Phi_p - gap) - s_b dt gap          p: on the path, now
 
 theta is the trained last layer, the prior of W. A tick first predicts (W, b and S decay to theta, 0 and S0), then
@@ -21,6 +21,7 @@ corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
   nu_cmd by the gap with that filter, and into b by the residual with the same filter and the other sign. So it cancels,
   whatever m is, but for the tracking term (experiments/margins/kalman.py): the loop has about the margins of the bias
   alone. Where the map is right, x is answered as by the map itself, that late.
+- Skill: g is the share of the map's changes that came true (onboard/control/laws/forecast_skill.py), in each axis.
 - Confidence: c(x) = 1 - Phi'S Phi / Phi'S0 Phi is the share of the prior's variance that is explained at x. a =
   c(x_a) / c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi_a + b instead of
   extrapolating. At the present state nothing has to fade: the residual corrects nu there, at the full lambda where S is
@@ -36,6 +37,7 @@ import numpy as np
 from pydantic import Field
 
 from configs.loader import ConfigRecord
+from onboard.control.laws.forecast_skill import ForecastSkill
 from onboard.control.laws.kalman_state import KalmanState, multiplier
 from onboard.control.laws.last_layer import SQUARE_MAX, tracking_rate_weight
 from onboard.control.laws.law import ChannelState
@@ -67,6 +69,7 @@ class KalmanConfig(ConfigRecord):
     ]
     residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant of Delta_hat")] = 0.02
     confidence: Annotated[bool, Field(description="false: ablation, a = 1")] = True
+    skill: Annotated[bool, Field(description="false: ablation, g = 1")] = True
     slope: SlopeShares = SlopeShares()
 
 
@@ -83,6 +86,9 @@ class KalmanLastLayer:
         self._rate_weight = tracking_rate_weight(PB)
         self._noise_variance, self._prior_variance = config.noise**2, config.prior**2
         self._radius2 = config.weight_norm_max**2
+        self._skill = ForecastSkill(self._noise_variance, PB.shape[1])
+        if not config.skill or config.composite_gain == 0.0:
+            self._skill.shares = [1.0] * PB.shape[1]
         self._start(np.zeros((feature_count, PB.shape[1])))
 
     def _start(self, theta: Array) -> None:
@@ -98,6 +104,7 @@ class KalmanLastLayer:
         self._Phi = self._columns[:-1, :3]
         self._X_norm2 = 0.0
         self._gap = [0.0] * self.state.outputs
+        self._skill.restart()
 
     # --- what others see -------------------------------------------------------------------------------------------
 
@@ -147,8 +154,13 @@ class KalmanLastLayer:
     def at(self, Phi: Array) -> Array:
         """nu [3, n] at the features Phi [k, n]. The last three are those of `estimate`: the second is nu_cmd."""
         nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
+        self.look_ahead(nu)
         nu[:, -2] += self._gap
         return nu
+
+    def look_ahead(self, nu: Array) -> None:
+        """Leave of the change ahead, nu[:, -2] - nu[:, -1], the share that the skill allows."""
+        nu[:, -2] = nu[:, -1] + self._skill.shares * (nu[:, -2] - nu[:, -1])
 
     def close_gap(self, Phi: Array | None = None) -> None:
         """The deviation from the path counts in full: after a swap. Phi as in `estimate`; None: there is none.
@@ -199,6 +211,8 @@ class KalmanLastLayer:
         if not (0.0 < s < SQUARE_MAX and sum(d * d for d in innovation) < SQUARE_MAX):  # NaN fails too
             self._X_norm2 = float(np.vdot(state.X_rows, state.X_rows))
             return self.estimate(Phi)
+        if config.skill:
+            self._skill.step(residual, [th[0] + X[0] for th, X in zip(of_theta, of_X, strict=True)], dt)
         state.correct(G.dot(UPDATED), innovation, v)
         self._X_norm2 = float(np.vdot(state.X_rows, state.X_rows))
         if self._X_norm2 > self._radius2:
@@ -212,10 +226,11 @@ class KalmanLastLayer:
             p2 = self._prior_variance
             a = fade(1.0 - (hh - here * here * v) / (p2 * of_here), 1.0 - (aa - ahead * ahead * v) / (p2 * of_ahead))
         nu, gap, keep = [], self._gap, 1.0 - config.fast_bias_rate * dt * (bh + bb) / s
-        for i, (th, X, d) in enumerate(zip(of_theta, of_X, innovation, strict=True)):
-            b, map_here = X[3] + bias * d, th[0] + X[0] + here * d
-            gap[i] = keep * gap[i] + share * (map_here - th[2] - X[2] - path * d - keep * gap[i])
-            nu.append((map_here + b, th[1] + a * (X[1] + ahead * d) + b + gap[i]))
+        for i, (th, X, d, g) in enumerate(zip(of_theta, of_X, innovation, self._skill.shares, strict=True)):
+            b, map_here, on_path = X[3] + bias * d, th[0] + X[0] + here * d, th[2] + X[2] + path * d
+            gap[i] = keep * gap[i] + share * (map_here - on_path - keep * gap[i])
+            change = th[1] + a * (X[1] + ahead * d) - on_path
+            nu.append((map_here + b, on_path + g * change + b + gap[i]))
         return np.array(nu)
 
     def _tracking(self, share: float, dt: float) -> float:

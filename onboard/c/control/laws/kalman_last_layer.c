@@ -17,6 +17,11 @@ void kalman_layer_init(KalmanLastLayer *self, const KalmanConfig *config, int32_
     self->prior_variance = config->prior * config->prior;
     self->radius2 = config->weight_norm_max * config->weight_norm_max;
     self->feature_count = feature_count;
+    if (!config->skill || config->composite_gain == REAL(0.0)) {
+        for (int axis = 0; axis < 3; axis++) {
+            self->skill.shares[axis] = REAL(1.0);
+        }
+    }
     kalman_start(config, config->prior_rate, feature_count, &self->state);
 }
 
@@ -40,6 +45,7 @@ static void start(KalmanLastLayer *self, const real *theta, int32_t feature_coun
     self->theta_norm2 = dot(theta, theta, count);
     self->X_norm2 = REAL(0.0);
     vector_zero(self->gap);
+    skill_restart(&self->skill);
     kalman_start(&self->config, self->config.prior_rate, feature_count, &self->state);
 }
 
@@ -146,13 +152,15 @@ static void nu_of(const real *theta, const KalmanState *state, const real *Phi, 
 
 /* KalmanLastLayer.estimate */
 void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu[3], real nu_cmd[3]) {
-    const real *Phi_ahead = Phi + self->feature_count;
-    real a = REAL(1.0);
+    const real *Phi_ahead = Phi + self->feature_count, *Phi_path = Phi_ahead + self->feature_count;
+    real a = REAL(1.0), ahead[3], on_path[3];
     if (self->config.confidence) {
         a = fade(confidence(&self->state, Phi, 1), confidence(&self->state, Phi_ahead, 1));
     }
     nu_of(self->theta, &self->state, Phi, 1, REAL(1.0), nu);
-    nu_of(self->theta, &self->state, Phi_ahead, 1, a, nu_cmd);
+    nu_of(self->theta, &self->state, Phi_ahead, 1, a, ahead);
+    nu_of(self->theta, &self->state, Phi_path, 1, REAL(1.0), on_path);
+    skill_apply(&self->skill, on_path, ahead, nu_cmd);
     vector_add(nu_cmd, self->gap, nu_cmd);
 }
 
@@ -174,8 +182,17 @@ void kalman_evaluate(const KalmanConfig *config, const real *theta, const Kalman
 /* KalmanLastLayer.at */
 void kalman_layer_at(const KalmanLastLayer *self, const real *Phi, int32_t n, real *nu) {
     kalman_evaluate(&self->config, self->theta, &self->state, Phi, n, nu);
+    kalman_layer_look_ahead(self, n, nu);
     for (int axis = 0; axis < 3; axis++) {
         nu[axis * n + n - 2] += self->gap[axis];
+    }
+}
+
+/* KalmanLastLayer.look_ahead */
+void kalman_layer_look_ahead(const KalmanLastLayer *self, int32_t n, real *nu) {
+    for (int axis = 0; axis < 3; axis++) {
+        real *row = nu + axis * n;
+        row[n - 2] = row[n - 1] + self->skill.shares[axis] * (row[n - 2] - row[n - 1]);
     }
 }
 
@@ -276,7 +293,7 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
         return;
     }
     Along h, a; /* here, ahead */
-    real W[FEATURES_MAX * 3], map_here[3], on_path[3], theta_ahead[3], x_ahead[3], S_bias[STATES_MAX];
+    real W[FEATURES_MAX * 3], map_here[3], on_path[3], theta_ahead[3], map_ahead[3], S_bias[STATES_MAX];
     kalman_state_predict(state, dt);
     look_along(self, Phi, &h);
     look_along(self, Phi_ahead, &a);
@@ -284,7 +301,7 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     weighted(W, Phi, k, 1, map_here);
     weighted(W, Phi_path, k, 1, on_path);
     weighted(self->theta, Phi_ahead, k, 1, theta_ahead);
-    weighted(state->X, Phi_ahead, k, 1, x_ahead);
+    weighted(state->X, Phi_ahead, k, 1, map_ahead);
     /* Quadratic forms of S along the bias (b), here (h), ahead (a) and on the path now (p). */
     real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ph = dot(Phi_path, h.g, k), ba = a.g[k];
     kalman_state_column(state, k, S_bias);
@@ -297,6 +314,9 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     bool sensible = REAL(0.0) < s && s < SQUARE_MAX && vector_squared_length(d) < SQUARE_MAX; /* NaN is not */
     if (!sensible) {
         self->X_norm2 = squares_of_X(self);
+    }
+    if (sensible && self->config.skill) {
+        skill_step(&self->skill, self->noise_variance, residual, map_here, dt);
     }
     if (!sensible || !correct(self, &h, S_bias, d, v)) {
         kalman_layer_estimate(self, Phi, nu, nu_cmd);
@@ -311,8 +331,12 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     move_gap(self, map_here, on_path, s / v, REAL(1.0) - self->config.fast_bias_rate * dt * (bh + bb) / s);
     real share = self->config.confidence ? faded(self, Phi, &h, &a, of_here, of_ahead, v) : REAL(1.0);
     for (int axis = 0; axis < 3; axis++) {
+        map_ahead[axis] = theta_ahead[axis] + share * (map_ahead[axis] + of_ahead * d[axis]);
+    }
+    skill_apply(&self->skill, on_path, map_ahead, nu_cmd);
+    for (int axis = 0; axis < 3; axis++) {
         real bias = b[axis] + of_bias * d[axis];
         nu[axis] = map_here[axis] + bias;
-        nu_cmd[axis] = theta_ahead[axis] + share * (x_ahead[axis] + of_ahead * d[axis]) + bias + self->gap[axis];
+        nu_cmd[axis] += bias + self->gap[axis];
     }
 }

@@ -2,7 +2,7 @@
  * onboard/control/laws/kalman_last_layer.py, which explains it. X = [W - theta; b].
  *
  *     nu     = W'Phi + b                                                   at the present state
- *     nu_cmd = theta'Phi_a + a (W - theta)'Phi_a + b + gap                 a: on the path, t_ahead from now
+ *     nu_cmd = W'Phi_p + g (theta'Phi_a + a (W - theta)'Phi_a - W'Phi_p) + b + gap      a: on the path, t_ahead from now
  *     gap   += s / (R_t + s) (W'Phi - W'Phi_p - gap) - s_b dt gap          p: on the path, now
  *     [W; b] += S phi (r - nu - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
  *
@@ -10,6 +10,7 @@
 #ifndef DMRAC_KALMAN_LAST_LAYER_H
 #define DMRAC_KALMAN_LAST_LAYER_H
 
+#include "control/laws/forecast_skill.h"
 #include "control/laws/kalman_state.h"
 #include "control/laws/last_layer.h"
 
@@ -26,6 +27,7 @@ typedef struct {
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
     real gap[3];                         /* what the map says here beside the path, as far as it counts */
+    ForecastSkill skill;
     real work[STATES_MAX * STATES_MAX];  /* of the projection; it keeps nothing between two steps */
     real dense[STATES_MAX * STATES_MAX]; /* the same: S in `real`, where it is in whole numbers */
 } KalmanLastLayer;
@@ -56,6 +58,9 @@ void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu
 
 /* nu [3, n] at the features Phi [k, n]. The last three are those of a tick: nu_cmd is the last but one. */
 void kalman_layer_at(const KalmanLastLayer *self, const real *Phi, int32_t n, real *nu);
+
+/* Leave of the change ahead in nu [3, n], as kalman_evaluate gives it, the share that the skill allows. */
+void kalman_layer_look_ahead(const KalmanLastLayer *self, int32_t n, real *nu);
 
 /* The deviation from the path counts in full: after a swap. Phi of a tick; NULL: there is none. A law that is off takes up
  * no misfit, so there the map is read on the path alone. */
