@@ -8,11 +8,12 @@ With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b,
 where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
 
 **A map with a slope.** With m the map's slope in x, constant, H = nu / r and the path at rest, nu takes up what the map
-says: nu = H r + (1 - H) m x. The map is read on the path, and the gap m x passes a filter G of its own:
+says: nu = H r + (1 - H) m x. The map is read on the path, and the gap m x passes a filter G of its own, which is H with one
+rate for W and b together (onboard/control/laws/path_gap.py):
 
-    nu_cmd = H r + (G - H) m x,    G = k / (s + k + s_b k_b / k),    k = k_w + k_b.
+    nu_cmd = H r + (G - H) m x,    G = F_g (1 + t E') / (1 + F_g (1 + t E')),    F_g = k / (s + s_b k_b / k),    k = k_w + k_b.
 
-So only the rest G - H of the slope is feedback, which the tracking term leaves: t E' is in H and not in G.
+So only the rest G - H of the slope is feedback.
 """
 
 from typing import Any, Final
@@ -61,9 +62,9 @@ def settled_filter(
 
 def slope_fed_back(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
     """G - H at the largest gain of the law: the share of the map's slope that is feedback of the loop."""
-    k = law.composite_gain
-    gap = k / (s + k + law.fast_bias_rate * (1.0 - _share_of_W(law)))
-    return gap - fastest_filter(law, error_weight, gains, axis, s)
+    F = law.composite_gain / (s + law.fast_bias_rate * (1.0 - _share_of_W(law)))
+    F = F * (1.0 + _tracking(law, error_weight, gains, axis, s))
+    return F / (1.0 + F) - fastest_filter(law, error_weight, gains, axis, s)
 
 
 def settled_gains(law: KalmanConfig, dt: float) -> tuple[float, float]:
@@ -90,9 +91,14 @@ def _loop(
     k_w: float,
     k_b: float,
 ) -> Any:
+    tracking = _tracking(law, error_weight, gains, axis, s)
+    return (k_w / (s + law.prior_rate) + k_b / (s + law.fast_bias_rate)) * (1.0 + tracking)
+
+
+def _tracking(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
+    """t E'."""
     Q = np.diag(np.repeat(np.array(error_weight), 3))
     PB = tracking_weights(lyapunov_p(gains.closed_loop_matrix(), Q), gains.natural_frequency_rad_s)
     k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
     t = law.tracking_gain / law.composite_gain if law.composite_gain > 0.0 else 0.0
-    error = (PB[axis, axis] + PB[3 + axis, axis] * s) / (s**2 + k2 * s + k1)
-    return (k_w / (s + law.prior_rate) + k_b / (s + law.fast_bias_rate)) * (1.0 + t * error)
+    return t * (PB[axis, axis] + PB[3 + axis, axis] * s) / (s**2 + k2 * s + k1)

@@ -48,6 +48,10 @@ class ChannelGains(ConfigRecord):
         """[3], 2 zeta omega_n."""
         return np.array([2.0 * zeta * w for zeta, w in zip(self.damping, self.natural_frequency_rad_s, strict=True)])
 
+    def pairs(self) -> list[tuple[float, float]]:
+        """(K_1, K_2) of each axis."""
+        return list(zip(self.stiffness().tolist(), self.rate_gain().tolist(), strict=True))
+
     def closed_loop_matrix(self) -> Array:
         """A_rm = A - B K, [6, 6]."""
         A_rm = np.zeros((6, 6))

@@ -98,7 +98,9 @@ class AdaptiveAugmentation:
         self.tracking_weights = PB
         """[6, 3], of e in the tracking term."""
         self.last_layer: LastLayer | KalmanLastLayer = (
-            KalmanLastLayer(config.law, k, PB) if isinstance(config.law, KalmanConfig) else LastLayer(config.law, k, PB)
+            KalmanLastLayer(config.law, k, PB, gains.pairs())
+            if isinstance(config.law, KalmanConfig)
+            else LastLayer(config.law, k, PB)
         )
         self._slope_bound: SlopeBound | None = None
         self._use(features)

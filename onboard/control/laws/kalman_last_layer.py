@@ -4,7 +4,7 @@
     W_dot = -s_w (W - theta) + noise,    b_dot = -s_b b + noise          stationary: S0 = diag(p^2, ..., sigma_b^2)
     nu     = W'Phi + b                                                   at the present state x
     nu_cmd = W'Phi_p + g (theta'Phi_a + a (W - theta)'Phi_a - W'Phi_p) + b + gap      a: on the path, t_ahead from now
-    gap   += s / (R_t + s) (W'Phi - W'Phi_p - gap) - s_b dt gap          p: on the path, now
+    gap: what the map says at x, W'Phi - W'Phi_p, behind a filter        p: on the path, now
 
 theta is the trained last layer, the prior of W. A tick first predicts (W, b and S decay to theta, 0 and S0), then
 corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
@@ -17,10 +17,8 @@ corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
   is the noise with which that rate is optimal.
 - [W - theta; b] stays in a ball, by projection in the metric of S^-1.
 - The map is read on the path, so it is no feedback. gap is what it says at x beside the path, behind the filter by
-  which the law itself takes up a misfit (s_b by the share that b has in it). A slope m of the map in x - x_p comes into
-  nu_cmd by the gap with that filter, and into b by the residual with the same filter and the other sign. So it cancels,
-  whatever m is, but for the tracking term (experiments/margins/kalman.py): the loop has about the margins of the bias
-  alone. Where the map is right, x is answered as by the map itself, that late.
+  which the law itself takes up a misfit (onboard/control/laws/path_gap.py): the loop has about the margins of the bias
+  alone, whatever the slope of the map. Where the map is right, x is answered as by the map itself, that late.
 - Skill: g is the share of the map's changes that came true (onboard/control/laws/forecast_skill.py), in each axis.
 - Confidence: c(x) = 1 - Phi'S Phi / Phi'S0 Phi is the share of the prior's variance that is explained at x. a =
   c(x_a) / c(x), at most 1: where less was measured than here, nu_cmd fades to theta'Phi_a + b instead of
@@ -31,6 +29,7 @@ Stability, what is proven and what is measured: docs/theory_covariance.md.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
 import numpy as np
@@ -41,6 +40,7 @@ from onboard.control.laws.forecast_skill import ForecastSkill
 from onboard.control.laws.kalman_state import KalmanState, multiplier
 from onboard.control.laws.last_layer import SQUARE_MAX, tracking_rate_weight
 from onboard.control.laws.law import ChannelState
+from onboard.control.laws.path_gap import PathGap
 from onboard.control.slope import SlopeShares
 from protocol.conventions import Array
 from protocol.geometry import Vector3
@@ -76,8 +76,10 @@ class KalmanConfig(ConfigRecord):
 class KalmanLastLayer:
     """W, b and S of one channel, and their law. The state is X = [W - theta; b]."""
 
-    def __init__(self, config: KalmanConfig, feature_count: int, PB: Array) -> None:
-        """PB: [n, q], from the Lyapunov equation of the channel's reference model (tracking_weights).
+    def __init__(
+        self, config: KalmanConfig, feature_count: int, PB: Array, gains: Sequence[tuple[float, float]]
+    ) -> None:
+        """PB: [n, q], from the Lyapunov equation of the channel's reference model (tracking_weights), gains: its K_1, K_2.
 
         q is the number of outputs, 3 in a channel of the vehicle; where this file says 3, q is meant.
         """
@@ -86,6 +88,7 @@ class KalmanLastLayer:
         self._rate_weight = tracking_rate_weight(PB)
         self._noise_variance, self._prior_variance = config.noise**2, config.prior**2
         self._radius2 = config.weight_norm_max**2
+        self._gap = PathGap(PB, gains)
         self._skill = ForecastSkill(self._noise_variance, PB.shape[1])
         if not config.skill or config.composite_gain == 0.0:
             self._skill.shares = [1.0] * PB.shape[1]
@@ -103,7 +106,7 @@ class KalmanLastLayer:
         self._columns[-1, 3] = 1.0
         self._Phi = self._columns[:-1, :3]
         self._X_norm2 = 0.0
-        self._gap = [0.0] * self.state.outputs
+        self._gap.close()
         self._skill.restart()
 
     # --- what others see -------------------------------------------------------------------------------------------
@@ -155,7 +158,7 @@ class KalmanLastLayer:
         """nu [3, n] at the features Phi [k, n]. The last three are those of `estimate`: the second is nu_cmd."""
         nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
         self.look_ahead(nu)
-        nu[:, -2] += self._gap
+        nu[:, -2] += self._gap.values
         return nu
 
     def look_ahead(self, nu: Array) -> None:
@@ -167,10 +170,10 @@ class KalmanLastLayer:
 
         A law that is off takes up no misfit, so there the map is read on the path alone.
         """
-        self._gap = [0.0] * self.state.outputs
+        self._gap.close()
         if Phi is not None and self.config.composite_gain > 0.0:
             nu = evaluate(self.config, self.theta, self.state.X_rows.T, self.state.S, Phi)
-            self._gap = (nu[:, 0] - nu[:, 2]).tolist()
+            self._gap.close((nu[:, 0] - nu[:, 2]).tolist())
 
     # --- the law ---------------------------------------------------------------------------------------------------
 
@@ -225,12 +228,16 @@ class KalmanLastLayer:
             of_here, of_ahead = np.square(columns[:, :2]).sum(axis=0).tolist()
             p2 = self._prior_variance
             a = fade(1.0 - (hh - here * here * v) / (p2 * of_here), 1.0 - (aa - ahead * ahead * v) / (p2 * of_ahead))
-        nu, gap, keep = [], self._gap, 1.0 - config.fast_bias_rate * dt * (bh + bb) / s
-        for i, (th, X, d, g) in enumerate(zip(of_theta, of_X, innovation, self._skill.shares, strict=True)):
-            b, map_here, on_path = X[3] + bias * d, th[0] + X[0] + here * d, th[2] + X[2] + path * d
-            gap[i] = keep * gap[i] + share * (map_here - on_path - keep * gap[i])
-            change = th[1] + a * (X[1] + ahead * d) - on_path
-            nu.append((map_here + b, on_path + g * change + b + gap[i]))
+        each_axis = zip(of_theta, of_X, innovation, strict=True)
+        maps = [(th[0] + X[0] + here * d, th[2] + X[2] + path * d) for th, X, d in each_axis]
+        keep = 1.0 - config.fast_bias_rate * dt * (bh + bb) / s
+        self._gap.step([map_here - on_path for map_here, on_path in maps], share, keep, t, dt)
+        nu = []
+        for th, X, d, (map_here, on_path), g, gap in zip(
+            of_theta, of_X, innovation, maps, self._skill.shares, self._gap.values, strict=True
+        ):
+            b, change = X[3] + bias * d, th[1] + a * (X[1] + ahead * d) - on_path
+            nu.append((map_here + b, on_path + g * change + b + gap))
         return np.array(nu)
 
     def _tracking(self, share: float, dt: float) -> float:

@@ -41,7 +41,7 @@ def gain_of_the_law(law: KalmanConfig, omega: float) -> complex:
     """nu / r of the law itself, settled at constant features with |Phi|^2 = ACTIVE_FEATURES, at one frequency."""
     Q = np.diag(np.repeat(ERROR_WEIGHT, 3))
     PB = tracking_weights(lyapunov_p(GAINS.closed_loop_matrix(), Q), GAINS.natural_frequency_rad_s)
-    one = KalmanLastLayer(law, int(ACTIVE_FEATURES), PB)
+    one = KalmanLastLayer(law, int(ACTIVE_FEATURES), PB, GAINS.pairs())
     Phi = np.ones((int(ACTIVE_FEATURES), 3))
     k1, k2 = GAINS.stiffness()[0], GAINS.rate_gain()[0]
     e, e_dot, r, nu = 0.0, 0.0, 0.0, 0.0

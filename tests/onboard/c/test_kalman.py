@@ -96,7 +96,7 @@ def layers(core: Core, config: KalmanConfig, k: int) -> tuple[Any, KalmanLastLay
     ours, PB = core.KalmanLastLayer(), core.TrackingWeights()
     core.tracking_weights(configured(core, GAINS), array(core, (1.0, 0.1)), PB)
     core.kalman_layer_init(ours, configured(core, config), k, PB)
-    return ours, KalmanLastLayer(config, k, weights_of(GAINS, (1.0, 0.1)))
+    return ours, KalmanLastLayer(config, k, weights_of(GAINS, (1.0, 0.1)), GAINS.pairs())
 
 
 def columns(rng: np.random.Generator, k: int) -> np.ndarray[Any, Any]:
@@ -129,7 +129,7 @@ def close_both(core: Core, ours: Any, theirs: KalmanLastLayer, Phi: Any) -> None
     """The deviation from the path counts in full."""
     theirs.close_gap(Phi)
     core.kalman_layer_close_gap(ours, of_tick(Phi))
-    same(view(ours.gap), theirs._gap, 1e-12, scale=1.0)
+    same(np.asarray(list(ours.gap.values)), theirs._gap.values, 1e-12, scale=1.0)
 
 
 def same_layers(core: Core, ours: Any, theirs: KalmanLastLayer, rtol: float) -> None:
@@ -261,7 +261,7 @@ def test_projection(core: Core, seed: int, n: int, far: float, spread: float) ->
 @given(seed=SEEDS)
 def test_in_float_the_law_stays_near_that_in_double(core32: Core, seed: int) -> None:
     config, rng = kalman_config(noise=0.3), np.random.default_rng(seed)
-    ours, theirs = core32.KalmanLastLayer(), KalmanLastLayer(config, 20, weights_of(GAINS, (1.0, 0.1)))
+    ours, theirs = core32.KalmanLastLayer(), KalmanLastLayer(config, 20, weights_of(GAINS, (1.0, 0.1)), GAINS.pairs())
     PB, nu, nu_cmd = core32.TrackingWeights(), np.empty(3, np.float32), np.empty(3, np.float32)
     core32.tracking_weights(configured(core32, GAINS), array(core32, (1.0, 0.1)), PB)
     core32.kalman_layer_init(ours, configured(core32, config), 20, PB)

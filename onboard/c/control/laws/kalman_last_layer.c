@@ -44,7 +44,7 @@ static void start(KalmanLastLayer *self, const real *theta, int32_t feature_coun
     memcpy(self->theta, theta, (size_t)count * sizeof(real));
     self->theta_norm2 = dot(theta, theta, count);
     self->X_norm2 = REAL(0.0);
-    vector_zero(self->gap);
+    gap_close(&self->gap, NULL);
     skill_restart(&self->skill);
     kalman_start(&self->config, self->config.prior_rate, feature_count, &self->state);
 }
@@ -161,7 +161,7 @@ void kalman_layer_estimate(const KalmanLastLayer *self, const real *Phi, real nu
     nu_of(self->theta, &self->state, Phi_ahead, 1, a, ahead);
     nu_of(self->theta, &self->state, Phi_path, 1, REAL(1.0), on_path);
     skill_apply(&self->skill, on_path, ahead, nu_cmd);
-    vector_add(nu_cmd, self->gap, nu_cmd);
+    vector_add(nu_cmd, self->gap.values, nu_cmd);
 }
 
 /* evaluate */
@@ -184,7 +184,7 @@ void kalman_layer_at(const KalmanLastLayer *self, const real *Phi, int32_t n, re
     kalman_evaluate(&self->config, self->theta, &self->state, Phi, n, nu);
     kalman_layer_look_ahead(self, n, nu);
     for (int axis = 0; axis < 3; axis++) {
-        nu[axis * n + n - 2] += self->gap[axis];
+        nu[axis * n + n - 2] += self->gap.values[axis];
     }
 }
 
@@ -198,12 +198,13 @@ void kalman_layer_look_ahead(const KalmanLastLayer *self, int32_t n, real *nu) {
 
 /* KalmanLastLayer.close_gap */
 void kalman_layer_close_gap(KalmanLastLayer *self, const real *Phi) {
-    vector_zero(self->gap);
+    gap_close(&self->gap, NULL);
     if (Phi != NULL && self->config.composite_gain > REAL(0.0)) {
-        real here[3], path[3];
+        real here[3], path[3], deviation[3];
         nu_of(self->theta, &self->state, Phi, 1, REAL(1.0), here);
         nu_of(self->theta, &self->state, Phi + 2 * self->feature_count, 1, REAL(1.0), path);
-        vector_subtract(here, path, self->gap);
+        vector_subtract(here, path, deviation);
+        gap_close(&self->gap, deviation);
     }
 }
 
@@ -244,14 +245,6 @@ static real faded(const KalmanLastLayer *self, const real *Phi, const Along *h, 
     real prior_ahead = self->prior_variance * dot(Phi_ahead, Phi_ahead, k);
     return fade(REAL(1.0) - (h->form - of_here * of_here * v) / prior_here,
                 REAL(1.0) - (a->form - of_ahead * of_ahead * v) / prior_ahead);
-}
-
-/* The gap takes up a misfit as the law does: `on_path` is W'Phi_p after the correction, `share` s / (R_t + s) */
-static void move_gap(KalmanLastLayer *self, const real map_here[3], const real on_path[3], real share, real keep) {
-    for (int axis = 0; axis < 3; axis++) {
-        real kept = keep * self->gap[axis];
-        self->gap[axis] = kept + share * (map_here[axis] - on_path[axis] - kept);
-    }
 }
 
 /* r - nu - t e'PB, with nu before the correction */
@@ -308,8 +301,8 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     real bp = dot(S_bias, Phi_path, k), bb = S_bias[k];
     real s = h.form + REAL(2.0) * bh + bb;
     real v = real_max(self->noise_variance, s / (lambda * dt)) + s;
-    real d[3], b[3];
-    innovation_of(self, map_here, e, residual, tracking(self, s / v, dt), d);
+    real d[3], b[3], deviation[3], t = tracking(self, s / v, dt);
+    innovation_of(self, map_here, e, residual, t, d);
     vector_copy(state->X + 3 * k, b);
     bool sensible = REAL(0.0) < s && s < SQUARE_MAX && vector_squared_length(d) < SQUARE_MAX; /* NaN is not */
     if (!sensible) {
@@ -328,7 +321,9 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
         map_here[axis] += of_here * d[axis];
         on_path[axis] += of_path * d[axis];
     }
-    move_gap(self, map_here, on_path, s / v, REAL(1.0) - self->config.fast_bias_rate * dt * (bh + bb) / s);
+    vector_subtract(map_here, on_path, deviation);
+    real keep = REAL(1.0) - self->config.fast_bias_rate * dt * (bh + bb) / s;
+    gap_step(&self->gap, &self->PB, deviation, s / v, keep, t, dt);
     real share = self->config.confidence ? faded(self, Phi, &h, &a, of_here, of_ahead, v) : REAL(1.0);
     for (int axis = 0; axis < 3; axis++) {
         map_ahead[axis] = theta_ahead[axis] + share * (map_ahead[axis] + of_ahead * d[axis]);
@@ -337,6 +332,6 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     for (int axis = 0; axis < 3; axis++) {
         real bias = b[axis] + of_bias * d[axis];
         nu[axis] = map_here[axis] + bias;
-        nu_cmd[axis] += bias + self->gap[axis];
+        nu_cmd[axis] += bias + self->gap.values[axis];
     }
 }

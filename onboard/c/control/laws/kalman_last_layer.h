@@ -3,7 +3,7 @@
  *
  *     nu     = W'Phi + b                                                   at the present state
  *     nu_cmd = W'Phi_p + g (theta'Phi_a + a (W - theta)'Phi_a - W'Phi_p) + b + gap      a: on the path, t_ahead from now
- *     gap   += s / (R_t + s) (W'Phi - W'Phi_p - gap) - s_b dt gap          p: on the path, now
+ *     gap: what the map says at x, W'Phi - W'Phi_p, behind a filter (path_gap.h)    p: on the path, now
  *     [W; b] += S phi (r - nu - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
  *
  * `Phi` of a tick is [3, k]: the features at the present state, on the path ahead, and on the path now. */
@@ -13,6 +13,7 @@
 #include "control/laws/forecast_skill.h"
 #include "control/laws/kalman_state.h"
 #include "control/laws/last_layer.h"
+#include "control/laws/path_gap.h"
 
 typedef struct {
     KalmanConfig config;
@@ -26,7 +27,7 @@ typedef struct {
     real theta_norm2;
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
-    real gap[3];                         /* what the map says here beside the path, as far as it counts */
+    PathGap gap;
     ForecastSkill skill;
     real work[STATES_MAX * STATES_MAX];  /* of the projection; it keeps nothing between two steps */
     real dense[STATES_MAX * STATES_MAX]; /* the same: S in `real`, where it is in whole numbers */

@@ -9,12 +9,11 @@
 /* lyapunov_p and tracking_weights. For an axis with A = [0, 1; -K_1, -K_2] and Q = diag(q_1, q_2):
  * P_12 = q_1 / (2 K_1),  P_22 = (q_2 + 2 P_12) / (2 K_2) */
 void tracking_weights(const ChannelGains *gains, const real error_weight[2], TrackingWeights *out) {
-    real K_1[3], K_2[3];
-    gains_stiffness(gains, K_1);
-    gains_rate_gain(gains, K_2);
+    gains_stiffness(gains, out->K_1);
+    gains_rate_gain(gains, out->K_2);
     for (int axis = 0; axis < 3; axis++) {
-        real P_12 = error_weight[0] / (REAL(2.0) * K_1[axis]);
-        real P_22 = (error_weight[1] + REAL(2.0) * P_12) / (REAL(2.0) * K_2[axis]);
+        real P_12 = error_weight[0] / (REAL(2.0) * out->K_1[axis]);
+        real P_22 = (error_weight[1] + REAL(2.0) * P_12) / (REAL(2.0) * out->K_2[axis]);
         real ratio = gains->natural_frequency_rad_s[axis] / gains->natural_frequency_rad_s[0];
         real scale = ratio * ratio * ratio / P_12;
         out->e_1[axis] = P_12 * scale;

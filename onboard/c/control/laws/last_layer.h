@@ -11,10 +11,13 @@
 #include "generated/config.h"
 #include "generated/constants.h"
 
-/* PB of one channel. Its axes are decoupled, so of each column only two numbers differ from zero. */
+/* PB of one channel, and the gains of its reference model. Its axes are decoupled, so of each column only two numbers
+ * differ from zero. */
 typedef struct {
     real e_1[3]; /* weight of the error in the axis' own column */
     real e_2[3]; /* weight of its rate */
+    real K_1[3];
+    real K_2[3];
 } TrackingWeights;
 
 /* PB from the Lyapunov equation A_rm' P + P A_rm + Q = 0 of the channel's reference model, Q = diag(error_weight), each

@@ -23,6 +23,8 @@ from tests.onboard.control.laws.test_last_layer import DT, SETTINGS, double_inte
 
 K = 6
 PB = tracking_weights(double_integrator()[2], (4.0, 4.0, 4.0))
+PAIRS = [(16.0, 6.4)] * 3
+"""K_1, K_2 of that plant."""
 
 
 def config(**over):
@@ -34,7 +36,7 @@ def config(**over):
 
 
 def law(k=K, **over):
-    return KalmanLastLayer(config(**over), k, PB)
+    return KalmanLastLayer(config(**over), k, PB, PAIRS)
 
 
 def features(rng, k=K):
@@ -223,7 +225,7 @@ def bumps(places):
 
 def along_the_line(**over):
     """A law that has flown to and fro over the first 2 m, on a disturbance that the map there explains, to 1."""
-    one = KalmanLastLayer(config(noise=0.3, prior=1.5, fast_bias=0.1, **over), 20, PB)
+    one = KalmanLastLayer(config(noise=0.3, prior=1.5, fast_bias=0.1, **over), 20, PB, PAIRS)
     theta = np.zeros((20, 3))
     theta[-1] = 0.5  # the trained map: 0.5 everywhere
     one.replace(theta, theta)

@@ -22,7 +22,7 @@ class Plant:
         self.A_rm, self.Q, self.P = double_integrator()
         self.B = np.vstack([np.zeros((3, 3)), np.eye(3)])
         values = {"noise": (NOISE_INTENSITY / STEP) ** 0.5, "composite_gain": 1e3, "tracking_gain": 5e3} | over
-        self.law = KalmanLastLayer(config(weight_norm_max=1e3, **values), k, self.P @ self.B)
+        self.law = KalmanLastLayer(config(weight_norm_max=1e3, **values), k, self.P @ self.B, [(16.0, 6.4)] * 3)
         self.theta, self.X_star = rng.normal(size=(k, 3)), rng.normal(size=(k + 1, 3))
         self.law.replace(self.theta, self.theta)
         self.X_drift = drift * rng.normal(size=(k + 1, 3))
@@ -129,7 +129,7 @@ def wing_rock(law_config, seconds=40.0, drift=0.0):
     A_rm = np.array([[0.0, 1.0], [-k1, -k2]])
     PB = np.zeros((2, 3))
     PB[:, 0] = lyapunov_p(A_rm, np.eye(2))[:, 1]
-    last = KalmanLastLayer(law_config, 10, PB)
+    last = KalmanLastLayer(law_config, 10, PB, [(k1, k2)] * 3)
     centres = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
     x, x_rm, errors = np.zeros(2), np.zeros(2), []
     for step in range(round(seconds / dt)):

@@ -106,7 +106,7 @@ def test_what_was_measured_well_hardly_changes():
     """After 2 s at one place the value there is known: the map is flattened about it."""
     rng = np.random.default_rng(4)
     features = NetworkFeatures(random_channel(NAMES, np.zeros(7), np.ones(7), (16, 9), rng))
-    law = KalmanLastLayer(config(prior=3.0, fast_bias=0.1), 10, np.zeros((6, 3)))
+    law = KalmanLastLayer(config(prior=3.0, fast_bias=0.1), 10, np.zeros((6, 3)), [(1.0, 1.0)] * 3)
     theta = 4.0 * rng.normal(size=(10, 3))
     law.replace(theta, theta)
     signals = rng.uniform(-0.5, 0.5, (SIGNAL_COUNT, 1)).repeat(3, axis=1)
@@ -177,7 +177,7 @@ def swing_after_a_push(share, prior, seed):
         "prior_rate": 0.02475, "fast_bias_rate": 0.2834, "weight_norm_max": 250.0,
     }  # fmt: skip
     P = lyapunov_p(gains.closed_loop_matrix(), np.diag([1.0] * 3 + [0.01] * 3))
-    law = KalmanLastLayer(config(**settings_of_law), 20, tracking_weights(P, gains.natural_frequency_rad_s))
+    law = KalmanLastLayer(config(**settings_of_law), 20, tracking_weights(P, gains.natural_frequency_rad_s), gains.pairs())
     limits = SlopeLimits.of("attitude", POSITION, gains, SlopeShares(place=1.0, motion=1.0, turn=share))
     bound = SlopeBound(names, limits)
     k1, k2 = gains.stiffness(), gains.rate_gain()
