@@ -98,7 +98,9 @@ class TuneConfig(ConfigRecord):
     def _names_of_corners(self) -> Self:
         names = [NOMINAL, STEEPEST_MAP, *(corner.name for corner in self.corners)]
         if len(set(names)) < len(names):
-            raise ValueError(f"corners: {names[2:]}: expected different names, none of them {NOMINAL} or {STEEPEST_MAP}")
+            raise ValueError(
+                f"corners: {names[2:]}: expected different names, none of them {NOMINAL} or {STEEPEST_MAP}"
+            )
         return self
 
     @model_validator(mode="after")
@@ -176,7 +178,7 @@ def trial_jobs(search: Search, values: dict[str, float], number: int) -> list[tu
 
 
 def margin_shortfalls(search: Search, values: dict[str, float]) -> dict[str, float]:
-    """The share that these gains miss of the predicted margins: nominal, at each corner, with the steepest map; by name."""
+    """The share that these gains miss of the predicted margins, by name: nominal, corners, with the steepest map."""
     gains = assignments(search.config.space(search.controller), values)
     choices = Choices(search.controller, assignments=tuple(f"{path}={value}" for path, value in gains.items()))
     flight, vehicle = resolve(choices=choices), read_scenario(DEFAULT_SCENARIO).vehicle

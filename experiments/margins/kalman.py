@@ -8,10 +8,12 @@ With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b,
 where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
 
 **A map with a slope.** With m the map's slope in x, constant, H = nu / r and the path at rest, nu takes up what the map
-says: nu = H r + (1 - H) m x. The map is read on the path, and the gap m x passes a filter G of its own, which is H with one
-rate for W and b together (onboard/control/laws/path_gap.py):
+says: nu = H r + (1 - H) m x. The map is read on the path, and the gap m x passes a filter G of its own, which is H with
+one rate for W and b together (onboard/control/laws/path_gap.py):
 
-    nu_cmd = H r + (G - H) m x,    G = F_g (1 + t E') / (1 + F_g (1 + t E')),    F_g = k / (s + s_b k_b / k),    k = k_w + k_b.
+    nu_cmd = H r + (G - H) m x,    G = F_g (1 + t E') / (1 + F_g (1 + t E')),    F_g = k / (s + s_b k_b / k)
+
+with k = k_w + k_b.
 
 So only the rest G - H of the slope is feedback.
 """

@@ -56,7 +56,7 @@ class MarginRequirement(ConfigRecord):
         return max(0.0, 1.0 - min(shares))
 
     def shortfall_with_the_steepest_map(self, config: FlightConfig) -> float:
-        """The same of the position loop with the steepest map that the guard accepts; 0 for a law without such a map."""
+        """The same of the position loop with the steepest map that the guard accepts; 0 without such a map."""
         found = [one.margins for one in steepest_map_margins(config, OMEGA)]
         return max((1.0 - min(self._shares(one)) for one in found if min(self._shares(one)) < 1.0), default=0.0)
 

@@ -47,7 +47,8 @@ class PathGap:
         """
         values, error, rate = self.values, self._error, self._rate
         for i, (m, (k_1, k_2, w_1, w_2)) in enumerate(zip(deviation, self._axes, strict=True)):
-            rate[i] += dt * (values[i] - m - k_1 * error[i] - k_2 * rate[i])
+            pull = dt * (values[i] - m - k_1 * error[i])
+            rate[i] = (rate[i] + pull) / (1.0 + dt * (k_2 + dt * k_1))  # implicit: stable at any dt
             error[i] += dt * rate[i]
             kept = keep * values[i]
             values[i] = kept + share * (m - kept - t * (w_1 * error[i] + w_2 * rate[i]))

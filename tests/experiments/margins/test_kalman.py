@@ -1,6 +1,5 @@
 """The linear filter of the law with a covariance against the law itself, and the margins at its largest gain."""
 
-from math import inf
 from typing import Any
 
 import numpy as np
@@ -8,16 +7,17 @@ import pytest
 
 from configs.loader import CONFIG_DIRECTORY, load
 from experiments.flights.scenario import Choices, resolve
+from experiments.margins import steepest_map
 from experiments.margins.kalman import (
     ACTIVE_FEATURES,
     fastest_filter,
     settled_filter,
     settled_gains,
-    slope_fed_back,
 )
 from experiments.margins.linear import predicted_loop
 from experiments.margins.requirement import OMEGA, MarginRequirement
 from experiments.margins.stability import margins
+from experiments.margins.steepest_map import steepest_map_margins
 from onboard.control.laws.kalman_last_layer import KalmanConfig, KalmanLastLayer
 from onboard.control.laws.last_layer import lyapunov_p, tracking_weights
 from onboard.control.reference_model import ChannelGains
@@ -27,6 +27,7 @@ DT = 0.005
 FEATURES = load(FeaturesConfig, CONFIG_DIRECTORY / "features.yaml")
 GAINS = ChannelGains(natural_frequency_rad_s=(6.0, 6.0, 5.0), damping=0.8)
 ERROR_WEIGHT = (1.0, 0.1)
+ENOUGH = MarginRequirement(gain_margin_db=6.0, phase_margin_deg=35.0, delay_margin_ms=15.0)
 
 
 def law_of(**over: float) -> KalmanConfig:
@@ -87,50 +88,45 @@ def test_a_law_without_gain_has_no_loop() -> None:
 
 def test_the_margins_of_dmrac_hold_at_the_largest_gain_of_its_law_whatever_the_prior_says() -> None:
     law = "onboard.controller.settings.attitude.augmentation.law"
-    requirement = MarginRequirement(gain_margin_db=6.0, phase_margin_deg=35.0, delay_margin_ms=15.0)
     for sets in ((), (f"{law}.prior=50.0",), (f"{law}.noise=0.1",), (f"{law}.fast_bias=100.0",)):
         config = resolve("hover", Choices("dmrac", assignments=sets))
-        assert requirement.shortfall(config) == 0.0
+        assert ENOUGH.shortfall(config) == 0.0
 
 
-@pytest.mark.parametrize(("times", "enough"), [(1.0, True), (6.0, False)])
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_margins_of_dmrac_hold_with_the_steepest_map_that_is_accepted(
-    axis: int, times: float, enough: bool
-) -> None:
-    """A slope over position or velocity at its limit, with either sign; and at several times the limit."""
+@pytest.mark.parametrize("times", [1.0, 20.0])
+def test_the_margins_of_dmrac_hold_with_the_steepest_map_that_is_accepted(times: float) -> None:
+    """And with one far steeper: the gap passes the law's own filter, so that a slope is no feedback."""
     config = resolve("hover", Choices("dmrac"))
-    settings: Any = config.onboard.controller.filled_settings(FEATURES)
-    gains, augmentation = settings.position.gains, settings.position.augmentation
-    s = 1j * OMEGA
-    fed_back = slope_fed_back(augmentation.law, augmentation.error_weight, gains, axis, s)
-    k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
-    plant = predicted_loop(config, 0, axis, OMEGA) / (k1 + k2 * s)
-    shares = augmentation.slope_shares
-    worst = inf
-    for slope in (shares.place * k1, shares.motion * k2 * s):
-        for sign in (-times, times):
-            found = margins(OMEGA, plant * (k1 + k2 * s + sign * fed_back * slope))
-            worst = min(worst, found.phase_margin_deg / 35.0, found.gain_margin_db / 6.0, found.delay_margin_ms / 15.0)
-    assert bool(worst >= 1.0) is enough
+    found = list(steepest_map_margins(config, OMEGA, times))
+    assert {(one.channel, one.over, one.axis) for one in found} == {
+        (channel, over, axis)
+        for channel, axes in ((0, 3), (1, 2))
+        for over in ("place", "motion")
+        for axis in range(axes)
+    }
+    for one in found:
+        assert one.margins.phase_margin_deg >= 35.0, one
+        assert one.margins.gain_margin_db >= 6.0, one
+        assert one.margins.delay_margin_ms >= 15.0, one
+    if times == 1.0:
+        assert ENOUGH.shortfall_with_the_steepest_map(config) == 0.0
 
 
-@pytest.mark.parametrize(("gap", "enough"), [(True, True), (False, False)])
-def test_a_map_of_the_attitude_over_the_place_leaves_the_position_loop_its_margins(gap: bool, enough: bool) -> None:
-    """As steep as is accepted: nu / K_1 is a tilt, so the slope is one of the position loop (onboard/control/slope.py).
+@pytest.mark.parametrize("gap_filter", ["none", "without the tracking term"])
+def test_another_filter_of_the_gap_costs_the_margins(gap_filter: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ablation: the map read at the vehicle, or a gap that follows at composite_gain alone."""
 
-    Ablation: read at the vehicle, all of the slope is fed back but for what the law, slower here, takes up.
-    """
-    config = resolve("hover", Choices("dmrac"))
-    settings: Any = config.onboard.controller.filled_settings(FEATURES)
-    augmentation, s = settings.attitude.augmentation, 1j * OMEGA
-    of_law = augmentation.law, augmentation.error_weight, settings.attitude.gains, 1, s
-    fed_back = slope_fed_back(*of_law) if gap else 1.0 - fastest_filter(*of_law)
-    k1, k2 = settings.position.gains.stiffness()[0], settings.position.gains.rate_gain()[0]
-    loop = predicted_loop(config, 0, 0, OMEGA)
-    slope = augmentation.slope_shares.place * k1 / (k1 + k2 * s)
-    worst = min(margins(OMEGA, loop * (1.0 + sign * fed_back * slope)).phase_margin_deg for sign in (-1.0, 1.0))
-    assert bool(worst >= 35.0) is enough
+    def fed_back(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
+        gap = 1.0 if gap_filter == "none" else law.composite_gain / (s + law.composite_gain + law.fast_bias_rate)
+        return gap - fastest_filter(law, error_weight, gains, axis, s)
+
+    monkeypatch.setattr(steepest_map, "slope_fed_back", fed_back)
+    assert ENOUGH.shortfall_with_the_steepest_map(resolve("hover", Choices("dmrac"))) > 0.1
+
+
+def test_a_law_whose_map_is_not_read_on_the_path_has_no_such_margins() -> None:
+    assert list(steepest_map_margins(resolve("hover", Choices("mrac")), OMEGA)) == []
+    assert ENOUGH.shortfall_with_the_steepest_map(resolve("hover", Choices("mrac"))) == 0.0
 
 
 def test_the_limit_is_what_keeps_the_margins() -> None:

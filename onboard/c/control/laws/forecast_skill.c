@@ -5,7 +5,9 @@
 #include "protocol/geometry.h"
 
 /* ForecastSkill.restart */
-void skill_restart(ForecastSkill *self) { self->continues = false; }
+void skill_restart(ForecastSkill *self) {
+    self->continues = false;
+}
 
 /* ForecastSkill.step */
 void skill_step(ForecastSkill *self, real noise_variance, const real residual[3], const real of_map[3], real dt) {

@@ -18,6 +18,7 @@ typedef struct {
 void gap_close(PathGap *self, const real *deviation);
 
 /* One tick: share s / (R_t + s) of the law's tick, keep 1 - s_b dt by the share that b has in s, t the factor of e'PB. */
-void gap_step(PathGap *self, const TrackingWeights *PB, const real deviation[3], real share, real keep, real t, real dt);
+void gap_step(PathGap *self, const TrackingWeights *PB, const real deviation[3], real share, real keep, real t,
+              real dt);
 
 #endif

@@ -177,7 +177,9 @@ def swing_after_a_push(share, prior, seed):
         "prior_rate": 0.02475, "fast_bias_rate": 0.2834, "weight_norm_max": 250.0,
     }  # fmt: skip
     P = lyapunov_p(gains.closed_loop_matrix(), np.diag([1.0] * 3 + [0.01] * 3))
-    law = KalmanLastLayer(config(**settings_of_law), 20, tracking_weights(P, gains.natural_frequency_rad_s), gains.pairs())
+    law = KalmanLastLayer(
+        config(**settings_of_law), 20, tracking_weights(P, gains.natural_frequency_rad_s), gains.pairs()
+    )
     limits = SlopeLimits.of("attitude", POSITION, gains, SlopeShares(place=1.0, motion=1.0, turn=share))
     bound = SlopeBound(names, limits)
     k1, k2 = gains.stiffness(), gains.rate_gain()
