@@ -65,7 +65,8 @@ class KalmanLaw:
         """Begin with W = theta, b = 0 and S = S0."""
         config = self._given or _kalman(FASTEST_SHARE / dt, bool(PB.any()))
         self._dt = dt
-        self.law = KalmanLastLayer(config, theta.shape[0], PB)
+        without_path = [(0.0, 0.0)] * theta.shape[1]  # the map is read at one place only: there is no gap
+        self.law = KalmanLastLayer(config, theta.shape[0], PB, without_path)
         self.law.replace(theta, theta)
 
     def update(self, Phi: Array, residual: Array, error: Array) -> None:

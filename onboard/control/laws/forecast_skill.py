@@ -1,15 +1,16 @@
 """How far the changes of a map have come true: the share of its look-ahead that is flown.
 
-A law that follows the residual within some hundredths of a second needs no map for what changes slowly. The map pays by
-the change that it foretells, W'Phi_a - W'Phi_p from the place on the path now to the one ahead. A map of noise foretells
-changes too, and reading it ahead then adds an error that the law cannot take back. So that change counts by its skill,
+A law that follows the residual within some hundredths of a second needs no map for what changes slowly. The map pays
+by the change that it foretells, W'Phi_a - W'Phi_p from the place on the path now to the one ahead. A map of noise
+foretells changes too, and reading it ahead then adds an error that the law cannot take back. So that change counts by
+its skill,
 
     g = argmin sum_i (r'_i - g m'_i)^2 + R g^2 = sum r' m' / (sum m'^2 + R)     in each axis, within 0 to 1
 
-with r' the residual r and m' the map W'Phi at the present state, both without what changes more slowly than SLOW_S. r is
-newer than everything that W was learnt from, so noise in the labels does not count as skill. R, the variance of r in a
-tick, makes g the mean of a slope of which nothing was known but that it is about 0 +- 1. A strong disturbance weighs more
-than much still air, and is forgotten within MEMORY_S.
+with r' the residual r and m' the map W'Phi at the present state, both without what changes more slowly than SLOW_S.
+r is newer than everything that W was learnt from, so noise in the labels does not count as skill. R, the variance of r
+in a tick, makes g the mean of a slope of which nothing was known but that it is about 0 +- 1. A strong disturbance
+weighs more than much still air, and is forgotten within MEMORY_S.
 """
 
 from typing import Final

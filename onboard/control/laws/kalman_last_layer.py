@@ -79,9 +79,10 @@ class KalmanLastLayer:
     def __init__(
         self, config: KalmanConfig, feature_count: int, PB: Array, gains: Sequence[tuple[float, float]]
     ) -> None:
-        """PB: [n, q], from the Lyapunov equation of the channel's reference model (tracking_weights), gains: its K_1, K_2.
+        """Take the weights and the gains of the channel's reference model.
 
-        q is the number of outputs, 3 in a channel of the vehicle; where this file says 3, q is meant.
+        PB: [n, q], from its Lyapunov equation (tracking_weights). gains: (K_1, K_2) of each of the q outputs. There are
+        3 in a channel of the vehicle; where this file says 3, q is meant.
         """
         self.config = config
         self._PB = PB
@@ -228,8 +229,8 @@ class KalmanLastLayer:
             of_here, of_ahead = np.square(columns[:, :2]).sum(axis=0).tolist()
             p2 = self._prior_variance
             a = fade(1.0 - (hh - here * here * v) / (p2 * of_here), 1.0 - (aa - ahead * ahead * v) / (p2 * of_ahead))
-        each_axis = zip(of_theta, of_X, innovation, strict=True)
-        maps = [(th[0] + X[0] + here * d, th[2] + X[2] + path * d) for th, X, d in each_axis]
+        corrected = zip(of_theta, of_X, innovation, strict=True)
+        maps = [(th[0] + X[0] + here * d, th[2] + X[2] + path * d) for th, X, d in corrected]
         keep = 1.0 - config.fast_bias_rate * dt * (bh + bb) / s
         self._gap.step([map_here - on_path for map_here, on_path in maps], share, keep, t, dt)
         nu = []

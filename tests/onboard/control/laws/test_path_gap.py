@@ -29,8 +29,8 @@ def test_closed_it_holds_the_whole_deviation_and_open_none() -> None:
 def followed(tracking: bool, slope: float = 40.0) -> float:
     """The largest of nu_cmd that a motion beside the path makes, of a plant whose Delta is zero and a map with a slope.
 
-    The map says slope * x at the vehicle and 0 on the path. x swings by 10 mm; e is the error of the reference model, which
-    follows nu - Delta. All that is left of the slope in nu_cmd is feedback.
+    The map says slope * x at the vehicle and 0 on the path. x swings by 10 mm; e is the error of the reference model,
+    which follows nu - Delta. All that is left of the slope in nu_cmd is feedback.
     """
     law = KalmanLastLayer(
         config(tracking_gain=400.0, composite_gain=4.0, noise=0.01, fast_bias=5.0, prior=0.01), 2, PB, PAIRS
