@@ -1,24 +1,22 @@
 """The last-layer law with a covariance as a linear filter from the residual to nu, at constant features.
 
-With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b,
+With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b, and the filter 1 / (1 + T s) of the residual,
 
-    F = k_w / (s + s_w) + k_b / (s + s_b),    nu = F (r - nu - t e'PB),    e = E (nu - r)
-    nu / r = F (1 + t E') / (1 + F (1 + t E')),    E' = (w_1 + w_2 s) / (s^2 + k_2 s + k_1)
+    F = k_w / (s + s_w) + k_b / (s + s_b),    nu = F (r / (1 + T s) - nu - t e'PB),    e = E (nu - r)
+    nu / r = F (1 / (1 + T s) + t E') / (1 + F (1 + t E')),    E' = (w_1 + w_2 s) / (s^2 + k_2 s + k_1)
 
 where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
 
-**A map with a slope.** With m the map's slope in x, constant, H = nu / r and the path at rest, nu takes up what the map
-says: nu = H r + (1 - H) m x. The map is read on the path, and the gap m x passes a filter G of its own, which is H with
-one rate for W and b together (onboard/control/laws/path_gap.py):
+**A map with a slope.** With m the map's slope in x, constant, and the path at rest, nu takes up what the map says with
+H = F (1 + t E') / (1 + F (1 + t E')): nu = (nu / r) r + (1 - H) m x. The map is read on the path, and the gap m x passes
+a filter G of its own, which is H with one rate for W and b together (onboard/control/laws/path_gap.py):
 
-    nu_cmd = H r + (G - H) m x,    G = F_g (1 + t E') / (1 + F_g (1 + t E')),    F_g = k / (s + s_b k_b / k)
+    nu_cmd = (nu / r) r + (G - H) m x,    G = F_g (1 + t E') / (1 + F_g (1 + t E')),    F_g = k / (s + s_b k_b / k)
 
-with k = k_w + k_b.
-
-So only the rest G - H of the slope is feedback.
+with k = k_w + k_b. So only the rest G - H of the slope is feedback.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -32,19 +30,34 @@ SETTLING_TICKS: Final = 40000
 """Enough for 10 time constants of 1 / s_w at 200 Hz with the smallest shipped s_w."""
 
 
-def fastest_filter(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
-    """nu / r at the largest gain that the law can have."""
-    F = fastest_loop(law, error_weight, gains, axis, s)
-    return F / (1.0 + F)
+class LawResponse(NamedTuple):
+    """The law at given gains; nu / r = numerator / (1 + loop)."""
+
+    numerator: Any
+    """F (1 / (1 + T s) + t E')."""
+    loop: Any
+    """F (1 + t E')."""
+
+    @property
+    def filter(self) -> Any:
+        """nu / r."""
+        return self.numerator / (1.0 + self.loop)
+
+    @property
+    def takes_up(self) -> Any:
+        """H: the share of what a map says that the law takes up, with the other sign."""
+        return self.loop / (1.0 + self.loop)
 
 
-def fastest_loop(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
-    """F (1 + t E') at the largest gain that the law can have: composite_gain, divided as S0 says.
+def fastest_response(
+    law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any
+) -> LawResponse:
+    """The law at the largest gain that it can have: composite_gain, divided as S0 says.
 
     That is the law after its start and after a swap. As S falls, the gain does: margins here are margins there.
     """
     share = _share_of_W(law)
-    return _loop(law, error_weight, gains, axis, s, law.composite_gain * share, law.composite_gain * (1.0 - share))
+    return _response(law, error_weight, gains, axis, s, law.composite_gain * share, law.composite_gain * (1.0 - share))
 
 
 def _share_of_W(law: KalmanConfig) -> float:
@@ -53,20 +66,19 @@ def _share_of_W(law: KalmanConfig) -> float:
     return of_W / (of_W + of_b)
 
 
-def settled_filter(
+def settled_response(
     law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any, dt: float
-) -> Any:
-    """nu / r at the stationary covariance of constant features, the least gain that the law comes to."""
+) -> LawResponse:
+    """The law at the stationary covariance of constant features, the least gain that it comes to."""
     k_w, k_b = settled_gains(law, dt)
-    F = _loop(law, error_weight, gains, axis, s, k_w, k_b)
-    return F / (1.0 + F)
+    return _response(law, error_weight, gains, axis, s, k_w, k_b)
 
 
 def slope_fed_back(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
     """G - H at the largest gain of the law: the share of the map's slope that is feedback of the loop."""
     F = law.composite_gain / (s + law.fast_bias_rate * (1.0 - _share_of_W(law)))
     F = F * (1.0 + _tracking(law, error_weight, gains, axis, s))
-    return F / (1.0 + F) - fastest_filter(law, error_weight, gains, axis, s)
+    return F / (1.0 + F) - fastest_response(law, error_weight, gains, axis, s).takes_up
 
 
 def settled_gains(law: KalmanConfig, dt: float) -> tuple[float, float]:
@@ -84,7 +96,7 @@ def settled_gains(law: KalmanConfig, dt: float) -> tuple[float, float]:
     return float(g_W / v / dt), float(g_b / v / dt)
 
 
-def _loop(
+def _response(
     law: KalmanConfig,
     error_weight: tuple[float, float],
     gains: ChannelGains,
@@ -92,9 +104,10 @@ def _loop(
     s: Any,
     k_w: float,
     k_b: float,
-) -> Any:
+) -> LawResponse:
     tracking = _tracking(law, error_weight, gains, axis, s)
-    return (k_w / (s + law.prior_rate) + k_b / (s + law.fast_bias_rate)) * (1.0 + tracking)
+    F = k_w / (s + law.prior_rate) + k_b / (s + law.fast_bias_rate)
+    return LawResponse(F * (1.0 / (1.0 + law.residual_filter_s * s) + tracking), F * (1.0 + tracking))
 
 
 def _tracking(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:

@@ -39,7 +39,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from experiments.flights.scenario import FlightConfig
-from experiments.margins.kalman import fastest_loop
+from experiments.margins.kalman import fastest_response
 from experiments.margins.plant import attitude_plant, lift_gain, lift_plant
 from onboard.control.cascade import CascadeSettings, ChannelSettings
 from onboard.control.laws.adaptive import AdaptiveConfig
@@ -164,8 +164,8 @@ def _law(channel: ChannelSettings, axis: int, s: Any) -> Law:
         case IncrementalConfig():  # a lap's table changes once per lap
             return Law(1.0 / (1.0 + law.filter_s * s), 1.0)
         case AdaptiveConfig(law=KalmanConfig() as covariance):
-            F = fastest_loop(covariance, law.error_weight, gains, axis, s)
-            return Law(F, 1.0 + F)
+            response = fastest_response(covariance, law.error_weight, gains, axis, s)
+            return Law(response.numerator, 1.0 + response.loop)
         case AdaptiveConfig():
             k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
             rate_weight = law.error_weight[1] / law.error_weight[0]

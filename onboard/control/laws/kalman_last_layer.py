@@ -67,7 +67,7 @@ class KalmanConfig(ConfigRecord):
     weight_norm_max: Annotated[
         float, Field(gt=0, description="W_max: radius of the balls of theta and of [W - theta; b]")
     ]
-    residual_filter_s: Annotated[float, Field(ge=0.005, le=1, description="time constant of Delta_hat")] = 0.02
+    residual_filter_s: Annotated[float, Field(ge=0.001, le=1, description="time constant of Delta_hat")] = 0.02
     confidence: Annotated[bool, Field(description="false: ablation, a = 1")] = True
     skill: Annotated[bool, Field(description="false: ablation, g = 1")] = True
     slope: SlopeShares = SlopeShares()
@@ -181,10 +181,10 @@ class KalmanLastLayer:
     def learn(self, Phi: Array, channel: ChannelState, Delta_hat: Vector3) -> Array:
         """One tick of the law; returns nu and nu_cmd, [3, 2]. Phi as in `estimate`.
 
-        The filter takes the unfiltered residual: R describes its noise.
+        The law takes the filtered residual, as the gradient law does. At lambda dt = 0.2 the noise of single ticks would
+        come through, to motors that are driven against their lag.
         """
-        del Delta_hat
-        return self.step(Phi, channel.model_error, channel.residual.tolist(), channel.dt)
+        return self.step(Phi, channel.model_error, list(Delta_hat), channel.dt)
 
     def step(self, Phi: Array, e: Array, residual: list[float], dt: float) -> Array:
         """Predict, correct, project; returns nu and nu_cmd, [3, 2]. Phi as in `estimate`.
@@ -192,7 +192,7 @@ class KalmanLastLayer:
         Parameters
         ----------
         e: [n], x_rm - x; the second half is the rate of the first.
-        residual: [3], unfiltered, units of u.
+        residual: [3], Delta_hat, units of u.
         dt: s.
         """
         config, state, columns = self.config, self.state, self._columns

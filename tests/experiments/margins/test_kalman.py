@@ -1,5 +1,6 @@
 """The linear filter of the law with a covariance against the law itself, and the margins at its largest gain."""
 
+from math import exp
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ from experiments.flights.scenario import Choices, resolve
 from experiments.margins import steepest_map
 from experiments.margins.kalman import (
     ACTIVE_FEATURES,
-    fastest_filter,
-    settled_filter,
+    fastest_response,
     settled_gains,
+    settled_response,
 )
 from experiments.margins.linear import predicted_loop
 from experiments.margins.requirement import OMEGA, MarginRequirement
@@ -39,13 +40,16 @@ def law_of(**over: float) -> KalmanConfig:
 
 
 def gain_of_the_law(law: KalmanConfig, omega: float) -> complex:
-    """nu / r of the law itself, settled at constant features with |Phi|^2 = ACTIVE_FEATURES, at one frequency."""
+    """nu / r of the law itself, settled at constant features with |Phi|^2 = ACTIVE_FEATURES, at one frequency.
+
+    The law gets the mean of two ticks of its filter: the residual of a tick is a mean over the tick, half a tick old.
+    """
     Q = np.diag(np.repeat(ERROR_WEIGHT, 3))
     PB = tracking_weights(lyapunov_p(GAINS.closed_loop_matrix(), Q), GAINS.natural_frequency_rad_s)
     one = KalmanLastLayer(law, int(ACTIVE_FEATURES), PB, GAINS.pairs())
     Phi = np.ones((int(ACTIVE_FEATURES), 3))
     k1, k2 = GAINS.stiffness()[0], GAINS.rate_gain()[0]
-    e, e_dot, r, nu = 0.0, 0.0, 0.0, 0.0
+    e, e_dot, r, filtered, nu = 0.0, 0.0, 0.0, 0.0, 0.0
     outputs, inputs = [], []
     period = round(2.0 * np.pi / omega / DT)
     settle = 20_000
@@ -53,8 +57,9 @@ def gain_of_the_law(law: KalmanConfig, omega: float) -> complex:
         acceleration = -k1 * e - k2 * e_dot + nu - r  # e of nu - Delta, advanced by what acted since the last tick
         e, e_dot = e + DT * e_dot + 0.5 * DT**2 * acceleration, e_dot + DT * acceleration
         r = float(np.sin(2.0 * np.pi * tick / period)) if tick >= settle - 2 * period else 0.0
+        last, filtered = filtered, filtered + (1.0 - exp(-DT / law.residual_filter_s)) * (r - filtered)
         error = np.array([e, 0.0, 0.0, e_dot, 0.0, 0.0])
-        nu = float(one.step(Phi, error, [r, 0.0, 0.0], DT)[0, 0])
+        nu = float(one.step(Phi, error, [0.5 * (last + filtered), 0.0, 0.0], DT)[0, 0])
         if tick >= settle + 2 * period:
             inputs.append(r)
             outputs.append(nu)
@@ -67,7 +72,7 @@ def test_the_settled_filter_is_that_of_the_law(omega: float) -> None:
     law = law_of()
     found = gain_of_the_law(law, omega)
     s = np.array([2j * np.pi / (round(2.0 * np.pi / omega / DT) * DT)])
-    predicted = complex(settled_filter(law, ERROR_WEIGHT, GAINS, 0, s, DT)[0])
+    predicted = complex(settled_response(law, ERROR_WEIGHT, GAINS, 0, s, DT).filter[0])
     assert abs(found - predicted) < 0.08 * max(abs(predicted), 0.3)
 
 
@@ -77,13 +82,13 @@ def test_no_gain_exceeds_the_fastest() -> None:
     assert k_w + k_b <= law.composite_gain
     assert k_w + k_b > 0.9 * law.composite_gain / (1.0 + law.composite_gain * DT)
     high = 1j * np.array([1e4])
-    gain = abs(fastest_filter(law, ERROR_WEIGHT, GAINS, 0, high)[0])
+    gain = abs(fastest_response(law, ERROR_WEIGHT, GAINS, 0, high).takes_up[0])
     assert gain * 1e4 == pytest.approx(law.composite_gain, rel=0.02)
 
 
 def test_a_law_without_gain_has_no_loop() -> None:
     s = 1j * OMEGA
-    assert np.abs(fastest_filter(law_of(composite_gain=0.0), ERROR_WEIGHT, GAINS, 0, s)).max() == 0.0
+    assert np.abs(fastest_response(law_of(composite_gain=0.0), ERROR_WEIGHT, GAINS, 0, s).filter).max() == 0.0
 
 
 def test_the_margins_of_dmrac_hold_at_the_largest_gain_of_its_law_whatever_the_prior_says() -> None:
@@ -118,7 +123,7 @@ def test_another_filter_of_the_gap_costs_the_margins(gap_filter: str, monkeypatc
 
     def fed_back(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:
         gap = 1.0 if gap_filter == "none" else law.composite_gain / (s + law.composite_gain + law.fast_bias_rate)
-        return gap - fastest_filter(law, error_weight, gains, axis, s)
+        return gap - fastest_response(law, error_weight, gains, axis, s).takes_up
 
     monkeypatch.setattr(steepest_map, "slope_fed_back", fed_back)
     assert ENOUGH.shortfall_with_the_steepest_map(resolve("hover", Choices("dmrac"))) > 0.1

@@ -103,10 +103,10 @@ static void estimate(const Adaptive *self, const real *Phi, real nu[3], real nu_
     }
 }
 
-/* LastLayer.learn or KalmanLastLayer.learn: the law with a covariance takes the unfiltered residual */
+/* LastLayer.learn or KalmanLastLayer.learn */
 static void learn(Adaptive *self, const ChannelState *channel, const real *Phi, real nu[3], real nu_cmd[3]) {
     if (has_covariance(self)) {
-        kalman_layer_step(&self->kalman_layer, Phi, channel->model_error, channel->residual, channel->dt, nu, nu_cmd);
+        kalman_layer_step(&self->kalman_layer, Phi, channel->model_error, self->Delta_hat, channel->dt, nu, nu_cmd);
     } else {
         last_layer_step(&self->last_layer, Phi, channel->model_error, self->Delta_hat, channel->dt);
         estimate(self, Phi, nu, nu_cmd);

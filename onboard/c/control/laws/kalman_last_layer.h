@@ -67,8 +67,8 @@ void kalman_layer_look_ahead(const KalmanLastLayer *self, int32_t n, real *nu);
  * no misfit, so there the map is read on the path alone. */
 void kalman_layer_close_gap(KalmanLastLayer *self, const real *Phi);
 
-/* One tick: predict, correct, project; nu and nu_cmd with Phi of the tick. e = x_rm - x; the residual is unfiltered, units
- * of u. */
+/* One tick: predict, correct, project; nu and nu_cmd with Phi of the tick. e = x_rm - x; the residual is Delta_hat,
+ * units of u. */
 void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], const real residual[3], real dt,
                        real nu[3], real nu_cmd[3]);
 
