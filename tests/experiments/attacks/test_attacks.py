@@ -14,9 +14,15 @@ OFF = tuple(
     )
 )
 JET = ("vehicle.disturbances.0.speed_m_s=8.0",)
-LAW = "onboard.controller.settings.attitude.augmentation.law"
-BOLD = (*JET, f"{LAW}.tracking_gain=540.7", f"{LAW}.composite_gain=3.532", f"{LAW}.slope.place=5.0")
-"""Gains of a search that knows nothing of steep maps: with these, cliffs cost a vehicle without a guard."""
+STEEP = (
+    *JET,
+    *(
+        f"onboard.controller.settings.{channel}.augmentation.law.slope.{kind}=100000.0"
+        for channel in ("position", "attitude")
+        for kind in ("place", "motion", "turn")
+    ),
+)
+"""Without the limits of a map's slope: with them, no cliff costs a vehicle, guard or not."""
 ERROR_MAX_M = 0.13
 """RMS from the beginning of the attack on. Without a learner: 0.09 to 0.12."""
 
@@ -32,7 +38,7 @@ def test_a_cliff_beside_the_states_of_the_last_second_is_refused():
 
 @pytest.mark.full
 def test_without_the_guard_cliffs_cost_the_vehicle():
-    outcome = fly_attack("steep_again", 1, duration_s=20.0, assignments=(*BOLD, *OFF))
+    outcome = fly_attack("steep_again", 1, duration_s=20.0, assignments=(*STEEP, *OFF))
     assert outcome.swaps > 0
     assert outcome.lost
 
@@ -41,21 +47,27 @@ def test_without_the_guard_cliffs_cost_the_vehicle():
 def test_room_and_test_are_needed_against_cliffs(seed):
     """Nothing; the room alone; room and probation; all."""
     parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
-    flights = [fly_attack("steep_again", seed, duration_s=20.0, assignments=(*BOLD, *off)) for off in parts]
+    flights = [fly_attack("steep_again", seed, duration_s=20.0, assignments=(*STEEP, *off)) for off in parts]
     _, room, probation, all_on = flights
     assert [bool(flight.lost) for flight in flights] == [True, False, False, False]
     assert min(room.swaps, probation.swaps) > all_on.swaps == 0, "the test refuses them"
-    assert min(room.error_m, probation.error_m) > 1.1 * all_on.error_m
     assert all_on.error_m < ERROR_MAX_M
 
 
 def test_probation_is_needed_against_a_wrong_map():
-    """One version, the honest map scaled up to the bound: without the test it flies, and the room alone lets it."""
+    """One version, the honest map with the other sign: without the test it flies, and the room alone lets it."""
     room, probation = (
-        fly_attack("scaled", 3, duration_s=20.0, assignments=(*BOLD, *off)) for off in (OFF[1:], (OFF[1], *OFF[3:]))
+        fly_attack("flipped", 3, duration_s=20.0, assignments=(*STEEP, *off)) for off in (OFF[1:], (OFF[1], *OFF[3:]))
     )
     assert room.error_m > 1.5 * probation.error_m
     assert probation.refused[1] == "probation"
+
+
+@pytest.mark.full
+def test_with_the_limits_of_the_slope_a_cliff_is_survived_without_the_guard():
+    outcome = fly_attack("steep_again", 1, duration_s=20.0, assignments=(*JET, *OFF))
+    assert outcome.swaps > 0
+    assert not outcome.lost
 
 
 def test_a_cliff_that_is_out_of_reach_on_arrival_is_found_before_it_is_reached():
