@@ -8,8 +8,8 @@ With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b, and the 
 where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
 
 **A map with a slope.** With m the map's slope in x, constant, and the path at rest, nu takes up what the map says with
-H = F (1 + t E') / (1 + F (1 + t E')): nu = (nu / r) r + (1 - H) m x. The map is read on the path, and the gap m x passes
-a filter G of its own, which is H with one rate for W and b together (onboard/control/laws/path_gap.py):
+H = F (1 + t E') / (1 + F (1 + t E')): nu = (nu / r) r + (1 - H) m x. The map is read on the path, and the gap m x
+passes a filter G of its own, which is H with one rate for W and b together (onboard/control/laws/path_gap.py):
 
     nu_cmd = (nu / r) r + (G - H) m x,    G = F_g (1 + t E') / (1 + F_g (1 + t E')),    F_g = k / (s + s_b k_b / k)
 

@@ -42,7 +42,7 @@ class ForecastSkill:
 
         Parameters
         ----------
-        residual: [axes], unfiltered, units of u.
+        residual: [axes], as the law takes it, units of u.
         of_map: [axes], W'Phi at the present state, before this residual corrected W.
         dt: s.
         """

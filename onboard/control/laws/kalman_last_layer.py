@@ -7,7 +7,7 @@
     gap: what the map says at x, W'Phi - W'Phi_p, behind a filter        p: on the path, now
 
 theta is the trained last layer, the prior of W. A tick first predicts (W, b and S decay to theta, 0 and S0), then
-corrects with the residual r, phi = [Phi; 1] and s = phi'S phi:
+corrects with the filtered residual r, phi = [Phi; 1] and s = phi'S phi:
 
     [W; b] += S phi (r - nu - t e'PB)' / (R_t + s),    S -= S phi phi'S / (R_t + s),    R_t = max(R, s / (lambda dt))
 
@@ -181,8 +181,8 @@ class KalmanLastLayer:
     def learn(self, Phi: Array, channel: ChannelState, Delta_hat: Vector3) -> Array:
         """One tick of the law; returns nu and nu_cmd, [3, 2]. Phi as in `estimate`.
 
-        The law takes the filtered residual, as the gradient law does. At lambda dt = 0.2 the noise of single ticks would
-        come through, to motors that are driven against their lag.
+        The law takes the filtered residual, as the gradient law does. At lambda dt = 0.2 the noise of single ticks
+        would come through, to motors that are driven against their lag.
         """
         return self.step(Phi, channel.model_error, list(Delta_hat), channel.dt)
 
