@@ -8,6 +8,7 @@ others.
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -113,14 +114,19 @@ def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     return as_json(flights)
 
 
-def _gym(arguments: argparse.Namespace) -> dict[str, float]:
+def _gym(arguments: argparse.Namespace) -> dict[str, dict[str, float]]:
     require_modules("gymnasium", "numba", purpose=f"dmrac bench {GYM}")
     from async_dmrac.environments.speed import environment_speeds
 
     speeds = environment_speeds()
     show = plain_console(arguments.json).print
-    show("\n".join(f"{name:34} {speed:9.0f} steps/s" for name, speed in speeds.items()))
-    return speeds
+    show(
+        "\n".join(
+            f"{name:34} {one.steps_s:9.0f} steps/s, {one.processor_us:6.2f} us of processor time a step"
+            for name, one in speeds.items()
+        )
+    )
+    return {name: asdict(one) for name, one in speeds.items()}
 
 
 def _neural_fly(arguments: argparse.Namespace) -> list[dict[str, Any]]:
