@@ -1,30 +1,34 @@
 """Exports a flight: as CSV, as a NumPy file, or with all its logs merged into one MCAP file."""
 
+import heapq
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from mcap.writer import Writer
 
 from flight_log.log_file import FlightError
 from flight_log.mcap_file import (
+    CDR_HEADER,
     FORMAT_VERSION,
+    LIBRARY,
     METADATA_NAME,
-    Block,
-    McapFile,
-    bytes_block,
+    PRIVATE,
+    PROFILE,
     cdr_bytes,
     cdr_string,
+    media_type,
     ros_definition,
-    vector_block,
+    ros_name,
 )
 from flight_log.reader import MERGED, Flight, Table
 from flight_log.schema import RecordType
 from flight_log.writer import BYTES_DEFINITION, EVENT_DEFINITION
 
-MERGED_CHUNK_NS: Final = 500_000_000
-CSV_ROWS_AT_ONCE: Final = 10_000
+SLICE_NS: Final = 500_000_000
+"""Of a merged log: in a slice, the messages of a topic follow one another, so that they can be read as one array."""
 
 
 def export_csv(flight: Flight, folder: Path) -> list[Path]:
@@ -55,13 +59,9 @@ def file_stem(topic: str) -> str:
 def _write_csv(table: Table, start_ns: int, path: Path) -> None:
     heads = [f"{name} [{unit}]" if unit else name for name, unit in table.units.items()]
     heads = [f'"{head}"' if "," in head else head for head in heads]
-    line = ",".join(["%.6f"] + ["%.9g"] * len(heads)) + "\n"
     rows = np.column_stack([table.seconds(start_ns), table.values])
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(["time [s]", *heads]) + "\n")
-        for first in range(0, len(rows), CSV_ROWS_AT_ONCE):
-            part = rows[first : first + CSV_ROWS_AT_ONCE]
-            file.write((line * len(part)) % tuple(part.ravel().tolist()))
+    line = ",".join(["%.6f"] + ["%.9g"] * len(heads))
+    np.savetxt(path, rows, line, header=",".join(["time [s]", *heads]), comments="", encoding="utf-8")
 
 
 def export_npz(flight: Flight, path: Path) -> None:
@@ -92,20 +92,22 @@ def merge(flight: Flight, path: Path) -> None:
         If it cannot be written.
     """
     try:
-        file = McapFile(path, for_all=True)
+        stream = path.open("xb")
     except FileExistsError:
         raise FlightError(f"{path}: exists already") from None
-    try:
-        file.start()
+    with stream:
+        path.chmod(PRIVATE)
+        file = Writer(stream)
+        file.start(profile=PROFILE, library=LIBRARY)
         file.add_metadata(METADATA_NAME, _merged_metadata(flight.metadata))
         for process, attachments in flight.attachments.items():
             for name, data in attachments.items():
-                file.add_attachment(f"{process}/{name}", data)
-        for blocks in _time_slices(flight, file):
-            file.write_chunk(blocks)
+                file.add_attachment(0, 0, f"{process}/{name}", media_type(name), data)
+        topics = [*_vectors(flight), *_messages(flight)]
+        streams = [_numbered(_channel(file, topic, definition), found) for topic, definition, found in topics]
+        for time_ns, channel, sequence, cdr in heapq.merge(*streams, key=lambda one: (one[0] // SLICE_NS, one[1])):
+            file.add_message(channel, time_ns, CDR_HEADER + cdr, time_ns, sequence)
         file.finish()
-    finally:
-        file.close()
 
 
 def _merged_metadata(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
@@ -113,32 +115,22 @@ def _merged_metadata(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, str
     return {**parts, "format_version": str(FORMAT_VERSION), "process": MERGED, "clock": MERGED}
 
 
-def _time_slices(flight: Flight, file: McapFile) -> Iterator[list[Block]]:
-    """The blocks of the flight, chunk by chunk, in order of time."""
-    tables = [
-        (file.add_channel(t.topic, ros_definition(RecordType(t.topic, tuple(t.units.items())))), t) for t in flight
-    ]
-    messages = [(file.add_channel(topic, definition), found) for topic, definition, found in _messages(flight)]
-    done_rows, done_messages = [0] * len(tables), [0] * len(messages)
-    edge = min([flight.first_ns, *(found[0][0] for _, found in messages)])
-    while edge <= max([flight.end_ns, *(found[-1][0] for _, found in messages)]):
-        edge += MERGED_CHUNK_NS
-        blocks = []
-        for i, (channel, table) in enumerate(tables):
-            rows = slice(done_rows[i], int(np.searchsorted(table.time_ns, edge)))
-            if rows.start < rows.stop:
-                sequences = np.arange(rows.start, rows.stop)
-                blocks.append(vector_block(channel, sequences, table.time_ns[rows], table.values[rows]))
-                done_rows[i] = rows.stop
-        for i, (channel, found) in enumerate(messages):
-            first = last = done_messages[i]
-            while last < len(found) and found[last][0] < edge:
-                last += 1
-            if first < last:
-                blocks.append(bytes_block(channel, [(n, max(found[n][0], 0), found[n][1]) for n in range(first, last)]))
-                done_messages[i] = last
-        if blocks:
-            yield blocks
+def _channel(file: Writer, topic: str, definition: str) -> int:
+    schema = file.register_schema(ros_name(topic), "ros2msg", definition.encode())
+    return int(file.register_channel(topic, "cdr", schema))
+
+
+def _numbered(channel: int, found: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, int, int, bytes]]:
+    """Time, channel, sequence number and CDR bytes of each message."""
+    return ((max(time_ns, 0), channel, sequence, cdr) for sequence, (time_ns, cdr) in enumerate(found))
+
+
+def _vectors(flight: Flight) -> Iterator[tuple[str, str, Iterable[tuple[int, bytes]]]]:
+    """(topic, definition, (time, CDR bytes)) of the tables."""
+    for table in flight:
+        rows = (row.tobytes() for row in table.values.astype("<f8"))
+        definition = ros_definition(RecordType(table.topic, tuple(table.units.items())))
+        yield table.topic, definition, zip(table.time_ns.tolist(), rows, strict=True)
 
 
 def _messages(flight: Flight) -> list[tuple[str, str, list[tuple[int, bytes]]]]:

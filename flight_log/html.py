@@ -14,6 +14,7 @@ pre, code { font: 13px/1.4 ui-monospace, monospace; } pre { overflow-x: auto; pa
 img { max-width: 100%; background: white; } .good { color: #1a7f37; } .bad { color: #cf222e; font-weight: 600; }
 .values td { text-align: left; overflow-wrap: anywhere; min-width: 5rem; }
 .values td:first-child { white-space: nowrap; }
+caption { text-align: left; font-weight: 600; } figure { margin: 1.5rem 0; }
 .scroll { overflow-x: auto; } .quiet { opacity: .7; }
 """
 
@@ -35,12 +36,13 @@ def section(title: str, *parts: str) -> str:
     return f"<h2>{escape(title)}</h2>\n{body}" if body else ""
 
 
-def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """A table of plain texts; cells that are numbers are aligned to the right. "" if there are no rows."""
+def table(rows: Sequence[Sequence[str]], head: Sequence[str] = (), caption: str = "") -> str:
+    """A table of plain texts; numbers are aligned to the right, **texts** are bold. "" if there are no rows."""
     if not rows:
         return ""
+    named = f"<caption>{escape(caption)}</caption>" if caption else ""
     top = "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>" if head else ""
-    return f'<div class="scroll"><table>{top}{"".join(map(_row, rows))}</table></div>'
+    return f'<div class="scroll"><table>{named}{top}{"".join(map(_row, rows))}</table></div>'
 
 
 def values_table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
@@ -59,6 +61,11 @@ def code(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
+def figure(png: bytes, caption: str) -> str:
+    """A PNG image with its caption."""
+    return f"<figure>{image(png, caption)}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
 def image(png: bytes, name: str) -> str:
     """A PNG image, embedded in the page."""
     return f'<img alt="{escape(name)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
@@ -74,5 +81,7 @@ def _row(cells: Sequence[str]) -> str:
 
 
 def _cell(text: str) -> str:
+    if text.startswith("**") and text.endswith("**"):
+        return f"<td><strong>{escape(text.strip('*'))}</strong></td>"
     number = text.strip().lstrip("+-").replace(".", "", 1).replace("e-", "", 1).isdigit()
     return f'<td class="number">{escape(text)}</td>' if number else f"<td>{escape(text)}</td>"

@@ -38,12 +38,13 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from flight_log.chunk_columns import COLUMNS, PLAIN_ZSTD, compressed, compressed_columns
+from flight_log.chunk_columns import COLUMNS, compressed_columns
 from flight_log.schema import RecordType
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 PRIVATE: Final = 0o600
 """Only the owner reads a log: it has what was on the wires."""
+PROFILE: Final = "ros2"
 LIBRARY: Final = "async-dmrac flight record"
 FORMAT_VERSION: Final = 2
 """1: no chunk is compressed, all fields are float64. Both are read."""
@@ -70,8 +71,6 @@ class Block:
     """Complete MESSAGE records, concatenated."""
     times: NDArray[np.uint64]
     """[n]: log time of each, ns."""
-    offsets: NDArray[np.int64]
-    """[n]: start of each in `data`."""
     rows: int = 1
     """Number of records of equal length that `data` consists of; 1 if their lengths differ."""
 
@@ -109,19 +108,17 @@ def vector_block(
     rows["cdr"] = np.void(CDR_HEADER)
     with np.errstate(over="ignore"):  # too large for float32: infinite in the log
         rows["values"] = values
-    return Block(channel, rows.tobytes(), rows["log_time"].copy(), dtype.itemsize * np.arange(len(rows)), len(rows))
+    return Block(channel, rows.tobytes(), rows["log_time"].copy(), len(rows))
 
 
 def bytes_block(channel: int, messages: Sequence[tuple[int, int, bytes]]) -> Block:
     """A block of messages of any length, each (sequence, time in ns, CDR bytes without the header)."""
-    parts, offsets, offset = [], [], 0
+    parts = []
     for sequence, time_ns, cdr in messages:
         length = MESSAGE_HEAD_BYTES + len(CDR_HEADER) + len(cdr)
         parts += [MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, sequence, time_ns, time_ns), CDR_HEADER, cdr]
-        offsets.append(offset)
-        offset += RECORD_HEAD_BYTES + length
     times = np.array([time_ns for _, time_ns, _ in messages], dtype=np.uint64)
-    return Block(channel, b"".join(parts), times, np.array(offsets, dtype=np.int64))
+    return Block(channel, b"".join(parts), times)
 
 
 def cdr_bytes(data: bytes) -> bytes:
@@ -132,6 +129,11 @@ def cdr_bytes(data: bytes) -> bytes:
 def cdr_string(text: str) -> bytes:
     """A string in CDR, without the header."""
     return cdr_bytes(text.encode(errors="replace") + b"\x00")
+
+
+def media_type(name: str) -> str:
+    """The media type of an attachment, by its name."""
+    return "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
 
 
 def ros_name(topic: str) -> str:
@@ -160,10 +162,7 @@ def record_type_of(topic: str, definition: str) -> RecordType | None:
 
 
 class McapFile:
-    """An MCAP file open for writing. Not thread-safe.
-
-    for_all: whether every MCAP reader can read it: with an index of the messages, and compressed row by row. Otherwise
-        this project's readers alone: a third smaller (flight_log.chunk_columns).
+    """An MCAP file open for writing, for this project's readers alone (flight_log.chunk_columns). Not thread-safe.
 
     Raises
     ------
@@ -172,8 +171,7 @@ class McapFile:
         the file is then truncated to its last complete record, and stays readable.
     """
 
-    def __init__(self, path: Path, for_all: bool = False) -> None:
-        self._for_all = for_all
+    def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), PRIVATE)
         self._position = 0
         self._schemas: dict[int, Schema] = {}
@@ -189,7 +187,7 @@ class McapFile:
 
     def start(self) -> None:
         """Write the header of the file."""
-        self._write(MAGIC + _records([Header(profile="ros2", library=LIBRARY)]))
+        self._write(MAGIC + _records([Header(profile=PROFILE, library=LIBRARY)]))
 
     def add_channel(self, topic: str, definition: str) -> int:
         """Add a topic with its ros2msg text; returns its channel number. It is written with the next chunk."""
@@ -208,8 +206,8 @@ class McapFile:
 
     def add_attachment(self, name: str, data: bytes) -> None:
         """Write an attachment."""
-        media_type = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
-        record = _records([Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)])
+        kind = media_type(name)
+        record = _records([Attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data)])
         index = AttachmentIndex(
             offset=self._position,
             length=len(record),
@@ -217,7 +215,7 @@ class McapFile:
             create_time=0,
             data_size=len(data),
             name=name,
-            media_type=media_type,
+            media_type=kind,
         )
         self._attachments.append(index)
         self._write(record)
@@ -229,28 +227,21 @@ class McapFile:
         body = b"".join([head, *(block.data for block in blocks)])
         first = min(int(block.times.min()) for block in blocks)
         last = max(int(block.times.max()) for block in blocks)
-        if self._for_all:
-            compression, data = PLAIN_ZSTD, compressed(body)
-        else:
-            tables = ((1, head), *((block.rows, block.data) for block in blocks))
-            compression, data = COLUMNS, compressed_columns([one for one in tables if one[1]])
-        chunk = _chunk_head(body, first, last, compression, len(data)) + data
-        offsets, tail = dict[int, int](), b""
-        for channel, entries in _index_entries(blocks, len(head)).items() if self._for_all else ():
-            offsets[channel] = self._position + len(chunk) + len(tail)
-            tail += _message_index(channel, entries)
+        tables = ((1, head), *((block.rows, block.data) for block in blocks))
+        data = compressed_columns([one for one in tables if one[1]])
+        chunk = _chunk_head(body, first, last, COLUMNS, len(data)) + data
         index = ChunkIndex(
             message_start_time=first,
             message_end_time=last,
             chunk_start_offset=self._position,
             chunk_length=len(chunk),
-            message_index_offsets=offsets,
-            message_index_length=len(tail),
-            compression=compression,
+            message_index_offsets={},
+            message_index_length=0,
+            compression=COLUMNS,
             compressed_size=len(data),
             uncompressed_size=len(body),
         )
-        self._write(chunk + tail)
+        self._write(chunk)
         del self._unwritten[: len(announced)]
         self._chunks += _records([index])
         self._chunk_count += 1
@@ -333,26 +324,6 @@ def _records(records: Sequence[McapRecord]) -> bytes:
     for record in records:
         record.write(builder)
     return bytes(builder.end())
-
-
-def _index_entries(blocks: Sequence[Block], offset: int) -> dict[int, bytes]:
-    """For each channel the (time, offset in the chunk) of its messages, as bytes of a MESSAGE_INDEX.
-
-    `offset` is the start of the first block in the chunk.
-    """
-    found: dict[int, bytes] = {}
-    for block in blocks:
-        entries = np.empty((len(block.times), 2), dtype="<u8")
-        entries[:, 0] = block.times
-        entries[:, 1] = offset + block.offsets
-        found[block.channel] = found.get(block.channel, b"") + entries.tobytes()
-        offset += len(block.data)
-    return found
-
-
-def _message_index(channel: int, entries: bytes) -> bytes:
-    body = channel.to_bytes(2, "little") + len(entries).to_bytes(4, "little") + entries
-    return bytes([Opcode.MESSAGE_INDEX]) + len(body).to_bytes(8, "little") + body
 
 
 def _chunk_head(body: bytes, first: int, last: int, compression: str, size: int) -> bytes:

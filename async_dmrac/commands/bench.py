@@ -8,6 +8,7 @@ others.
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,8 @@ NEURAL_FLY: Final = "neural-fly"
 OMAC: Final = "omac"
 FOLDERS: Final = {NEURAL_FLY: "data", OMAC: "code"}
 """Option with the folder of others that a kind needs. Nothing is downloaded."""
+FIXED: Final = (CORE, GYM, NEURAL_FLY, OMAC)
+"""What always flies the same, or nothing."""
 VEHICLES_MAX: Final = 64
 """Of --vehicles, unless given."""
 EXAMPLES: Final = """examples:
@@ -73,6 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
     for kind, option in FOLDERS.items():
         if getattr(arguments, option) is not None and arguments.scenario != kind:
             raise ConfigError(f"--{option} {getattr(arguments, option)}: only with dmrac bench {kind}")
+    if arguments.scenario in FIXED and (arguments.controller is not None or arguments.set):
+        raise ConfigError(f"--controller, --set: not allowed with dmrac bench {arguments.scenario}")
     kinds = {SENSORS: _sensors, FLOOD: _flood, CORE: _core, GYM: _gym, NEURAL_FLY: _neural_fly, OMAC: _omac}
     report: Any = kinds.get(arguments.scenario, _times)(arguments)
     if arguments.json:
@@ -93,10 +98,6 @@ def _core(arguments: argparse.Namespace) -> dict[str, Any]:
     from experiments.campaigns.provenance import here
     from experiments.timing.core_speed import measure
 
-    if arguments.controller is not None or arguments.set:
-        raise ConfigError(
-            f"dmrac bench {CORE}: --controller and --set are not allowed: its flights are always the same"
-        )
     show, place = plain_console(arguments.json).print, here()
     show(place)
     figures = measure(max(arguments.seconds, 5.0), arguments.vehicles or VEHICLES_MAX, show)
@@ -113,14 +114,19 @@ def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     return as_json(flights)
 
 
-def _gym(arguments: argparse.Namespace) -> dict[str, float]:
+def _gym(arguments: argparse.Namespace) -> dict[str, dict[str, float]]:
     require_modules("gymnasium", "numba", purpose=f"dmrac bench {GYM}")
     from async_dmrac.environments.speed import environment_speeds
 
     speeds = environment_speeds()
     show = plain_console(arguments.json).print
-    show("\n".join(f"{name:34} {speed:9.0f} steps/s" for name, speed in speeds.items()))
-    return speeds
+    show(
+        "\n".join(
+            f"{name:34} {one.steps_s:9.0f} steps/s, {one.processor_us:6.2f} us of processor time a step"
+            for name, one in speeds.items()
+        )
+    )
+    return {name: asdict(one) for name, one in speeds.items()}
 
 
 def _neural_fly(arguments: argparse.Namespace) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Registers the environments. Gymnasium calls `register` by itself where async-dmrac is installed with its extra."""
+"""Registers the environments with Gymnasium, which does not look for them by itself since version 1.0."""
 
 from typing import Final
 
@@ -14,11 +14,3 @@ def register() -> None:
         gymnasium.register(
             ENVIRONMENT, entry_point=f"{_MODULE}:MamboEnv", vector_entry_point=f"{_MODULE}:MamboVectorEnv"
         )
-
-
-def register_plugin() -> None:
-    """Register for Gymnasium's entry point, which puts the namespace before the name itself."""
-    import gymnasium
-
-    name = ENVIRONMENT.rpartition("/")[2]
-    gymnasium.register(name, entry_point=f"{_MODULE}:MamboEnv", vector_entry_point=f"{_MODULE}:MamboVectorEnv")

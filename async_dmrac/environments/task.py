@@ -1,6 +1,6 @@
 """The task of the environments: vehicles of a scenario that follow its path, each with draws of its own."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from onboard.control.reference_model import ChannelGains
 from onboard.flight.trajectory import Path
 from protocol.conventions import GRAVITY, Array
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.physics.batch import VehicleBatch
+from sim_vehicle.physics.batch import Map, VehicleBatch
 from sim_vehicle.physics.observe import COLUMNS, OBSERVATIONS, observe_all
 from sim_vehicle.world.interface import Disturbance
 
@@ -84,8 +84,7 @@ class Task:
             for name, (_, width, _) in zip(observation, _places(observation), strict=True)
             for part in range(width)
         )
-        run = map if threads == 1 else ThreadPoolExecutor(threads).map
-        self.batch = VehicleBatch(self._start, [0] * vehicles, threads, run)
+        self.batch = VehicleBatch(self._start, [0] * vehicles, threads, map if threads == 1 else _beside(threads))
         self.steps: NDArray[np.int64] = np.zeros(vehicles, dtype=np.int64)
         self._table: Array = np.zeros((vehicles, COLUMNS))
         self._commands: Array = np.zeros((vehicles, 4))
@@ -167,6 +166,18 @@ class Task:
                 raise ConfigError(f"draws: {path}: allowed are paths that start with {VEHICLE_ROOT}")
             _put(tree, path.removeprefix(VEHICLE_ROOT), value)
         return fill(SimVehicleConfig, tree, "draws", VEHICLE_ROOT)
+
+
+def _beside(threads: int) -> Map:
+    """Return a `map` that calls the function for the first argument in this thread, and for the others beside it."""
+    pool = ThreadPoolExecutor(threads - 1)
+
+    def run(function: Callable[[Any], int], arguments: Iterable[Any]) -> list[int]:
+        first, *others = arguments
+        running = [pool.submit(function, one) for one in others]
+        return [function(first), *(one.result() for one in running)]
+
+    return run
 
 
 def _put(tree: Any, path: str, value: Any) -> None:

@@ -1,15 +1,16 @@
 """Train a policy to hover with stable-baselines3's PPO, and write it as numpy arrays: policy.npz beside this file.
 
-    pip install 'async-dmrac[rl,gym]'
+    pip install 'async-dmrac[rl]'
     python examples/ppo/train.py --seconds 300
 
 A hundred vehicles fly at once. Each episode draws the vehicle and the wind. The policy sees what OBSERVATION names and
-commands collective thrust and body rates, 50 times a second.
+commands collective thrust and body rates, 50 times a second. A command takes effect 20 ms late.
 """
 
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +23,32 @@ from async_dmrac.physics import Wind
 
 OBSERVATION = ("position_error", "velocity_error", "rotation", "rates", "last_action")
 RATE_HZ = 50.0
-"""Motors hold their command for 20 ms: stands for the delays of sensors, estimator and link, which training has not."""
+"""Motors hold their command for 20 ms."""
+
+
+class DelayedBatch(MamboBatch):
+    """The batch, where an action takes effect a step late: sensors, estimator and motors delay it in flight.
+
+    `last_action`, the end of the observation, is the action that waits, as in flight.
+    """
+
+    def __init__(self, vehicles: int, **options: Any) -> None:
+        super().__init__(vehicles, **options)
+        self._waiting = np.zeros_like(self._actions)
+
+    def reset(self) -> Any:
+        self._waiting[:] = 0.0
+        return super().reset()
+
+    def step_async(self, actions: Any) -> None:
+        self._actions[:] = self._waiting
+        self._waiting[:] = np.clip(actions, -1.0, 1.0)
+
+    def step_wait(self) -> Any:
+        seen, rewards, ended, infos = super().step_wait()
+        self._waiting[ended] = 0.0
+        seen[:, -self._waiting.shape[1] :] = self._waiting
+        return seen, rewards, ended, infos
 
 
 class Budget(BaseCallback):
@@ -55,7 +81,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("policy.npz"))
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    batch = MamboBatch(
+    batch = DelayedBatch(
         100,
         seed=arguments.seed,
         action="rates",

@@ -139,6 +139,8 @@ class CampaignConfig(ConfigRecord):
         names = [case.name for case in self.cases]
         if len(set(names)) != len(names):
             raise ValueError("two cases have the same name")
+        for controllers in (self.controllers, *(case.controllers for case in self.cases)):
+            _check_controllers(controllers)
         for case in self.cases:
             if case.experience is not None and case.experience not in names:
                 raise ValueError(f"case {case.name}: experience: there is no case {case.experience}")
@@ -156,6 +158,16 @@ class CampaignConfig(ConfigRecord):
     def case(self, name: str) -> Case:
         """Return the case of that name."""
         return next(case for case in self.cases if case.name == name)
+
+
+def _check_controllers(controllers: Sequence[str]) -> None:
+    """Raise ValueError if two have the same name, which is that of their flights."""
+    first: dict[str, str] = {}
+    for one in controllers:
+        name = Path(one).stem
+        if name in first:
+            raise ValueError(f"controllers: {first[name]} and {one} have the same name, {name}")
+        first[name] = one
 
 
 def _check_memory(case: Case, other: str, names: Sequence[str], campaign: CampaignConfig) -> None:

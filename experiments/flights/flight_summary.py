@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.table import Table
+from rich.text import Text
 
 from experiments.flights.metrics import bound_metrics, flight_metrics, known_ages, median
 from experiments.flights.scenario import FlightConfig
@@ -84,16 +84,14 @@ def write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def print_summary(summary: dict[str, Any], folder: Path | None, console: Console | None = None) -> None:
-    """Print the summary as a short table."""
-    table = Table(title=_title(summary), title_justify="left", show_header=False, box=None, pad_edge=False)
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column()
-    for name, text in summary_rows(summary):
-        table.add_row(name, text)
-    console = console or Console()
-    console.print(table)
+    """Print the summary as a short table; long lines are not broken, so that a file has them whole."""
+    rows = summary_rows(summary)
     if folder is not None:
-        console.print(f"record          {folder}", soft_wrap=True, highlight=False)
+        rows.append(("record", str(folder)))
+    width = max(len(name) for name, _ in rows)
+    lines = [Text.assemble((f"{name:{width}}", "bold"), f"  {text}") for name, text in rows]
+    console = console or Console()
+    console.print(Text("\n").join([Text(_title(summary), "italic"), *lines]), soft_wrap=True)
 
 
 def _title(summary: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 from rich.table import Table
+from scipy.signal import periodogram
 
 from experiments.flights.lockstep_flight import LockstepOutcome, Observer, fly_lockstep
 from experiments.flights.scenario import Choices, FlightConfig, resolve
@@ -147,11 +148,8 @@ def noise_figures(readings: Readings, outcome: LockstepOutcome) -> dict[str, flo
 
 def band_variance(samples: Array, low_hz: float, high_hz: float, rate_hz: float = 200.0) -> Array:
     """[columns] part of the variance of samples[n, columns] from low_hz up to high_hz."""
-    n = len(samples)
-    spectrum = np.abs(np.fft.rfft(samples - samples.mean(axis=0), axis=0)) ** 2
-    spectrum[1 : (n + 1) // 2] *= 2.0
-    frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
-    variance: Array = spectrum[(frequency >= low_hz) & (frequency < high_hz)].sum(axis=0) / n**2
+    frequency, spectrum = periodogram(samples, rate_hz, scaling="spectrum", axis=0)
+    variance: Array = spectrum[(frequency >= low_hz) & (frequency < high_hz)].sum(axis=0)
     return variance
 
 

@@ -1,13 +1,10 @@
 """The results of one campaign, as a section of docs/results.md or as a page: verdicts, tables and figures."""
 
-import base64
-import html
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final
 
 import yaml
 
@@ -16,16 +13,8 @@ from experiments.results.comparisons import Comparison, comparisons, judged, los
 from experiments.results.figure_plan import Picture, draw_all
 from experiments.results.heat_map import HeatMapRow, heat_map_rows
 from experiments.results.tables import Table, tables, target_rows
+from flight_log.html import code, figure, page, paragraph, section
 from runtime.files import write_atomically
-
-STYLE: Final = """
-body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#111}
-table{border-collapse:collapse;margin:1.5rem 0;font-size:13px;display:block;overflow-x:auto}
-caption{text-align:left;font-weight:600;padding-bottom:.4rem}
-td,th{border-bottom:1px solid #ddd;padding:.25rem .6rem;text-align:left;white-space:nowrap}
-figure{margin:1.5rem 0}img{max-width:100%}figcaption{color:#444;font-size:13px}
-pre{background:#f6f6f6;padding:1rem;overflow-x:auto;font-size:12px}
-"""
 
 
 @dataclass(frozen=True)
@@ -81,14 +70,16 @@ class CampaignReport:
         """Return a self-contained page; its verdicts are corrected for the comparisons of this campaign."""
         compared = judged(self.compared)
         lost = losses(compared)
-        title = html.escape(self.data.title)
-        opening = html.escape(summary(self.data, compared)).replace("**", "")
-        body = [f"<h1>{title}</h1>", f"<p>{html.escape(self.data.config.description)}</p>", f"<p>{opening}</p>"]
-        body += [table.html() for table in (*([lost] if lost else []), *self.tables)]
-        body += [_figure(picture) for picture in self.pictures]
-        body.append(f"<h2>Provenance and configuration</h2><pre>{html.escape(_provenance(self.data))}</pre>")
-        head = f'<head><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style></head>'
-        return f'<!doctype html><html lang="en">{head}<body>{"".join(body)}</body></html>\n'
+        return page(
+            self.data.title,
+            [
+                paragraph(self.data.config.description),
+                paragraph(summary(self.data, compared).replace("**", "")),
+                *(table.html() for table in (*([lost] if lost else []), *self.tables)),
+                *(figure(picture.png.read_bytes(), picture.caption) for picture in self.pictures),
+                section("Provenance and configuration", code(_provenance(self.data))),
+            ],
+        )
 
 
 def write_report(folder: Path, out: Path, report: Callable[[str], None]) -> CampaignReport:
@@ -106,14 +97,6 @@ def write_report(folder: Path, out: Path, report: Callable[[str], None]) -> Camp
     write_atomically(out / "report.html", made.html().encode())
     write_atomically(out / "report.md", made.markdown(judged(made.compared), Path()).encode())
     return made
-
-
-def _figure(picture: Picture) -> str:
-    data = base64.b64encode(picture.png.read_bytes()).decode()
-    caption = html.escape(picture.caption)
-    return (
-        f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
-    )
 
 
 def _provenance(data: CampaignData) -> str:

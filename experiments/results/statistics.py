@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 from scipy.stats import binomtest, bootstrap
 
 from protocol.conventions import Array
@@ -121,11 +122,12 @@ class LogisticFit:
 
     def probability(self, x: ArrayLike) -> Array:
         """Return the survival probability at x [n]."""
-        return _sigmoid(self.intercept + self.slope * np.asarray(x, dtype=np.float64))
+        likely: Array = expit(self.intercept + self.slope * np.asarray(x, dtype=np.float64))
+        return likely
 
 
 def logistic_fit(x: ArrayLike, survived: ArrayLike, ridge: float = 0.0) -> LogisticFit:
-    """Fit by maximum likelihood: Newton's method (iteratively reweighted least squares) on standardised x.
+    """Fit by maximum likelihood, with scikit-learn's Newton method on standardised x.
 
     Parameters
     ----------
@@ -137,26 +139,17 @@ def logistic_fit(x: ArrayLike, survived: ArrayLike, ridge: float = 0.0) -> Logis
     ValueError
         If x has fewer than two values, or all outcomes are the same.
     """
+    from sklearn.linear_model import LogisticRegression  # half a second
+
     position: Array = np.asarray(x, dtype=np.float64)
-    outcome: Array = np.asarray(survived, dtype=np.float64)
-    if np.ptp(position) == 0.0 or np.ptp(outcome) == 0.0:
-        raise ValueError("a logistic fit needs two values of x and both outcomes")
     mean, spread = float(position.mean()), float(position.std())
-    design = np.stack([np.ones_like(position), (position - mean) / spread], axis=1)
-    penalty = np.diag([0.0, ridge])
-    beta: Array = np.zeros(2)
-    for _ in range(100):
-        p = _sigmoid(design @ beta)
-        weight = np.maximum(p * (1.0 - p), 1e-12)
-        gradient = design.T @ (outcome - p) - penalty @ beta
-        hessian = (design * weight[:, None]).T @ design + penalty
-        step = np.linalg.solve(hessian, gradient)
-        step *= min(1.0, 5.0 / max(float(np.abs(step).max()), 1e-12))
-        beta = beta + step
-        if float(np.abs(step).max()) < 1e-9:
-            break
-    slope = float(beta[1]) / spread
-    return LogisticFit(float(beta[0]) - slope * mean, slope)
+    if spread == 0.0:
+        raise ValueError("a logistic fit needs two values of x and both outcomes")
+    strength = 1.0 / ridge if ridge > 0.0 else math.inf
+    fit = LogisticRegression(C=strength, solver="newton-cholesky", tol=1e-8, max_iter=1000)
+    fit.fit((position[:, None] - mean) / spread, np.asarray(survived, dtype=bool))
+    slope = float(fit.coef_[0, 0]) / spread
+    return LogisticFit(float(fit.intercept_[0]) - slope * mean, slope)
 
 
 SEPARATION_RIDGE: Final = 0.05
@@ -198,9 +191,3 @@ def _half_point(x: Array, survived: NDArray[np.bool_], rising: bool) -> float:
     if np.ptp(x) == 0.0:
         return float(x[0])
     return logistic_fit(x, survived, SEPARATION_RIDGE).half_point
-
-
-def _sigmoid(z: Array) -> Array:
-    clipped = np.clip(z, -500.0, 500.0)
-    positive: Array = 1.0 / (1.0 + np.exp(-clipped))
-    return positive

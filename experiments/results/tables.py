@@ -1,6 +1,5 @@
 """The tables of a campaign, as Markdown or HTML."""
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -12,6 +11,7 @@ from experiments.campaigns.flight_row import Row
 from experiments.results.campaign_data import OURS, CampaignData, Group, generator
 from experiments.results.statistics import Estimate, half_survival_point
 from experiments.results.wording import BOUND_UNITS, counted, metric_name, show
+from flight_log.html import table
 
 ROWS_TO_JOIN = 3
 """Cases with at most so many rows share one table."""
@@ -35,17 +35,7 @@ class Table:
 
     def html(self) -> str:
         """Return the table in HTML."""
-        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in self.header)
-        body = "".join("<tr>" + "".join(f"<td>{_strong(cell)}</td>" for cell in row) + "</tr>" for row in self.rows)
-        return (
-            f"<table><caption>{html.escape(self.caption)}</caption>"
-            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        )
-
-
-def _strong(cell: str) -> str:
-    text = html.escape(cell)
-    return f"<strong>{text.strip('*')}</strong>" if cell.startswith("**") and cell.endswith("**") else text
+        return table(self.rows, self.header, self.caption)
 
 
 def tables(data: CampaignData) -> list[Table]:

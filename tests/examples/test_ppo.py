@@ -118,3 +118,17 @@ def test_an_episode_of_the_batch_ends_and_starts_again_in_the_same_step() -> Non
     assert all(info["TimeLimit.truncated"] and info["episode"]["l"] == 30 for info in infos)
     assert not np.allclose(seen, [info["terminal_observation"] for info in infos])
     assert batch.step(np.zeros((3, 4), dtype=np.float32))[2].tolist() == [False] * 3
+
+
+def test_in_training_an_action_takes_effect_a_step_late_and_is_seen_meanwhile() -> None:
+    pytest.importorskip("stable_baselines3")
+    options: Any = {"action": "rates", "observation": OBSERVATION, "rate_hz": 50.0, "start_spread": 0.0}
+    train = module("train")
+    late, prompt = train.DelayedBatch(2, **options), train.MamboBatch(2, **options)
+    late.reset()
+    prompt.reset()
+    first, second = np.full((2, 4), 0.3, dtype=np.float32), np.full((2, 4), -0.2, dtype=np.float32)
+    seen = late.step(first)[0]
+    assert seen[:, -4:] == pytest.approx(first)
+    assert seen[:, :-4] == pytest.approx(prompt.step(np.zeros((2, 4)))[0][:, :-4])
+    assert late.step(second)[0][:, :-4] == pytest.approx(prompt.step(first)[0][:, :-4])

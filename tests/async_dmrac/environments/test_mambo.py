@@ -1,5 +1,7 @@
 """The Gymnasium environments: they pass Gymnasium's own check, repeat by seed, and vectorise without a difference."""
 
+import subprocess
+import sys
 from typing import Any
 
 import gymnasium
@@ -33,6 +35,11 @@ def fly(env: Any, action: Any, steps: int) -> tuple[list[Any], bool]:
 def test_gymnasiums_check_passes(action: str) -> None:
     env = gymnasium.make(NAME, action=action, episode_s=0.5)
     check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_finds_it_without_an_import_of_ours() -> None:
+    code = "import gymnasium; gymnasium.make('async_dmrac.environments:async_dmrac/Mambo-v0')"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_the_residual_agent_that_does_nothing_hovers_until_the_episode_is_over() -> None:

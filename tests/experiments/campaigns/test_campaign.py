@@ -241,6 +241,12 @@ def test_two_campaigns_do_not_share_a_folder(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize("listed", ["[a/mine.yaml, b/mine.yaml]", "[pid, pid]", "[none, my/none.yaml]"])
+def test_two_controllers_of_the_same_name_are_refused_because_their_flights_would_be_one(listed: str) -> None:
+    with pytest.raises(ConfigError, match=r"controllers: .* and .* have the same name"):
+        campaign(TEXT.replace("[none, pid]", listed))
+
+
 @pytest.mark.parametrize(
     ("together", "message"),
     [

@@ -144,7 +144,7 @@ def test_the_command_prints_and_writes_every_figure(
     ("words", "expected"),
     [
         (["bench", "--vehicles", "4"], "--vehicles 4: only with dmrac bench core"),
-        (["bench", "core", "--controller", "pid"], "dmrac bench core: --controller and --set are not allowed"),
+        (["bench", "core", "--controller", "pid"], "--controller, --set: not allowed with dmrac bench core"),
     ],
 )
 def test_options_that_do_not_fit(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
