@@ -139,7 +139,8 @@ bool autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t
     if (received.has_pose) {
         arming_checks_note_pose(&self->arming, &received.pose.pose, now_ns);
     }
-    return received.has_pose || received.has_chunk;
+    self->received = received.has_pose || received.has_chunk;
+    return self->received;
 }
 
 void autopilot_command(Autopilot *self, Command command, int64_t now_ns, ArmingRefusal *refusal) {
@@ -160,11 +161,14 @@ static ArmingCheck judge(Autopilot *self, int64_t now_ns) {
 }
 
 void autopilot_step(Autopilot *self, HalCommand *command, int64_t now_ns) {
+    self->busy = self->received && !self->busy;
+    self->received = false;
     CoreInputs inputs = {
         .now_ns = now_ns,
         .missed_ticks = self->calls.missed,
         .preflight = (int32_t)judge(self, now_ns),
         .ground_ns = self->ground_ns,
+        .busy = self->busy,
     };
     if (self->calls.stage == BUDGET_LAND && flies(self)) {
         land(self, "the library takes too long", now_ns);

@@ -289,7 +289,7 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
     };
     measure(self, missed, &control_inputs);
     thrust_scale_step(&self->thrust_scale, state->specific_force[2], control_inputs.thrust_n, control_inputs.adapt);
-    reception_swap(&self->reception, &self->controller, now_ns, &output->features);
+    reception_swap(&self->reception, &self->controller, now_ns, inputs->busy, &output->features);
     control(self, &control_inputs, mode);
     mix(self, mode);
     memcpy(output->motors, self->command, sizeof output->motors);

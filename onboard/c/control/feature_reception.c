@@ -99,10 +99,10 @@ static bool prepare(FeatureReception *self, Cascade *controller, Refusal *refusa
 }
 
 /* FeatureReception.swap */
-void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome) {
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, bool busy, VersionOutcome *outcome) {
     const FeatureSet *features = &self->preparing;
     memset(outcome, 0, sizeof *outcome);
-    outcome->offered = prepare(self, controller, &outcome->refusal);
+    outcome->offered = !busy && prepare(self, controller, &outcome->refusal);
     if (outcome->offered) {
         outcome->version = features->version;
         outcome->parent = features->parent;

@@ -57,8 +57,9 @@ void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
 /* Start over for a new session of the peer: its versions may count from 1 again. */
 void reception_restart(FeatureReception *self);
 
-/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. */
-void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome);
+/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. In
+ * a tick that is busy the version waits. */
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, bool busy, VersionOutcome *outcome);
 
 /* Time since the features in use were swapped in, s; -1 for the start features. */
 double reception_age_s(const FeatureReception *self, int64_t now_ns);

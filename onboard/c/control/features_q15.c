@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "control/q15_pairs.h"
+#include "numerics/block.h"
 #include "numerics/elementary.h"
 
 #define INPUT_BITS 13
@@ -267,27 +268,91 @@ void q15_slope_real(const Features *self, const real *z, const int32_t *inputs, 
     }
 }
 
+/* --- the slope of a map: theta'D_L W_L ... D_1 W_1, from the last layer down, three axes at once --- */
+
+/* Of the three axes over the outputs of a layer, or over its inputs; a number of an axis is value times `unit`. */
+typedef struct {
+    int32_t values[3][2 * PAIRS_MAX];
+    real unit[3];
+} MapSlopes;
+
+/* The axis times D of a layer, so that no sum of its products with the rows exceeds 32 bits. */
+static void weigh(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *outputs, int32_t *values,
+                  real *unit) {
+    const int8_t *bits = self->bits + at->row;
+    int32_t fewest = fewest_bits(bits, width), largest = 1, shift = 0;
+    int64_t sum = 1;
+    for (int32_t i = 0; i < width; i++) {
+        int32_t h = number_of(outputs, i), steepness = (1 << OUTPUT_BITS) - ((h * h) >> OUTPUT_BITS);
+        values[i] = (int32_t)(((int64_t)values[i] * steepness) >> (OUTPUT_BITS + bits[i] - fewest));
+        int32_t size = values[i] < 0 ? -values[i] : values[i];
+        largest = size > largest ? size : largest;
+        sum += size;
+    }
+    for (; (sum >> shift) > (int64_t)SUM_MAX_Q || (largest >> shift) > 32766; shift++) {
+    }
+    for (; shift <= 0 && (sum << (1 - shift)) <= (int64_t)SUM_MAX_Q && (largest << (1 - shift)) <= 32766; shift--) {
+    }
+    for (int32_t i = 0; i < width; i++) {
+        values[i] = shifted(values[i], shift);
+    }
+    *unit *= (shift >= 0 ? (real)((int32_t)1 << shift) : REAL(1.0) / (real)((int32_t)1 << -shift)) /
+             (real)((int32_t)1 << fewest);
+}
+
+/* d'W of the rows of a layer, of all axes. */
+static void go_down(const int32_t *rows, int32_t width, int32_t inputs, MapSlopes *slopes) {
+    int32_t pairs = pairs_for(inputs), first_two[WIDTH_MAX];
+    int16_t third[WIDTH_MAX];
+    for (int32_t i = 0; i < width; i++) {
+        first_two[i] = pair_of(slopes->values[0][i], slopes->values[1][i]);
+        third[i] = (int16_t)slopes->values[2][i];
+    }
+    for (int32_t p = 0; p < pairs; p++) {
+        const int32_t *row = rows + p;
+        int32_t sums[6] = {0, 0, 0, 0, 0, 0};
+        for (int32_t i = 0; i < width; i++, row += pairs) {
+            int32_t w = *row, two = first_two[i];
+            int16_t one = third[i];
+            sums[0] += low_of(two) * low_of(w);
+            sums[1] += low_of(two) * high_of(w);
+            sums[2] += high_of(two) * low_of(w);
+            sums[3] += high_of(two) * high_of(w);
+            sums[4] += one * low_of(w);
+            sums[5] += one * high_of(w);
+        }
+        for (int axis = 0; axis < 3; axis++) {
+            slopes->values[axis][2 * p] = sums[2 * axis];
+            slopes->values[axis][2 * p + 1] = sums[2 * axis + 1];
+        }
+    }
+}
+
 void q15_map_slope(const Features *self, const real *theta, const real *z, const int32_t *inputs, int32_t n,
                    real *slope) {
-    WholeSlopes slopes;
-    int32_t count = self->feature_count - 1, weights[PAIRS_MAX];
-    slopes_of_network(self, z, inputs, n, &slopes);
+    const Network *network = &self->network;
+    int32_t levels[LAYERS_MAX][PAIRS_MAX], rounded_z[PAIRS_MAX], m = self->selection.count;
+    MapSlopes slopes;
+    Place at[LAYERS_MAX];
+    round_inputs(self, z, rounded_z);
     for (int axis = 0; axis < 3; axis++) {
-        real largest = REAL(0.0), sum = REAL(0.0);
-        for (int32_t i = 0; i < count; i++) {
-            real size = real_abs(theta[3 * i + axis]);
-            largest = size > largest ? size : largest;
-            sum += size;
+        slopes.unit[axis] = block_of(theta + axis, self->feature_count - 1, 3, slopes.values[axis]);
+    }
+    for (int32_t l = 0; l < network->layers; l++) {
+        at[l] = place_of(network, m, l);
+        evaluate_layer(&self->whole, at + l, network->width[l], l > 0 ? levels[l - 1] : rounded_z,
+                       l > 0 ? OUTPUT_BITS : INPUT_BITS, levels[l]);
+    }
+    for (int32_t l = network->layers - 1; l >= 0; l--) {
+        for (int axis = 0; axis < 3; axis++) {
+            weigh(&self->whole, at + l, network->width[l], levels[l], slopes.values[axis], slopes.unit + axis);
         }
-        real scale = real_min(SIZE_MAX_Q / largest, SUM_MAX_Q / sum) * REAL(0.999);
-        bool sensible = largest > REAL(0.0) && real_is_finite(sum) && real_is_finite(scale);
-        for (int32_t i = 0; sensible && i < count; i += 2) {
-            int32_t high = i + 1 < count ? rounded(theta[3 * (i + 1) + axis] * scale) : 0;
-            weights[i / 2] = pair_of(rounded(theta[3 * i + axis] * scale), high);
-        }
-        for (int32_t j = 0; j < n; j++) {
-            int32_t along = sensible ? dot_of_pairs(weights, slopes.rows[j], pairs_for(count)) : 0;
-            slope[axis * n + j] = sensible ? (real)along * (slopes.unit / scale) : REAL(0.0) * sum;
+        go_down(self->whole.pairs + at[l].pair, network->width[l], at[l].inputs, &slopes);
+    }
+    for (int32_t j = 0; j < n; j++) {
+        real of_input = real_abs(z[inputs[j]]) < INPUT_LIMIT ? self->inverse[inputs[j]] : REAL(0.0);
+        for (int axis = 0; axis < 3; axis++) {
+            slope[axis * n + j] = (real)slopes.values[axis][inputs[j]] * (slopes.unit[axis] * of_input);
         }
     }
 }

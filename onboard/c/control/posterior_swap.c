@@ -108,12 +108,7 @@ static void filter_on(PosteriorSwap *self, const KalmanLastLayer *law, int32_t m
         }
         const real *residual = self->residuals + 3 * at;
         memcpy(phi, self->Phi + at * FEATURES_MAX, (size_t)k * sizeof(real));
-        for (int axis = 0; axis < 3; axis++) {
-            nu[axis] = REAL(0.0);
-            for (int32_t j = 0; j < k; j++) {
-                nu[axis] += self->theta[3 * j + axis] * phi[j];
-            }
-        }
+        weighted(self->theta, phi, k, nu);
         recent_map_add(&self->map, nu, residual);
         if (learns && self->used > 0) {
             kalman_state_predict(&self->filter, self->between);

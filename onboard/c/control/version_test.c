@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "control/laws/products.h"
 #include "numerics/elementary.h"
 #include "protocol/geometry.h"
 
@@ -79,16 +80,6 @@ void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIG
     self->over = REAL(0.0);
 }
 
-/* nu = theta'Phi */
-static void map_of(const real *theta, const real *Phi, int32_t k, real nu[3]) {
-    vector_zero(nu);
-    for (int32_t i = 0; i < k; i++) {
-        for (int axis = 0; axis < 3; axis++) {
-            nu[axis] += theta[3 * i + axis] * Phi[i];
-        }
-    }
-}
-
 static real largest_of(const real three[3]) {
     return real_largest(real_largest(three[0], three[1]), three[2]);
 }
@@ -129,7 +120,7 @@ bool ahead_step(Ahead *self, const Features *features, const real *theta, int32_
         real z[INPUTS_MAX], Phi[FEATURES_MAX], nu[3];
         features_select(features, state, z);
         features_evaluate(features, z, Phi);
-        map_of(theta, Phi, features->feature_count, nu);
+        weighted(theta, Phi, features->feature_count, nu);
         note_nu(self, nu);
     }
     return self->seen == PATH_POINTS + BOX_POINTS;
@@ -233,7 +224,7 @@ Refusal version_test_refusal(VersionTest *self, const Features *features, const 
         real nu[3];
         features_select(features, recent + i * SIGNAL_COUNT, z);
         features_evaluate(features, z, Phi);
-        map_of(theta, Phi, k, nu);
+        weighted(theta, Phi, k, nu);
         recent_map_add(&map, nu, residuals + 3 * i);
     }
     return version_test_verdict(self, theta, k, &map, largest_of(shares));

@@ -68,7 +68,7 @@ class Both:
         self.now_ns += 5_000_000
         events, warnings = self.theirs.swap(self.controller, self.now_ns)
         outcome = self.core.VersionOutcome()
-        self.core.reception_swap(self.ours, self.cascade, self.now_ns, outcome)
+        self.core.reception_swap(self.ours, self.cascade, self.now_ns, False, outcome)
         texts = [version_text(outcome)] if outcome.offered else []
         texts += [fall_text(one) for one in outcome.falls[: outcome.fall_count]]
         assert [(self.now_ns, text) for text in texts] == [*events, *warnings]

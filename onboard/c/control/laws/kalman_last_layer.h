@@ -23,6 +23,7 @@ typedef struct {
     int32_t feature_count;        /* k */
     real theta[FEATURES_MAX * 3]; /* [k, 3], the trained last layer */
     real theta_norm2;
+    Factor columns[3]; /* of theta */
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
     real gap[3];                         /* what the map says here beside the path, as far as it counts */

@@ -14,10 +14,7 @@
 #ifndef DMRAC_KALMAN_STATE_H
 #define DMRAC_KALMAN_STATE_H
 
-#include "control/features.h"
-
-/* The features and the fast bias. */
-#define STATES_MAX (FEATURES_MAX + 1)
+#include "control/laws/products.h"
 
 /* A number of S. */
 #ifdef DMRAC_WHOLE_COVARIANCE
