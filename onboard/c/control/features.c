@@ -208,6 +208,18 @@ void features_evaluate(const Features *self, const real *z, real *Phi) {
     }
 }
 
+void features_at(const Features *self, const real signals[SIGNAL_COUNT], real *Phi) {
+#ifdef DMRAC_Q15_FEATURES
+    if (self->kind == ADAPTIVE_FEATURES_NETWORK && self->q15) {
+        q15_features_at(self, signals, Phi);
+        return;
+    }
+#endif
+    real z[INPUTS_MAX];
+    features_select(self, signals, z);
+    features_evaluate(self, z, Phi);
+}
+
 /* dz/dx of an input: zero where it is clipped */
 static real slope_of_input(const Features *self, const real *z, int32_t input) {
     return real_abs(z[input]) < INPUT_LIMIT ? self->inverse[input] : REAL(0.0);
@@ -281,8 +293,7 @@ void features_slope(const Features *self, const real *z, const int32_t *inputs, 
 void features_of_states(const Features *self, const real *states, int32_t n, real *Phi) {
     real z[INPUTS_MAX], column[FEATURES_MAX];
     for (int i = 0; i < n; i++) {
-        features_select(self, states + i * SIGNAL_COUNT, z);
-        features_evaluate(self, z, column);
+        features_at(self, states + i * SIGNAL_COUNT, column);
         for (int j = 0; j < self->feature_count; j++) {
             Phi[j * n + i] = column[j];
         }

@@ -10,8 +10,8 @@
 #define INPUT_BITS 13
 #define SUM_BITS 16
 #define STEP_BITS 11 /* of a number with SUM_BITS, within one step of the table: 1/32 */
-#define SIZE_MAX_Q REAL(32767.0)
-#define SUM_MAX_Q REAL(65000.0) /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
+#define SIZE_MAX_Q 32766
+#define SUM_MAX_Q 64800 /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
 
 /* tanh(i / 32) 2^15, rounded, at most 32767. */
 static const int16_t TANH[TANH_POINTS] = {
@@ -46,14 +46,14 @@ int16_t tanh_q15(int32_t x) {
 
 /* Fractional bits with which every number of a row fits into 16 bits, and every sum into 32; -1 if none. */
 static int32_t bits_of(const real *row, int32_t count) {
-    real largest = REAL(0.0), sum = REAL(0.0), scale = (real)(1 << OUTPUT_BITS);
+    int64_t largest = 0, sum = 0;
     for (int32_t i = 0; i < count; i++) {
-        real size = real_abs(row[i]);
+        int64_t whole = nearest_whole(row[i], OUTPUT_BITS), size = whole < 0 ? -whole : whole;
         largest = size > largest ? size : largest;
         sum += size;
     }
-    for (int32_t bits = OUTPUT_BITS; bits >= 0; bits--, scale *= REAL(0.5)) {
-        if (largest * scale < SIZE_MAX_Q && sum * scale < SUM_MAX_Q) { /* NaN is not */
+    for (int32_t bits = OUTPUT_BITS; bits >= 0; bits--, largest >>= 1, sum >>= 1) {
+        if (largest < SIZE_MAX_Q && sum < SUM_MAX_Q) {
             return bits;
         }
     }
@@ -69,11 +69,11 @@ bool whole_take_layer(WholeNetwork *self, const Network *network, int32_t inputs
         if (bits < 0) {
             return false;
         }
-        real scale = (real)((int32_t)1 << bits);
         self->bits[at.row + i] = (int8_t)bits;
-        self->biases[at.row + i] = rounded(row[at.inputs] * scale) * ((int32_t)1 << below_bits);
+        self->biases[at.row + i] = nearest_whole(row[at.inputs], bits) * ((int32_t)1 << below_bits);
         for (int32_t j = 0; j < at.inputs; j += 2) {
-            *pair++ = pair_of(rounded(row[j] * scale), j + 1 < at.inputs ? rounded(row[j + 1] * scale) : 0);
+            int32_t high = j + 1 < at.inputs ? nearest_whole(row[j + 1], bits) : 0;
+            *pair++ = pair_of(nearest_whole(row[j], bits), high);
         }
     }
     return true;
@@ -81,8 +81,11 @@ bool whole_take_layer(WholeNetwork *self, const Network *network, int32_t inputs
 
 /* --- features --- */
 
+/* A scaled input, clipped. */
 static int32_t rounded_input(real z) {
-    return rounded(z * (real)(1 << INPUT_BITS));
+    const int32_t limit = (int32_t)(INPUT_LIMIT * (real)(1 << INPUT_BITS));
+    int32_t whole = nearest_whole(z, INPUT_BITS);
+    return whole > limit ? limit : whole < -limit ? -limit : whole;
 }
 
 /* The output of one row of a layer, of `below` with `below_bits` fractional bits. */
@@ -135,9 +138,7 @@ bool features_q15_init(FeaturesQ15 *self, const Features *source) {
 /* Features.select, rounded */
 void features_q15_select(const FeaturesQ15 *self, const real signals[SIGNAL_COUNT], int16_t *z) {
     for (int i = 0; i < self->selection.count; i++) {
-        real scaled = (signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i];
-        scaled = real_max(real_min(scaled, INPUT_LIMIT), -INPUT_LIMIT);
-        z[i] = (int16_t)rounded_input(scaled);
+        z[i] = (int16_t)rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
     }
 }
 
@@ -164,15 +165,34 @@ static void round_inputs(const Features *self, const real *z, int32_t *pairs) {
     }
 }
 
-void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
+/* Phi of rounded inputs, in pairs. */
+static void evaluate_pairs(const Features *self, const int32_t *inputs, real *Phi) {
     const Network *network = &self->network;
-    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX], count = network->width[network->layers - 1];
-    round_inputs(self, z, inputs);
+    int32_t levels[2][PAIRS_MAX], count = network->width[network->layers - 1];
     const int32_t *out = evaluate_all(&self->whole, network, self->selection.count, inputs, levels);
     for (int32_t i = 0; i < count; i++) {
         Phi[i] = (real)number_of(out, i) * (REAL(1.0) / (real)(1 << OUTPUT_BITS));
     }
     Phi[count] = REAL(1.0);
+}
+
+void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
+    int32_t inputs[PAIRS_MAX];
+    round_inputs(self, z, inputs);
+    evaluate_pairs(self, inputs, Phi);
+}
+
+/* Features.select of one input, rounded. */
+static int32_t input_at(const Features *self, const real *signals, int32_t i) {
+    return rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
+}
+
+void q15_features_at(const Features *self, const real signals[SIGNAL_COUNT], real *Phi) {
+    int32_t inputs[PAIRS_MAX], m = self->selection.count;
+    for (int32_t i = 0; i < m; i += 2) {
+        inputs[i / 2] = pair_of(input_at(self, signals, i), i + 1 < m ? input_at(self, signals, i + 1) : 0);
+    }
+    evaluate_pairs(self, inputs, Phi);
 }
 
 /* --- the slope: J of a layer in whole numbers with a common unit --- */
@@ -289,9 +309,9 @@ static void weigh(const WholeNetwork *self, const Place *at, int32_t width, cons
         largest = size > largest ? size : largest;
         sum += size;
     }
-    for (; (sum >> shift) > (int64_t)SUM_MAX_Q || (largest >> shift) > 32766; shift++) {
+    for (; (sum >> shift) > SUM_MAX_Q || (largest >> shift) > SIZE_MAX_Q; shift++) {
     }
-    for (; shift <= 0 && (sum << (1 - shift)) <= (int64_t)SUM_MAX_Q && (largest << (1 - shift)) <= 32766; shift--) {
+    for (; shift <= 0 && (sum << (1 - shift)) <= SUM_MAX_Q && (largest << (1 - shift)) <= SIZE_MAX_Q; shift--) {
     }
     for (int32_t i = 0; i < width; i++) {
         values[i] = shifted(values[i], shift);

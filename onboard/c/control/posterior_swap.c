@@ -69,11 +69,9 @@ static void step_network(PosteriorSwap *self, const SwapConfig *config, const Ka
 
 /* PosteriorSwap._evaluate */
 static void evaluate_next(PosteriorSwap *self, int32_t most) {
-    real z[INPUTS_MAX];
     for (int32_t i = 0; i < most && self->evaluated < self->count; i++) {
         int32_t at = self->evaluated++;
-        features_select(&self->features, self->states + at * SIGNAL_COUNT, z);
-        features_evaluate(&self->features, z, self->Phi + at * FEATURES_MAX);
+        features_at(&self->features, self->states + at * SIGNAL_COUNT, self->Phi + at * FEATURES_MAX);
     }
 }
 

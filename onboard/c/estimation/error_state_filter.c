@@ -62,33 +62,37 @@ static void move_by(ErrorStateFilter *self, real dt, const real accelerometer[3]
     self->collected_dv[2] -= GRAVITY * dt;
 }
 
-/* row[i] += sum_j M[i][j] other[j], with elements `step` apart: one line of a product with a block of the transition */
-static void add_block(const real M[9], real *P, int to, int from, int line, int element) {
+/* row[i] += sum_j M[i][j] other[j], with elements `step` apart: one line of a product with a block of the transition; of a
+ * triangle only from the diagonal on */
+static void add_block(const real M[9], real *P, int to, int from, int line, int element, bool triangle) {
     for (int i = 0; i < 3; i++) {
+        int first = triangle ? to + i : 0;
         real *target = P + (to + i) * line;
         for (int j = 0; j < 3; j++) {
             const real *source = P + (from + j) * line;
             real m = M[3 * i + j];
-            for (int k = 0; m != REAL(0.0) && k < N; k++) {
+            for (int k = m != REAL(0.0) ? first : N; k < N; k++) {
                 target[k * element] += m * source[k * element];
             }
         }
     }
 }
 
-/* P <- Phi P, or P <- P Phi^T with lines and elements exchanged. The order leaves what is still needed as it was. */
+/* P <- Phi P, or the lower triangle of P <- P Phi^T with lines and elements exchanged. The order leaves what is still needed as
+ * it was. */
 static void multiply_transition(const real A[9], const real B[9], const real dt_I[9], real *P, int line, int element) {
-    add_block(dt_I, P, POSITION, VELOCITY, line, element);
-    add_block(A, P, VELOCITY, ATTITUDE, line, element);
-    add_block(B, P, VELOCITY, ACCELEROMETER_BIAS, line, element);
-    add_block(B, P, ATTITUDE, GYRO_BIAS, line, element);
+    bool triangle = line < element;
+    add_block(dt_I, P, POSITION, VELOCITY, line, element, triangle);
+    add_block(A, P, VELOCITY, ATTITUDE, line, element, triangle);
+    add_block(B, P, VELOCITY, ACCELEROMETER_BIAS, line, element, triangle);
+    add_block(B, P, ATTITUDE, GYRO_BIAS, line, element, triangle);
 }
 
-/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^6. */
+/* The upper triangle is that below: an antisymmetric part would stay, and Phi lets it grow with t^6. */
 static void make_symmetric(real P[N * N]) {
     for (int i = 1; i < N; i++) {
         for (int j = 0; j < i; j++) {
-            P[i * N + j] = P[j * N + i] = REAL(0.5) * (P[i * N + j] + P[j * N + i]);
+            P[j * N + i] = P[i * N + j];
         }
     }
 }

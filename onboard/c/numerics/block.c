@@ -6,6 +6,7 @@
 /* Of float. */
 #define MANTISSA_BITS 23
 #define EXPONENT_MOST 255
+#define EXPONENT_BIAS 127
 /* The largest number is at least 2^(EXPONENT_LEAST - 127), so that the unit is a normal number. */
 #define EXPONENT_LEAST 28
 
@@ -39,6 +40,20 @@ real block_of(const real *x, int32_t count, int32_t stride, int32_t *numbers) {
     float unit;
     memcpy(&unit, &unit_bits, sizeof unit);
     return (real)unit;
+}
+
+int32_t nearest_whole(real x, int32_t bits) {
+    uint32_t raw = bits_of(x), size = (raw & UINT32_C(0x7fffff)) | UINT32_C(0x800000);
+    int32_t exponent = (int32_t)(raw >> MANTISSA_BITS & UINT32_C(0xff));
+    int32_t down = EXPONENT_BIAS + MANTISSA_BITS - exponent - bits, whole = INT32_MAX;
+    if (down > MANTISSA_BITS + 1 || exponent == 0) {
+        whole = 0;
+    } else if (down > 0) {
+        whole = (int32_t)((size + (UINT32_C(1) << (down - 1))) >> down);
+    } else if (down > MANTISSA_BITS - 30 && exponent != EXPONENT_MOST) {
+        whole = (int32_t)(size << -down);
+    }
+    return raw >> 31 ? -whole : whole;
 }
 
 int64_t block_dot(const int32_t *a, const int32_t *b, int32_t count) {

@@ -14,6 +14,10 @@
  * finite. Numbers below 1e-30 count as zero. */
 real block_of(const real *x, int32_t count, int32_t stride, int32_t *numbers);
 
+/* The whole number nearest to x 2^bits, halves away from zero; the largest one, with the sign, where it does not fit and for NaN.
+ */
+int32_t nearest_whole(real x, int32_t bits);
+
 /* The sum of a_i b_i. */
 int64_t block_dot(const int32_t *a, const int32_t *b, int32_t count);
 
