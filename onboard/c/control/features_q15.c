@@ -138,7 +138,8 @@ bool features_q15_init(FeaturesQ15 *self, const Features *source) {
 /* Features.select, rounded */
 void features_q15_select(const FeaturesQ15 *self, const real signals[SIGNAL_COUNT], int16_t *z) {
     for (int i = 0; i < self->selection.count; i++) {
-        z[i] = (int16_t)rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
+        z[i] =
+            (int16_t)rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
     }
 }
 
@@ -165,11 +166,9 @@ static void round_inputs(const Features *self, const real *z, int32_t *pairs) {
     }
 }
 
-/* Phi of rounded inputs, in pairs. */
-static void evaluate_pairs(const Features *self, const int32_t *inputs, real *Phi) {
-    const Network *network = &self->network;
-    int32_t levels[2][PAIRS_MAX], count = network->width[network->layers - 1];
-    const int32_t *out = evaluate_all(&self->whole, network, self->selection.count, inputs, levels);
+/* Phi of the outputs of the last layer, in pairs. */
+static void take_features(const Features *self, const int32_t *out, real *Phi) {
+    int32_t count = self->feature_count - 1;
     for (int32_t i = 0; i < count; i++) {
         Phi[i] = (real)number_of(out, i) * (REAL(1.0) / (real)(1 << OUTPUT_BITS));
     }
@@ -177,9 +176,9 @@ static void evaluate_pairs(const Features *self, const int32_t *inputs, real *Ph
 }
 
 void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
-    int32_t inputs[PAIRS_MAX];
+    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX];
     round_inputs(self, z, inputs);
-    evaluate_pairs(self, inputs, Phi);
+    take_features(self, evaluate_all(&self->whole, &self->network, self->selection.count, inputs, levels), Phi);
 }
 
 /* Features.select of one input, rounded. */
@@ -187,12 +186,56 @@ static int32_t input_at(const Features *self, const real *signals, int32_t i) {
     return rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
 }
 
-void q15_features_at(const Features *self, const real signals[SIGNAL_COUNT], real *Phi) {
-    int32_t inputs[PAIRS_MAX], m = self->selection.count;
+static void inputs_at(const Features *self, const real *signals, int32_t *pairs) {
+    int32_t m = self->selection.count;
     for (int32_t i = 0; i < m; i += 2) {
-        inputs[i / 2] = pair_of(input_at(self, signals, i), i + 1 < m ? input_at(self, signals, i + 1) : 0);
+        pairs[i / 2] = pair_of(input_at(self, signals, i), i + 1 < m ? input_at(self, signals, i + 1) : 0);
     }
-    evaluate_pairs(self, inputs, Phi);
+}
+
+/* evaluate_layer of three states at once: each pair of the network is loaded once. */
+static void evaluate_layer_of_three(const WholeNetwork *self, const Place *at, int32_t width,
+                                    int32_t below[3][PAIRS_MAX], int32_t below_bits, int32_t above[3][PAIRS_MAX]) {
+    int32_t pairs = pairs_for(at->inputs), before[3] = {0, 0, 0};
+    const int32_t *row = self->pairs + at->pair;
+    for (int32_t i = 0; i < width; i++, row += pairs) {
+        int32_t sums[3], shift = self->bits[at->row + i] + below_bits - SUM_BITS, bias = self->biases[at->row + i];
+        three_dots_of_pairs(row, below[0], PAIRS_MAX, pairs, sums);
+        for (int state = 0; state < 3; state++) {
+            int32_t one = tanh_q15(shifted(bias + sums[state], shift));
+            above[state][i / 2] = i % 2 == 0 ? pair_of(one, 0) : pair_of(before[state], one);
+            before[state] = one;
+        }
+    }
+}
+
+static void three_features_at(const Features *self, const real *signals, real *Phi, int32_t stride) {
+    const Network *network = &self->network;
+    int32_t levels[2][3][PAIRS_MAX], in_use = 0;
+    Place at = {0, 0, 0, self->selection.count};
+    for (int state = 0; state < 3; state++) {
+        inputs_at(self, signals + state * SIGNAL_COUNT, levels[0][state]);
+    }
+    for (int32_t l = 0; l < network->layers; l++, in_use = 1 - in_use) {
+        int32_t width = network->width[l];
+        evaluate_layer_of_three(&self->whole, &at, width, levels[in_use], l > 0 ? OUTPUT_BITS : INPUT_BITS,
+                                levels[1 - in_use]);
+        at = (Place){0, at.row + width, at.pair + width * pairs_for(at.inputs), width};
+    }
+    for (int state = 0; state < 3; state++) {
+        take_features(self, levels[in_use][state], Phi + state * stride);
+    }
+}
+
+void q15_features_at(const Features *self, const real *signals, int32_t n, real *Phi, int32_t stride) {
+    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX], m = self->selection.count, i = 0;
+    for (; i + 3 <= n; i += 3) {
+        three_features_at(self, signals + i * SIGNAL_COUNT, Phi + i * stride, stride);
+    }
+    for (; i < n; i++) {
+        inputs_at(self, signals + i * SIGNAL_COUNT, inputs);
+        take_features(self, evaluate_all(&self->whole, &self->network, m, inputs, levels), Phi + i * stride);
+    }
 }
 
 /* --- the slope: J of a layer in whole numbers with a common unit --- */

@@ -69,10 +69,9 @@ static void step_network(PosteriorSwap *self, const SwapConfig *config, const Ka
 
 /* PosteriorSwap._evaluate */
 static void evaluate_next(PosteriorSwap *self, int32_t most) {
-    for (int32_t i = 0; i < most && self->evaluated < self->count; i++) {
-        int32_t at = self->evaluated++;
-        features_at(&self->features, self->states + at * SIGNAL_COUNT, self->Phi + at * FEATURES_MAX);
-    }
+    int32_t at = self->evaluated, left = self->count - at, n = left < most ? left : most;
+    features_at(&self->features, self->states + at * SIGNAL_COUNT, n, self->Phi + at * FEATURES_MAX, FEATURES_MAX);
+    self->evaluated += n;
 }
 
 /* PosteriorSwap._slopes */

@@ -45,6 +45,38 @@ static inline int32_t dot_of_pairs(const int32_t *a, const int32_t *b, int32_t p
     return sum;
 }
 
+/* Products of a row with three vectors, `apart` from each other. */
+static inline void three_dots_of_pairs(const int32_t *row, const int32_t *x, int32_t apart, int32_t pairs,
+                                       int32_t sums[3]) {
+    int32_t a = 0, b = 0, c = 0;
+    for (; pairs >= 2; pairs -= 2, row += 2, x += 2) {
+        int32_t v = row[0], w = row[1];
+        a += low_of(v) * low_of(x[0]);
+        a += high_of(v) * high_of(x[0]);
+        b += low_of(v) * low_of(x[apart]);
+        b += high_of(v) * high_of(x[apart]);
+        c += low_of(v) * low_of(x[2 * apart]);
+        c += high_of(v) * high_of(x[2 * apart]);
+        a += low_of(w) * low_of(x[1]);
+        a += high_of(w) * high_of(x[1]);
+        b += low_of(w) * low_of(x[apart + 1]);
+        b += high_of(w) * high_of(x[apart + 1]);
+        c += low_of(w) * low_of(x[2 * apart + 1]);
+        c += high_of(w) * high_of(x[2 * apart + 1]);
+    }
+    if (pairs > 0) {
+        a += low_of(row[0]) * low_of(x[0]);
+        a += high_of(row[0]) * high_of(x[0]);
+        b += low_of(row[0]) * low_of(x[apart]);
+        b += high_of(row[0]) * high_of(x[apart]);
+        c += low_of(row[0]) * low_of(x[2 * apart]);
+        c += high_of(row[0]) * high_of(x[2 * apart]);
+    }
+    sums[0] = a;
+    sums[1] = b;
+    sums[2] = c;
+}
+
 static inline int32_t pairs_for(int32_t numbers) {
     return (numbers + 1) / 2;
 }

@@ -122,12 +122,19 @@ static void note_nu(Ahead *self, const real nu[3]) {
 
 /* Ahead.step */
 bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most) {
-    for (int32_t i = 0; i < most && self->seen < PATH_POINTS + BOX_POINTS; i++, self->seen++) {
-        real state[SIGNAL_COUNT], Phi[FEATURES_MAX], nu[3];
-        state_ahead(self, test, self->seen, state);
-        features_at(features, state, Phi);
-        weighted(theta, Phi, features->feature_count, nu);
-        note_nu(self, nu);
+    real states[AHEAD_PER_PART * SIGNAL_COUNT], Phi[AHEAD_PER_PART * FEATURES_MAX], nu[3];
+    while (most > 0 && self->seen < PATH_POINTS + BOX_POINTS) {
+        int32_t left = PATH_POINTS + BOX_POINTS - self->seen, n = most < left ? most : left;
+        n = n < AHEAD_PER_PART ? n : AHEAD_PER_PART;
+        for (int32_t i = 0; i < n; i++) {
+            state_ahead(self, test, self->seen + i, states + i * SIGNAL_COUNT);
+        }
+        features_at(features, states, n, Phi, FEATURES_MAX);
+        for (int32_t i = 0; i < n; i++, self->seen++) {
+            weighted(theta, Phi + i * FEATURES_MAX, features->feature_count, nu);
+            note_nu(self, nu);
+        }
+        most -= n;
     }
     return self->seen == PATH_POINTS + BOX_POINTS;
 }
@@ -225,7 +232,7 @@ Refusal version_test_refusal(VersionTest *self, const Features *features, const 
     }
     for (int32_t i = 0; i < n; i++) {
         real nu[3];
-        features_at(features, recent + i * SIGNAL_COUNT, Phi);
+        features_at(features, recent + i * SIGNAL_COUNT, 1, Phi, 0);
         weighted(theta, Phi, k, nu);
         recent_map_add(&map, nu, residuals + 3 * i);
     }

@@ -174,8 +174,12 @@ static real correct_by(ErrorStateFilter *self, const real PHt[N], real S, real i
 /* ErrorStateFilter.correct_scalar: S = h P h^T + variance */
 real filter_correct_scalar(ErrorStateFilter *self, const real h[N], real innovation, real variance, real gate) {
     real PHt[N];
-    for (int i = 0; i < N; i++) {
-        PHt[i] = dot(self->P + i * N, h, N);
+    memset(PHt, 0, sizeof PHt);
+    for (int j = 0; j < N; j++) {
+        bool counts = h[j] != REAL(0.0);
+        for (int i = 0; counts && i < N; i++) {
+            PHt[i] += self->P[i * N + j] * h[j];
+        }
     }
     return correct_by(self, PHt, dot(PHt, h, N) + variance, innovation, gate);
 }
