@@ -109,6 +109,7 @@ void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, cons
     }
     if (call_count > 0) {
         arming_checks_note_flow(&self->arming, now_ns);
+        self->received = true;
     }
     for (int32_t i = 0; i < readings.flow_count; i++) {
         core_receive_flow(&self->core, readings.flows + i);
@@ -139,8 +140,9 @@ bool autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t
     if (received.has_pose) {
         arming_checks_note_pose(&self->arming, &received.pose.pose, now_ns);
     }
-    self->received = received.has_pose || received.has_chunk;
-    return self->received;
+    bool costly = received.has_pose || received.has_chunk;
+    self->received = self->received || costly;
+    return costly;
 }
 
 void autopilot_command(Autopilot *self, Command command, int64_t now_ns, ArmingRefusal *refusal) {
@@ -161,15 +163,14 @@ static ArmingCheck judge(Autopilot *self, int64_t now_ns) {
 }
 
 void autopilot_step(Autopilot *self, HalCommand *command, int64_t now_ns) {
-    self->busy = self->received && !self->busy;
-    self->received = false;
     CoreInputs inputs = {
         .now_ns = now_ns,
         .missed_ticks = self->calls.missed,
         .preflight = (int32_t)judge(self, now_ns),
         .ground_ns = self->ground_ns,
-        .busy = self->busy,
+        .busy = self->received,
     };
+    self->received = false;
     if (self->calls.stage == BUDGET_LAND && flies(self)) {
         land(self, "the library takes too long", now_ns);
     }

@@ -25,8 +25,7 @@ typedef struct {
     Motors motors;
     bool heed_stop;
     bool features_in_flight;
-    bool received; /* a pose or a chunk, in this call */
-    bool busy;     /* the last call left out its part of a feature version */
+    bool received; /* a pose, a chunk or flow, in this call */
     int64_t last_ns;
     int64_t ground_ns;      /* arrival of the ground station's newest datagram; NEVER_NS before */
     ArmingCheck check;      /* of the last step */
@@ -47,8 +46,7 @@ bool autopilot_begin(Autopilot *self, const HalCommand *command, int64_t now_ns)
 
 void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, const FlowCall *calls, int32_t call_count,
                                int64_t now_ns);
-/* Whether it held a pose or a chunk of features: those cost much of a call, so the next datagram is left to the next one, and so
- * is a part of a feature version, unless the call before has done so. */
+/* Whether it held a pose or a chunk of features: those cost much of a call, so the next datagram is left to the next one. */
 bool autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t size, int64_t now_ns);
 /* A command of the pilot; `refusal` says why it is refused, or that it is not. */
 void autopilot_command(Autopilot *self, Command command, int64_t now_ns, ArmingRefusal *refusal);

@@ -285,6 +285,7 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
         .saturated = self->saturated,
         .adapt = may_adapt(self, mode, now_ns),
         .level_only = mode == MODE_HOLD_LEVEL,
+        .busy = inputs->busy,
         .missed = missed,
     };
     measure(self, missed, &control_inputs);

@@ -102,7 +102,8 @@ static bool prepare(FeatureReception *self, Cascade *controller, Refusal *refusa
 void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, bool busy, VersionOutcome *outcome) {
     const FeatureSet *features = &self->preparing;
     memset(outcome, 0, sizeof *outcome);
-    outcome->offered = !busy && prepare(self, controller, &outcome->refusal);
+    self->left_out = busy && !self->left_out;
+    outcome->offered = !self->left_out && prepare(self, controller, &outcome->refusal);
     if (outcome->offered) {
         outcome->version = features->version;
         outcome->parent = features->parent;

@@ -28,6 +28,7 @@ typedef struct {
     FeatureSet preparing; /* the one before it */
     bool prepares;
     bool is_void;                            /* whether that is one of a peer that has restarted */
+    bool left_out;                           /* the last tick has left out its part of it */
     int64_t version;                         /* in use; 0 for the start features */
     int64_t swapped_ns;                      /* NEVER_NS for the start features */
     int64_t refused_versions[REFUSALS_KEPT]; /* the first is being reported; the last one stays */
@@ -57,8 +58,8 @@ void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
 /* Start over for a new session of the peer: its versions may count from 1 again. */
 void reception_restart(FeatureReception *self);
 
-/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. In
- * a tick that is busy the version waits. */
+/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. A
+ * tick that is busy leaves out its part, unless the one before has done so. */
 void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, bool busy, VersionOutcome *outcome);
 
 /* Time since the features in use were swapped in, s; -1 for the start features. */

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "numerics/block.h"
 #include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
 #include "protocol/geometry.h"
@@ -193,6 +194,28 @@ real filter_correct_component(ErrorStateFilter *self, int32_t index, real innova
     return correct_by(self, PHt, PHt[index] + variance, innovation, gate);
 }
 
+/* P <- P - L L', L [15, 3]; with -DDMRAC_WHOLE_COVARIANCE the products are of whole numbers. */
+static void subtract_square(real P[N * N], const real L[N * 3]) {
+#ifdef DMRAC_WHOLE_COVARIANCE
+    int32_t whole[N * 3];
+    real units[N];
+    for (int i = 0; i < N; i++) {
+        units[i] = block_of(L + 3 * i, 3, 1, whole + 3 * i);
+    }
+#endif
+    for (int i = 0; i < N; i++) {
+        for (int j = 0; j <= i; j++) {
+#ifdef DMRAC_WHOLE_COVARIANCE
+            real change = block_product(whole + 3 * i, units[i], whole + 3 * j, units[j]);
+#else
+            const real *a = L + 3 * i, *b = L + 3 * j;
+            real change = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+#endif
+            P[i * N + j] = P[j * N + i] = P[i * N + j] - change;
+        }
+    }
+}
+
 /* ErrorStateFilter._correct_three: three measurements at once, innovation y, by the Cholesky factor G of S. PHt [15, 3];
  * HPHt: the lower triangle, row by row. L = P H^T G^-T,  error = L G^-1 y,  P <- P - L L^T */
 static real correct_three(ErrorStateFilter *self, const real PHt[N * 3], const real HPHt[6], const real y[3],
@@ -221,14 +244,7 @@ static real correct_three(ErrorStateFilter *self, const real PHt[N * 3], const r
         L[3 * i + 2] = row[0] * i31 + row[1] * i32 + row[2] * (REAL(1.0) / g33);
         error[i] = L[3 * i] * w1 + L[3 * i + 1] * w2 + L[3 * i + 2] * w3;
     }
-    for (int i = 0; i < N; i++) {
-        const real *a = L + 3 * i;
-        for (int j = 0; j <= i; j++) {
-            const real *b = L + 3 * j;
-            real change = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-            self->P[i * N + j] = self->P[j * N + i] = self->P[i * N + j] - change;
-        }
-    }
+    subtract_square(self->P, L);
     apply(self, error);
     return score;
 }

@@ -69,3 +69,26 @@ int64_t block_dot(const int32_t *a, const int32_t *b, int32_t count) {
     }
     return sum;
 }
+
+real block_product(const int32_t a[3], real unit_a, const int32_t b[3], real unit_b) {
+    int64_t sum = (int64_t)a[0] * b[0];
+    sum += (int64_t)a[1] * b[1];
+    sum += (int64_t)a[2] * b[2];
+    float value = (float)(int32_t)(sum >> BLOCK_BITS);
+    int32_t of_a = (int32_t)(bits_of(unit_a) >> MANTISSA_BITS), of_b = (int32_t)(bits_of(unit_b) >> MANTISSA_BITS);
+    if (of_a == EXPONENT_MOST || of_b == EXPONENT_MOST) {
+        return REAL(NAN);
+    }
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    int32_t exponent = (int32_t)(bits >> MANTISSA_BITS & UINT32_C(0xff)) + of_a + of_b - 2 * EXPONENT_BIAS + BLOCK_BITS;
+    if (exponent <= 0 || bits << 1 == 0) {
+        return REAL(0.0);
+    }
+    if (exponent >= EXPONENT_MOST) {
+        return REAL(NAN);
+    }
+    bits = (bits & ~(UINT32_C(0xff) << MANTISSA_BITS)) | (uint32_t)exponent << MANTISSA_BITS;
+    memcpy(&value, &bits, sizeof value);
+    return (real)value;
+}

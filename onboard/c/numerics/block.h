@@ -21,4 +21,7 @@ int32_t nearest_whole(real x, int32_t bits);
 /* The sum of a_i b_i. */
 int64_t block_dot(const int32_t *a, const int32_t *b, int32_t count);
 
+/* The same of three, times both units, exact to 2^-26 of the largest product. */
+real block_product(const int32_t a[3], real unit_a, const int32_t b[3], real unit_b);
+
 #endif

@@ -58,7 +58,7 @@ class Both:
         for side, watch in self.controller.guard._watches.items():
             watch._worse_s = self.cascade.guard.watches[side].worse_s = 1.0
         self.controller.guard.judge(DT, adapting)
-        self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting)
+        self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting, False)
 
     def swap(self, ticks: int = 100) -> list[str]:
         """The events of both in so many ticks, by default enough to prepare a version to the end."""

@@ -277,7 +277,7 @@ def test_swaps_and_falls_stay_within_their_limits(core: Core) -> None:
     for _ in range(12):
         pair.ours.level = 0
         pair.ours.config.watch.enabled, pair.ours.watches[0].worse_s = True, 9.0
-        core.guard_judge(pair.ours, pair.c_laws[0], 0.005, True)
+        core.guard_judge(pair.ours, pair.c_laws[0], 0.005, True, False)
     falls = (core.Fall * 8)()
     assert (core.guard_take_falls(pair.ours, falls[0]), pair.ours.falls_lost) == (8, 4)
 
