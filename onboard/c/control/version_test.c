@@ -60,8 +60,7 @@ static void box_state(const VersionTestConfig *config, const real now[SIGNAL_COU
     }
 }
 
-/* State `index` of those ahead. */
-static void state_ahead(const Ahead *self, const VersionTest *test, int32_t index, real *state) {
+void ahead_state(const Ahead *self, const VersionTest *test, int32_t index, real *state) {
     if (index < PATH_POINTS) {
         state_on_path(&test->config, self->now, index, state);
     } else {
@@ -73,7 +72,7 @@ static void state_ahead(const Ahead *self, const VersionTest *test, int32_t inde
 void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]) {
     real next[SIGNAL_COUNT], step[3];
     memcpy(self->now, now, sizeof self->now);
-    state_ahead(self, test, 1, next);
+    ahead_state(self, test, 1, next);
     vector_subtract(next + SIGNAL_POSITION_N, now + SIGNAL_POSITION_N, step);
     self->apart = vector_length(step);
     self->seen = 0;
@@ -95,7 +94,7 @@ static real largest_of(const real three[3]) {
 bool ahead_steepest(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most) {
     for (int32_t i = 0; i < most && self->sloped < BOX_POINTS; i++, self->sloped++) {
         real state[SIGNAL_COUNT], shares[3];
-        state_ahead(self, test, PATH_POINTS + self->sloped, state);
+        ahead_state(self, test, PATH_POINTS + self->sloped, state);
         if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
             largest_shares(features, theta, &test->slope_limits, state, 1, shares);
             self->over = real_largest(self->over, largest_of(shares));
@@ -127,7 +126,7 @@ bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, 
         int32_t left = PATH_POINTS + BOX_POINTS - self->seen, n = most < left ? most : left;
         n = n < AHEAD_PER_PART ? n : AHEAD_PER_PART;
         for (int32_t i = 0; i < n; i++) {
-            state_ahead(self, test, self->seen + i, states + i * SIGNAL_COUNT);
+            ahead_state(self, test, self->seen + i, states + i * SIGNAL_COUNT);
         }
         features_at(features, states, n, Phi, FEATURES_MAX);
         for (int32_t i = 0; i < n; i++, self->seen++) {

@@ -56,6 +56,9 @@ void version_test_init(VersionTest *self, const VersionTestConfig *config, int32
 /* Start at the present state. What `ahead_steepest` has found stays. */
 void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
 
+/* State `index` of those ahead: of the line, then of the box. */
+void ahead_state(const Ahead *self, const VersionTest *test, int32_t index, real state[SIGNAL_COUNT]);
+
 /* Start with the slopes in the box of the present state. */
 void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
 
