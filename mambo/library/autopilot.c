@@ -168,7 +168,9 @@ void autopilot_step(Autopilot *self, HalCommand *command, int64_t now_ns) {
         .missed_ticks = self->calls.missed,
         .preflight = (int32_t)judge(self, now_ns),
         .ground_ns = self->ground_ns,
-        .busy = self->received,
+        .spare = self->calls.stage >= BUDGET_NO_TRAINING ? SPARE_NONE
+                 : self->received                        ? SPARE_LITTLE
+                                                         : SPARE_ALL,
     };
     self->received = false;
     if (self->calls.stage == BUDGET_LAND && flies(self)) {

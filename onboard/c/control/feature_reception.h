@@ -20,6 +20,9 @@ typedef struct {
     int32_t fall_count;
 } VersionOutcome;
 
+/* What a tick has time for: all; parts of a version now and then; no version at all. */
+typedef enum { SPARE_ALL, SPARE_LITTLE, SPARE_NONE } SpareTime;
+
 /* The feature versions that arrive, and the one in use. */
 typedef struct {
     FeatureReceiver receiver;
@@ -59,8 +62,9 @@ void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
 void reception_restart(FeatureReception *self);
 
 /* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. A
- * tick that is busy leaves out its part, unless the one before has done so. */
-void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, bool busy, VersionOutcome *outcome);
+ * tick with little time leaves out its part, unless the one before has done so; with none a version is refused. */
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, SpareTime spare,
+                    VersionOutcome *outcome);
 
 /* Time since the features in use were swapped in, s; -1 for the start features. */
 double reception_age_s(const FeatureReception *self, int64_t now_ns);
