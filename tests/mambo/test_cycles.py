@@ -39,6 +39,7 @@ def test_the_linkers_map_gives_blocks() -> None:
     ("name", "block"),
     [
         ("control-features_q15.o", "features"),
+        ("control-features_q15_slopes.o", "features"),
         ("control-spectral_q15.o", "features"),
         ("control-feature_swap.o", "swap"),
         ("control-laws-kalman_state.o", "last layer"),

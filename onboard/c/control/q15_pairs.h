@@ -8,6 +8,9 @@
 #ifndef DMRAC_DECLARATIONS /* what Python reads (onboard/c/compile.py) has no inline functions */
 
 #define OUTPUT_BITS 15
+#define INPUT_BITS 13
+#define SIZE_MAX_Q 32766
+#define SUM_MAX_Q 64800 /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
 
 /* Two numbers of 16 bits in one of 32, so that a processor loads both at once. */
 static inline int32_t pair_of(int32_t low, int32_t high) {
@@ -97,6 +100,11 @@ typedef struct {
     int32_t pair;       /* in the pairs */
     int32_t inputs;
 } Place;
+
+/* Outputs of a layer, in pairs, of `below` with so many fractional bits; scaled inputs, rounded, in pairs. */
+void q15_evaluate_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *below,
+                        int32_t below_bits, int32_t *above);
+void q15_round_inputs(const Features *self, const real *z, int32_t *pairs);
 
 static inline Place place_of(const Network *network, int32_t inputs, int32_t layer) {
     Place place = {0, 0, 0, inputs};

@@ -60,7 +60,7 @@ static void box_state(const VersionTestConfig *config, const real now[SIGNAL_COU
     }
 }
 
-void ahead_state(const Ahead *self, const VersionTest *test, int32_t index, real *state) {
+void ahead_state(const Ahead *self, const VersionTest *test, int32_t index, real state[SIGNAL_COUNT]) {
     if (index < PATH_POINTS) {
         state_on_path(&test->config, self->now, index, state);
     } else {

@@ -297,7 +297,9 @@ def test_s_stays_symmetric_and_positive_definite_in_float(core32: Core, tmp_path
         steps = 20_000
     library = tmp_path / "long_run.so"
     parts = [LONG, *(FOLDER / "numerics").glob("*.c"), FOLDER / "control/reference_model.c"]
-    parts += [FOLDER / f"control/laws/{name}.c" for name in ("kalman_state", "kalman_last_layer", "last_layer", "products")]
+    parts += [
+        FOLDER / f"control/laws/{name}.c" for name in ("kalman_state", "kalman_last_layer", "last_layer", "products")
+    ]
     parts += [FOLDER / "protocol/geometry.c"]
     run(
         [*compiler(), *Variant("float", OPTIONS).flags, "-shared", "-fPIC", *map(str, parts), "-lm", "-o", str(library)]

@@ -14,7 +14,7 @@ from onboard.control.version_test import VersionTest, VersionTestConfig, ahead
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 from tests.onboard.c.channels import c_network_features, channel, signals
-from tests.onboard.c.parity import SETTINGS, array, call, configured, same, view
+from tests.onboard.c.parity import SETTINGS, array, call, configured, same
 from tests.onboard.c.test_laws import GAINS
 from tests.onboard.control.fixture import shipped_controller
 from tests.onboard.control.guard_rig import version
