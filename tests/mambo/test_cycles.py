@@ -9,8 +9,8 @@ import pytest
 from experiments.flights.scenario import Choices, resolve
 from experiments.timing.cycles import count_cycles
 from mambo.build import Built
-from mambo.cycles.blocks import BLOCKS, address_ranges, block_of
 from mambo.config import BoardWatchdogs
+from mambo.cycles.blocks import BLOCKS, address_ranges, block_of
 from mambo.cycles.measure import CLOCK_HZ, PERIOD_CYCLES, SHARE_MAX
 from mambo.vehicles import RADIO
 
