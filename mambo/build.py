@@ -37,6 +37,8 @@ SIZE_MAX_BYTES: Final = 1_000_000
 RAM_MAX_BYTES: Final = 8_000_000
 GLIBC_MAX: Final = (2, 4)
 """Newest version of a symbol that the drone's C library has."""
+SHARED: Final = ("-shared", "-s", "-Wl,-z,defs", "-Wl,--gc-sections", f"-Wl,-soname,{LIBRARY}")
+"""To link the library. What nobody defines would be found when the firmware loads it: the linker finds it before."""
 ARM_GCC: Final = "arm-linux-gnueabi-gcc"
 ARM_ROOT: Final = "/usr/arm-linux-gnueabi"
 """Where Debian has the C library of the target, for qemu."""
@@ -68,9 +70,14 @@ def arm_target() -> Target:
     if shutil.which(ARM_GCC):
         return Target("arm", (ARM_GCC,), options)
     if importlib.util.find_spec("ziglang"):
-        command = (sys.executable, "-m", "ziglang", "cc", "-target", "arm-linux-gnueabi.2.4", "-mcpu=arm926ej_s")
-        return Target("arm", command, ())
+        return zig_target()
     raise core_build.BuildError(f"no compiler for the drone's processor ({ARM_GCC}, ziglang): {INSTALL_HINT}")
+
+
+def zig_target() -> Target:
+    """The drone, with the compiler of the Python package ziglang."""
+    command = (sys.executable, "-m", "ziglang", "cc", "-target", "arm-linux-gnueabi.2.4", "-mcpu=arm926ej_s")
+    return Target("arm", command, ())
 
 
 def native_target() -> Target:
@@ -119,7 +126,7 @@ def build(name: TargetName) -> Built:
 
 
 def _digest(target: Target) -> str:
-    digest = hashlib.sha256(repr((target, flags(target, Path()))).encode())
+    digest = hashlib.sha256(repr((target, flags(target, Path()), SHARED)).encode())
     for name, text in generated().items():
         digest.update(name.encode() + text.encode())
     own = [*sorted(FOLDER.glob("*/*.c")), *sorted(FOLDER.glob("*/*.h"))]
@@ -138,10 +145,9 @@ def _compile(target: Target, folder: Path) -> None:
         for name, text in generated().items():
             (texts / name).write_text(text, encoding="utf-8")
         compile_command = [*target.compiler, *flags(target, Path(root)), *core_build.WARNINGS]
-        shared = ["-shared", "-Wl,--gc-sections", f"-Wl,-soname,{LIBRARY}"]
         own = map(str, (*sources(), *sorted(texts.glob("*.c"))))
         core = _core_objects(target)
-        core_build.run([*compile_command, *shared, *own, *core, "-lm", "-o", str(part / LIBRARY)])
+        core_build.run([*compile_command, *SHARED, *own, *core, "-lm", "-o", str(part / LIBRARY)])
         stand_in = map(str, sorted((FOLDER / "fake").glob("*.c")))
         linked = ["-rdynamic", *stand_in, "-ldl", "-lpthread"]
         core_build.run([*compile_command, *linked, "-o", str(part / FIRMWARE)])

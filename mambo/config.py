@@ -94,7 +94,7 @@ class BoardLink(ConfigRecord):
     ground_port: int = Field(default=14550, ge=0, le=65535, description="UDP; 0: none")
     ground_own_port: int = Field(default=14552, ge=1, le=65535, description="UDP, of the library")
     features_in_flight: bool = Field(
-        default=False, description="receive feature versions in flight; false: on the ground only"
+        default=True, description="receive feature versions in flight; false: on the ground only"
     )
     datagrams_max: int = Field(default=8, ge=1, le=64, description="read in a call, of each socket")
 

@@ -78,7 +78,6 @@ class FirmwareCore:
             "offboard_port": self._socket.getsockname()[1],
             "own_port": self._library_port,
             "ground_port": 0,
-            "features_in_flight": True,  # virtual time: no call is too long
         }
         settings = board_config(values=merge({"mode": "fly", "link": link}, board or {}))
         data = image(library_config(settings, config, cleared=True), config, keys.offboard, keys.ground)

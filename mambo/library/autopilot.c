@@ -109,6 +109,7 @@ void autopilot_receive_sensors(Autopilot *self, const uint8_t *acquisition, cons
     }
     if (call_count > 0) {
         arming_checks_note_flow(&self->arming, now_ns);
+        self->received = true;
     }
     for (int32_t i = 0; i < readings.flow_count; i++) {
         core_receive_flow(&self->core, readings.flows + i);
@@ -139,7 +140,9 @@ bool autopilot_receive_offboard(Autopilot *self, const uint8_t *datagram, size_t
     if (received.has_pose) {
         arming_checks_note_pose(&self->arming, &received.pose.pose, now_ns);
     }
-    return received.has_pose || received.has_chunk;
+    bool costly = received.has_pose || received.has_chunk;
+    self->received = self->received || costly;
+    return costly;
 }
 
 void autopilot_command(Autopilot *self, Command command, int64_t now_ns, ArmingRefusal *refusal) {
@@ -165,7 +168,11 @@ void autopilot_step(Autopilot *self, HalCommand *command, int64_t now_ns) {
         .missed_ticks = self->calls.missed,
         .preflight = (int32_t)judge(self, now_ns),
         .ground_ns = self->ground_ns,
+        .spare = self->calls.stage >= BUDGET_NO_TRAINING ? SPARE_NONE
+                 : self->received                        ? SPARE_LITTLE
+                                                         : SPARE_ALL,
     };
+    self->received = false;
     if (self->calls.stage == BUDGET_LAND && flies(self)) {
         land(self, "the library takes too long", now_ns);
     }

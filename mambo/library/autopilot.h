@@ -25,6 +25,7 @@ typedef struct {
     Motors motors;
     bool heed_stop;
     bool features_in_flight;
+    bool received; /* a pose, a chunk or flow, in this call */
     int64_t last_ns;
     int64_t ground_ns;      /* arrival of the ground station's newest datagram; NEVER_NS before */
     ArmingCheck check;      /* of the last step */

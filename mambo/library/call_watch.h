@@ -14,7 +14,7 @@
 /* What is left out while the library is too slow. */
 typedef enum {
     BUDGET_KEPT,
-    BUDGET_NO_TRAINING, /* no chunks of features are received, no samples sent */
+    BUDGET_NO_TRAINING, /* no chunks of features are received, no version is prepared, no samples sent */
     BUDGET_NO_OFFBOARD, /* nothing of offboard is received: without poses the vehicle holds its place */
     BUDGET_LAND
 } BudgetStage;

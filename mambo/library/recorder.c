@@ -5,6 +5,8 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "atomic.h"
+
 #define HEADER_BYTES_OF_RECORD 12
 #define SAMPLE_BYTES_OF_RECORD (4 * (3 + 3 + 15 + 15 + 3 + 1))
 
@@ -42,7 +44,7 @@ void recorder_add(Recorder *self, RecordKind kind, int64_t time_ns, const void *
     memcpy(header + 4, &time_ns, sizeof time_ns);
     put(self, self->written, header, HEADER_BYTES_OF_RECORD);
     put(self, self->written + HEADER_BYTES_OF_RECORD, content, (uint32_t)size);
-    __sync_synchronize();
+    atomic_barrier();
     self->written += all;
 }
 
@@ -69,11 +71,11 @@ void recorder_add_acquisition(Recorder *self, const uint8_t *acquisition, int64_
 }
 
 void recorder_drain(Recorder *self) {
-    if (self->descriptor < 0 || __sync_lock_test_and_set(&self->draining, 1)) {
+    if (self->descriptor < 0 || !atomic_take(&self->draining)) {
         return;
     }
     uint32_t waiting = self->written - self->drained;
-    __sync_synchronize();
+    atomic_barrier();
     while (waiting > 0) {
         uint32_t place = self->drained % RECORDER_RING_BYTES;
         uint32_t part = waiting < RECORDER_RING_BYTES - place ? waiting : RECORDER_RING_BYTES - place;
@@ -84,5 +86,5 @@ void recorder_drain(Recorder *self) {
         self->drained += (uint32_t)done;
         waiting -= (uint32_t)done;
     }
-    __sync_lock_release(&self->draining);
+    atomic_give_back(&self->draining);
 }

@@ -285,11 +285,12 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
         .saturated = self->saturated,
         .adapt = may_adapt(self, mode, now_ns),
         .level_only = mode == MODE_HOLD_LEVEL,
+        .busy = inputs->spare != SPARE_ALL,
         .missed = missed,
     };
     measure(self, missed, &control_inputs);
     thrust_scale_step(&self->thrust_scale, state->specific_force[2], control_inputs.thrust_n, control_inputs.adapt);
-    reception_swap(&self->reception, &self->controller, now_ns, &output->features);
+    reception_swap(&self->reception, &self->controller, now_ns, inputs->spare, &output->features);
     control(self, &control_inputs, mode);
     mix(self, mode);
     memcpy(output->motors, self->command, sizeof output->motors);

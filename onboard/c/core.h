@@ -28,6 +28,7 @@ typedef struct {
     int64_t missed_ticks; /* that the loop has skipped since its start; the last command was held meanwhile */
     int32_t preflight;    /* why the vehicle must not be armed, a number of the caller's; 0 if it may be */
     int64_t ground_ns;    /* arrival of the newest datagram of the ground station; NEVER_NS if there was none */
+    SpareTime spare;      /* for what can wait */
 } CoreInputs;
 
 /* What a tick sends and records. Events stand in the order in which they happened, block by block. */

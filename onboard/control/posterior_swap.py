@@ -31,7 +31,7 @@ STATES_PER_PART: Final = 5
 """States whose features one part evaluates."""
 SLOPES_PER_PART: Final = 1
 """States whose slope one part evaluates."""
-UPDATES_PER_PART: Final = 4
+UPDATES_PER_PART: Final = 3
 """States that one part of the filter takes."""
 SLOPE_STRIDE: Final = 4
 """Of the recent states every fourth one is checked for its slope: 0.1 s apart."""

@@ -32,6 +32,11 @@ def test_no_symbol_is_newer_than_the_drones_c_library(arm: Built) -> None:
     assert {symbol: version for symbol, version in versions.items() if version > GLIBC_MAX} == {}
 
 
+def test_every_symbol_that_it_needs_is_the_c_librarys(arm: Built) -> None:
+    needed = binutil("nm", "-D", "--undefined-only", str(arm.library)).splitlines()
+    assert [line for line in needed if " U " in line and "@GLIBC_" not in line] == []
+
+
 def test_a_newer_symbol_would_be_found(arm: Built, tmp_path: Path) -> None:
     source = tmp_path / "newer.c"
     source.write_text("#include <pthread.h>\nint f(void) { pthread_t t; return pthread_create(&t, 0, 0, 0); }\n")

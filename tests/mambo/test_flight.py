@@ -7,7 +7,7 @@ import pytest
 
 from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import Choices, resolve
-from mambo.build import Built
+from mambo.build import Built, build, zig_target
 from mambo.vehicles import RADIO
 from onboard.flight.modes import FlightMode
 from protocol.keys import write_key
@@ -64,6 +64,17 @@ def test_both_processors_fly_the_same_bits_for_a_minute(native: Built, qemu: Bui
     assert on_drone.crash_reason == ""
     flying = on_drone.trace.mode == FlightMode.FLYING
     assert on_drone.trace.tick["position_sigma"][flying].min() > 0.0  # in float, rounding once made it negative
+    assert_the_same(on_drone, here)
+
+
+@pytest.mark.full
+def test_the_library_that_ziglang_builds_flies_the_same_bits(
+    native: Built, qemu: Built, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ziglang")
+    monkeypatch.setattr("mambo.build.arm_target", zig_target)
+    assert build("arm").library != qemu.library
+    on_drone, here = (flown(vehicle, SHORT_S, with_offboard=False) for vehicle in ("mambo-qemu", "mambo-native"))
     assert_the_same(on_drone, here)
 
 

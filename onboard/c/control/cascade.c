@@ -314,7 +314,7 @@ void cascade_step(Cascade *self, const ControlInputs *inputs) {
     thrust_vector(self, inputs);
     attitude_loop(self, inputs);
     output->law = (int32_t)self->guard.level;
-    guard_judge(&self->guard, self->augmentations, inputs->dt, inputs->adapt);
+    guard_judge(&self->guard, self->augmentations, inputs->dt, inputs->adapt, inputs->busy);
     tracking_bounds_step(&self->bounds, inputs, output->commanded_quaternion, self->command_turn, self->command_rate,
                          bounds);
     output->position.tracking_bound = bounds[PLACE];

@@ -98,11 +98,31 @@ static bool prepare(FeatureReception *self, Cascade *controller, Refusal *refusa
     return false;
 }
 
+/* Refuse the version that is being prepared, or else the one that waits; whether there was one. */
+static bool give_up(FeatureReception *self, Refusal *refusal) {
+    if (!self->prepares && !self->waits) {
+        return false;
+    }
+    if (!self->prepares) {
+        self->preparing = self->complete;
+        self->waits = false;
+    }
+    self->prepares = self->is_void = false;
+    *refusal = REFUSAL_NOT_ACCEPTING;
+    return true;
+}
+
 /* FeatureReception.swap */
-void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome) {
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, SpareTime spare,
+                    VersionOutcome *outcome) {
     const FeatureSet *features = &self->preparing;
     memset(outcome, 0, sizeof *outcome);
-    outcome->offered = prepare(self, controller, &outcome->refusal);
+    self->left_out = spare == SPARE_LITTLE && !self->left_out;
+    if (spare == SPARE_NONE) {
+        outcome->offered = give_up(self, &outcome->refusal);
+    } else if (!self->left_out) {
+        outcome->offered = prepare(self, controller, &outcome->refusal);
+    }
     if (outcome->offered) {
         outcome->version = features->version;
         outcome->parent = features->parent;

@@ -20,6 +20,9 @@ typedef struct {
     int32_t fall_count;
 } VersionOutcome;
 
+/* What a tick has time for: all; parts of a version now and then; no version at all. */
+typedef enum { SPARE_ALL, SPARE_LITTLE, SPARE_NONE } SpareTime;
+
 /* The feature versions that arrive, and the one in use. */
 typedef struct {
     FeatureReceiver receiver;
@@ -28,6 +31,7 @@ typedef struct {
     FeatureSet preparing; /* the one before it */
     bool prepares;
     bool is_void;                            /* whether that is one of a peer that has restarted */
+    bool left_out;                           /* the last tick has left out its part of it */
     int64_t version;                         /* in use; 0 for the start features */
     int64_t swapped_ns;                      /* NEVER_NS for the start features */
     int64_t refused_versions[REFUSALS_KEPT]; /* the first is being reported; the last one stays */
@@ -57,8 +61,10 @@ void reception_receive(FeatureReception *self, const FeatureChunk *chunk);
 /* Start over for a new session of the peer: its versions may count from 1 again. */
 void reception_restart(FeatureReception *self);
 
-/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. */
-void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, VersionOutcome *outcome);
+/* Go on with the version that the controller prepares, or begin with the one that waits, and take note of what the guard did. A
+ * tick with little time leaves out its part, unless the one before has done so; with none a version is refused. */
+void reception_swap(FeatureReception *self, Cascade *controller, int64_t now_ns, SpareTime spare,
+                    VersionOutcome *outcome);
 
 /* Time since the features in use were swapped in, s; -1 for the start features. */
 double reception_age_s(const FeatureReception *self, int64_t now_ns);

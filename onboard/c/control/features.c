@@ -208,6 +208,20 @@ void features_evaluate(const Features *self, const real *z, real *Phi) {
     }
 }
 
+void features_at(const Features *self, const real *signals, int32_t n, real *Phi, int32_t stride) {
+#ifdef DMRAC_Q15_FEATURES
+    if (self->kind == ADAPTIVE_FEATURES_NETWORK && self->q15) {
+        q15_features_at(self, signals, n, Phi, stride);
+        return;
+    }
+#endif
+    real z[INPUTS_MAX];
+    for (int32_t i = 0; i < n; i++) {
+        features_select(self, signals + i * SIGNAL_COUNT, z);
+        features_evaluate(self, z, Phi + i * stride);
+    }
+}
+
 /* dz/dx of an input: zero where it is clipped */
 static real slope_of_input(const Features *self, const real *z, int32_t input) {
     return real_abs(z[input]) < INPUT_LIMIT ? self->inverse[input] : REAL(0.0);
@@ -279,10 +293,9 @@ void features_slope(const Features *self, const real *z, const int32_t *inputs, 
 }
 
 void features_of_states(const Features *self, const real *states, int32_t n, real *Phi) {
-    real z[INPUTS_MAX], column[FEATURES_MAX];
+    real column[FEATURES_MAX];
     for (int i = 0; i < n; i++) {
-        features_select(self, states + i * SIGNAL_COUNT, z);
-        features_evaluate(self, z, column);
+        features_at(self, states + i * SIGNAL_COUNT, 1, column, 0);
         for (int j = 0; j < self->feature_count; j++) {
             Phi[j * n + i] = column[j];
         }

@@ -106,6 +106,9 @@ void features_select(const Features *self, const real signals[SIGNAL_COUNT], rea
 /* Phi [k] of scaled inputs. */
 void features_evaluate(const Features *self, const real *z, real *Phi);
 
+/* Phi at n signal vectors: both at once. `signals` [n, SIGNAL_COUNT]; the Phi of each [k] stands `stride` behind the last one's. */
+void features_at(const Features *self, const real *signals, int32_t n, real *Phi, int32_t stride);
+
 /* J = dPhi/dx [k - 1, n] at scaled inputs z, without the constant, over n of the inputs, in their units. Zero in an input that
  * is clipped. J and `work` have room for WIDTH_MAX n numbers. */
 void features_slope(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J, real *work);

@@ -4,13 +4,11 @@
 #include <string.h>
 
 #include "control/q15_pairs.h"
+#include "numerics/block.h"
 #include "numerics/elementary.h"
 
-#define INPUT_BITS 13
 #define SUM_BITS 16
 #define STEP_BITS 11 /* of a number with SUM_BITS, within one step of the table: 1/32 */
-#define SIZE_MAX_Q REAL(32767.0)
-#define SUM_MAX_Q REAL(65000.0) /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
 
 /* tanh(i / 32) 2^15, rounded, at most 32767. */
 static const int16_t TANH[TANH_POINTS] = {
@@ -45,14 +43,14 @@ int16_t tanh_q15(int32_t x) {
 
 /* Fractional bits with which every number of a row fits into 16 bits, and every sum into 32; -1 if none. */
 static int32_t bits_of(const real *row, int32_t count) {
-    real largest = REAL(0.0), sum = REAL(0.0), scale = (real)(1 << OUTPUT_BITS);
+    int64_t largest = 0, sum = 0;
     for (int32_t i = 0; i < count; i++) {
-        real size = real_abs(row[i]);
+        int64_t whole = nearest_whole(row[i], OUTPUT_BITS), size = whole < 0 ? -whole : whole;
         largest = size > largest ? size : largest;
         sum += size;
     }
-    for (int32_t bits = OUTPUT_BITS; bits >= 0; bits--, scale *= REAL(0.5)) {
-        if (largest * scale < SIZE_MAX_Q && sum * scale < SUM_MAX_Q) { /* NaN is not */
+    for (int32_t bits = OUTPUT_BITS; bits >= 0; bits--, largest >>= 1, sum >>= 1) {
+        if (largest < SIZE_MAX_Q && sum < SUM_MAX_Q) {
             return bits;
         }
     }
@@ -68,11 +66,11 @@ bool whole_take_layer(WholeNetwork *self, const Network *network, int32_t inputs
         if (bits < 0) {
             return false;
         }
-        real scale = (real)((int32_t)1 << bits);
         self->bits[at.row + i] = (int8_t)bits;
-        self->biases[at.row + i] = rounded(row[at.inputs] * scale) * ((int32_t)1 << below_bits);
+        self->biases[at.row + i] = nearest_whole(row[at.inputs], bits) * ((int32_t)1 << below_bits);
         for (int32_t j = 0; j < at.inputs; j += 2) {
-            *pair++ = pair_of(rounded(row[j] * scale), j + 1 < at.inputs ? rounded(row[j + 1] * scale) : 0);
+            int32_t high = j + 1 < at.inputs ? nearest_whole(row[j + 1], bits) : 0;
+            *pair++ = pair_of(nearest_whole(row[j], bits), high);
         }
     }
     return true;
@@ -80,8 +78,11 @@ bool whole_take_layer(WholeNetwork *self, const Network *network, int32_t inputs
 
 /* --- features --- */
 
+/* A scaled input, clipped. */
 static int32_t rounded_input(real z) {
-    return rounded(z * (real)(1 << INPUT_BITS));
+    const int32_t limit = (int32_t)(INPUT_LIMIT * (real)(1 << INPUT_BITS));
+    int32_t whole = nearest_whole(z, INPUT_BITS);
+    return whole > limit ? limit : whole < -limit ? -limit : whole;
 }
 
 /* The output of one row of a layer, of `below` with `below_bits` fractional bits. */
@@ -90,9 +91,8 @@ static int32_t output_of(const int32_t *row, int32_t bias, int32_t bits, const i
     return tanh_q15(shifted(bias + dot_of_pairs(row, below, pairs), bits + below_bits - SUM_BITS));
 }
 
-/* Outputs of a layer, in pairs. */
-static void evaluate_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *below,
-                           int32_t below_bits, int32_t *above) {
+void q15_evaluate_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *below,
+                        int32_t below_bits, int32_t *above) {
     int32_t pairs = pairs_for(at->inputs);
     const int32_t *row = self->pairs + at->pair, *bias = self->biases + at->row;
     const int8_t *bits = self->bits + at->row;
@@ -112,7 +112,7 @@ static const int32_t *evaluate_all(const WholeNetwork *self, const Network *netw
     const int32_t *below = z;
     for (int32_t l = 0; l < network->layers; l++) {
         int32_t width = network->width[l], *above = levels[l % 2];
-        evaluate_layer(self, &at, width, below, l > 0 ? OUTPUT_BITS : INPUT_BITS, above);
+        q15_evaluate_layer(self, &at, width, below, l > 0 ? OUTPUT_BITS : INPUT_BITS, above);
         at = (Place){0, at.row + width, at.pair + width * pairs_for(at.inputs), width};
         below = above;
     }
@@ -134,9 +134,8 @@ bool features_q15_init(FeaturesQ15 *self, const Features *source) {
 /* Features.select, rounded */
 void features_q15_select(const FeaturesQ15 *self, const real signals[SIGNAL_COUNT], int16_t *z) {
     for (int i = 0; i < self->selection.count; i++) {
-        real scaled = (signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i];
-        scaled = real_max(real_min(scaled, INPUT_LIMIT), -INPUT_LIMIT);
-        z[i] = (int16_t)rounded_input(scaled);
+        z[i] =
+            (int16_t)rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
     }
 }
 
@@ -156,139 +155,82 @@ void features_q15_evaluate(const FeaturesQ15 *self, const int16_t *z, int16_t *P
 
 #ifdef DMRAC_Q15_FEATURES
 
-static void round_inputs(const Features *self, const real *z, int32_t *pairs) {
+void q15_round_inputs(const Features *self, const real *z, int32_t *pairs) {
     int32_t m = self->selection.count;
     for (int32_t i = 0; i < m; i += 2) {
         pairs[i / 2] = pair_of(rounded_input(z[i]), i + 1 < m ? rounded_input(z[i + 1]) : 0);
     }
 }
 
-void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
-    const Network *network = &self->network;
-    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX], count = network->width[network->layers - 1];
-    round_inputs(self, z, inputs);
-    const int32_t *out = evaluate_all(&self->whole, network, self->selection.count, inputs, levels);
+/* Phi of the outputs of the last layer, in pairs. */
+static void take_features(const Features *self, const int32_t *out, real *Phi) {
+    int32_t count = self->feature_count - 1;
     for (int32_t i = 0; i < count; i++) {
         Phi[i] = (real)number_of(out, i) * (REAL(1.0) / (real)(1 << OUTPUT_BITS));
     }
     Phi[count] = REAL(1.0);
 }
 
-/* --- the slope: J of a layer in whole numbers with a common unit --- */
-
-/* J' [n, outputs] of a layer, in pairs; a number of it is value times `unit`. */
-typedef struct {
-    int32_t rows[INPUTS_MAX][PAIRS_MAX];
-    real unit;
-} WholeSlopes;
-
-/* dz/dx of the inputs, zero where one is clipped: a number for each. */
-static void slopes_of_inputs(const Features *self, const real *z, const int32_t *inputs, int32_t n, int32_t *values,
-                             real *unit) {
-    real largest = REAL(0.0);
-    for (int32_t j = 0; j < n; j++) {
-        largest = real_max(largest, self->inverse[inputs[j]]);
-    }
-    for (int32_t j = 0; j < n; j++) {
-        bool moves = real_abs(z[inputs[j]]) < INPUT_LIMIT;
-        values[j] = moves ? rounded(REAL(16384.0) * (self->inverse[inputs[j]] / largest)) : 0;
-    }
-    *unit = largest / REAL(16384.0);
+void q15_evaluate_real(const Features *self, const real *z, real *Phi) {
+    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX];
+    q15_round_inputs(self, z, inputs);
+    take_features(self, evaluate_all(&self->whole, &self->network, self->selection.count, inputs, levels), Phi);
 }
 
-/* Bring the sums [n, WIDTH_MAX] of a layer to 16 bits. */
-static void fit(int32_t sums[INPUTS_MAX][WIDTH_MAX], int32_t n, int32_t width, real unit, WholeSlopes *out) {
-    int32_t largest = 1, shift = 0;
-    for (int32_t j = 0; j < n; j++) {
-        for (int32_t i = 0; i < width; i++) {
-            int32_t size = sums[j][i] < 0 ? -sums[j][i] : sums[j][i];
-            largest = size > largest ? size : largest;
-        }
-    }
-    for (; largest > 32766; largest >>= 1) {
-        shift++;
-    }
-    for (; largest < 16384; largest <<= 1) {
-        shift--;
-    }
-    for (int32_t j = 0; j < n; j++) {
-        for (int32_t i = 0; i < width; i += 2) {
-            int32_t high = i + 1 < width ? shifted(sums[j][i + 1], shift) : 0;
-            out->rows[j][i / 2] = pair_of(shifted(sums[j][i], shift), high);
-        }
-    }
-    out->unit = shift >= 0 ? unit * (real)((int32_t)1 << shift) : unit / (real)((int32_t)1 << -shift);
+/* Features.select of one input, rounded. */
+static int32_t input_at(const Features *self, const real *signals, int32_t i) {
+    return rounded_input((signals[self->selection.index[i]] - self->selection.offset[i]) * self->inverse[i]);
 }
 
-/* D W J of one layer, whose outputs are given: for each input the sum over the outputs below; the first layer has one number
- * for each input. */
-static void slopes_of_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *outputs,
-                            const int32_t *first, const int32_t *inputs, int32_t n, WholeSlopes *slopes) {
-    int32_t sums[INPUTS_MAX][WIDTH_MAX], pairs = pairs_for(at->inputs);
+static void inputs_at(const Features *self, const real *signals, int32_t *pairs) {
+    int32_t m = self->selection.count;
+    for (int32_t i = 0; i < m; i += 2) {
+        pairs[i / 2] = pair_of(input_at(self, signals, i), i + 1 < m ? input_at(self, signals, i + 1) : 0);
+    }
+}
+
+/* evaluate_layer of three states at once: each pair of the network is loaded once. */
+static void evaluate_layer_of_three(const WholeNetwork *self, const Place *at, int32_t width,
+                                    int32_t below[3][PAIRS_MAX], int32_t below_bits, int32_t above[3][PAIRS_MAX]) {
+    int32_t pairs = pairs_for(at->inputs), before[3] = {0, 0, 0};
     const int32_t *row = self->pairs + at->pair;
-    const int8_t *bits = self->bits + at->row;
-    int32_t fewest = fewest_bits(bits, width);
     for (int32_t i = 0; i < width; i++, row += pairs) {
-        int32_t h = number_of(outputs, i), steepness = (1 << OUTPUT_BITS) - ((h * h) >> OUTPUT_BITS);
-        int32_t shift = OUTPUT_BITS + bits[i] - fewest;
-        for (int32_t j = 0; j < n; j++) {
-            int32_t sum = first ? number_of(row, inputs[j]) * first[j] : dot_of_pairs(row, slopes->rows[j], pairs);
-            sums[j][i] = (int32_t)(((int64_t)sum * steepness) >> shift);
+        int32_t sums[3], shift = self->bits[at->row + i] + below_bits - SUM_BITS, bias = self->biases[at->row + i];
+        three_dots_of_pairs(row, below[0], PAIRS_MAX, pairs, sums);
+        for (int state = 0; state < 3; state++) {
+            int32_t one = tanh_q15(shifted(bias + sums[state], shift));
+            above[state][i / 2] = i % 2 == 0 ? pair_of(one, 0) : pair_of(before[state], one);
+            before[state] = one;
         }
     }
-    fit(sums, n, width, slopes->unit / (real)((int32_t)1 << fewest), slopes);
 }
 
-static void slopes_of_network(const Features *self, const real *z, const int32_t *inputs, int32_t n,
-                              WholeSlopes *slopes) {
+static void three_features_at(const Features *self, const real *signals, real *Phi, int32_t stride) {
     const Network *network = &self->network;
-    int32_t levels[2][PAIRS_MAX], rounded_z[PAIRS_MAX], first[INPUTS_MAX];
+    int32_t levels[2][3][PAIRS_MAX], in_use = 0;
     Place at = {0, 0, 0, self->selection.count};
-    const int32_t *below = rounded_z;
-    round_inputs(self, z, rounded_z);
-    slopes_of_inputs(self, z, inputs, n, first, &slopes->unit);
-    for (int32_t l = 0; l < network->layers; l++) {
-        int32_t width = network->width[l], *above = levels[l % 2];
-        evaluate_layer(&self->whole, &at, width, below, l > 0 ? OUTPUT_BITS : INPUT_BITS, above);
-        slopes_of_layer(&self->whole, &at, width, above, l == 0 ? first : NULL, inputs, n, slopes);
+    for (int state = 0; state < 3; state++) {
+        inputs_at(self, signals + state * SIGNAL_COUNT, levels[0][state]);
+    }
+    for (int32_t l = 0; l < network->layers; l++, in_use = 1 - in_use) {
+        int32_t width = network->width[l];
+        evaluate_layer_of_three(&self->whole, &at, width, levels[in_use], l > 0 ? OUTPUT_BITS : INPUT_BITS,
+                                levels[1 - in_use]);
         at = (Place){0, at.row + width, at.pair + width * pairs_for(at.inputs), width};
-        below = above;
+    }
+    for (int state = 0; state < 3; state++) {
+        take_features(self, levels[in_use][state], Phi + state * stride);
     }
 }
 
-void q15_slope_real(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J) {
-    WholeSlopes slopes;
-    int32_t count = self->feature_count - 1;
-    slopes_of_network(self, z, inputs, n, &slopes);
-    for (int32_t i = 0; i < count; i++) {
-        for (int32_t j = 0; j < n; j++) {
-            J[i * n + j] = slopes.unit * (real)number_of(slopes.rows[j], i);
-        }
+void q15_features_at(const Features *self, const real *signals, int32_t n, real *Phi, int32_t stride) {
+    int32_t inputs[PAIRS_MAX], levels[2][PAIRS_MAX], m = self->selection.count, i = 0;
+    for (; i + 3 <= n; i += 3) {
+        three_features_at(self, signals + i * SIGNAL_COUNT, Phi + i * stride, stride);
     }
-}
-
-void q15_map_slope(const Features *self, const real *theta, const real *z, const int32_t *inputs, int32_t n,
-                   real *slope) {
-    WholeSlopes slopes;
-    int32_t count = self->feature_count - 1, weights[PAIRS_MAX];
-    slopes_of_network(self, z, inputs, n, &slopes);
-    for (int axis = 0; axis < 3; axis++) {
-        real largest = REAL(0.0), sum = REAL(0.0);
-        for (int32_t i = 0; i < count; i++) {
-            real size = real_abs(theta[3 * i + axis]);
-            largest = size > largest ? size : largest;
-            sum += size;
-        }
-        real scale = real_min(SIZE_MAX_Q / largest, SUM_MAX_Q / sum) * REAL(0.999);
-        bool sensible = largest > REAL(0.0) && real_is_finite(sum) && real_is_finite(scale);
-        for (int32_t i = 0; sensible && i < count; i += 2) {
-            int32_t high = i + 1 < count ? rounded(theta[3 * (i + 1) + axis] * scale) : 0;
-            weights[i / 2] = pair_of(rounded(theta[3 * i + axis] * scale), high);
-        }
-        for (int32_t j = 0; j < n; j++) {
-            int32_t along = sensible ? dot_of_pairs(weights, slopes.rows[j], pairs_for(count)) : 0;
-            slope[axis * n + j] = sensible ? (real)along * (slopes.unit / scale) : REAL(0.0) * sum;
-        }
+    for (; i < n; i++) {
+        inputs_at(self, signals + i * SIGNAL_COUNT, inputs);
+        take_features(self, evaluate_all(&self->whole, &self->network, m, inputs, levels), Phi + i * stride);
     }
 }
 

@@ -36,9 +36,11 @@ typedef struct {
 bool whole_take_layer(WholeNetwork *self, const Network *network, int32_t inputs, int32_t layer);
 
 #ifdef DMRAC_Q15_FEATURES
-/* Phi [k] at scaled inputs z, and J = dPhi/dx [k - 1, n], as features_evaluate and features_slope give them. J is exact to about
+/* Phi [k] at scaled inputs z, at n signal vectors, and J = dPhi/dx [k - 1, n], as features_evaluate, features_at and
+ * features_slope give them. J is exact to about
  * 1e-3 of its largest number. */
 void q15_evaluate_real(const Features *self, const real *z, real *Phi);
+void q15_features_at(const Features *self, const real *signals, int32_t n, real *Phi, int32_t stride);
 void q15_slope_real(const Features *self, const real *z, const int32_t *inputs, int32_t n, real *J);
 
 /* d(theta'Phi)/dx [3, n], theta [k, 3]. */

@@ -221,7 +221,7 @@ static void look_ahead(Guard *self, Augmentation *augmentations) {
 }
 
 /* Guard.judge */
-void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adapting) {
+void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adapting, bool busy) {
     bool stands;
     self->time_s += (double)dt;
     self->adapting = adapting;
@@ -244,7 +244,10 @@ void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adaptin
             self->proven = true;
             self->losses = 0;
         }
-        look_ahead(self, augmentations);
+        self->waits = busy && self->waits < LOOK_WAITS_MAX ? self->waits + 1 : 0;
+        if (self->waits == 0) {
+            look_ahead(self, augmentations);
+        }
     } else if (self->level == LEVEL_BIAS && may_fly(self, &self->config.watch)) {
         enter(self, LEVEL_MAP);
         say(self, (Fall){.kind = FALL_UP});

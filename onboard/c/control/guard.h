@@ -33,6 +33,9 @@ typedef enum { FALL_MISFIT, FALL_TRIAL, FALL_MODEL_ERROR, FALL_AHEAD, FALL_BEFOR
 
 /* A step back, or up again: for the events, the ground station and the trainer. onboard/c/event_text.py makes numpy's text
  * of it. */
+/* Busy ticks in a row that leave out their part of the check. */
+#define LOOK_WAITS_MAX 3
+
 typedef struct {
     FallKind kind;
     FallReason reason; /* not of FALL_UP */
@@ -75,7 +78,8 @@ typedef struct {
     int32_t swap_count;
     double time_s;
     double next_check_s;
-    bool due[2]; /* channels whose map is still to be checked */
+    int32_t waits; /* ticks in a row that have left out their part of the check */
+    bool due[2];   /* channels whose map is still to be checked */
     bool adapting;
     Preparation work; /* of the version that is being prepared */
 } Guard;
@@ -88,8 +92,9 @@ void guard_init(Guard *self, const GuardConfig *config, const Augmentation *augm
 void guard_step(Guard *self, Augmentation *augmentations, int32_t channel, const ChannelState *state,
                 ChannelTelemetry *telemetry, const ControlInputs *inputs, real nu_ad[3]);
 
-/* Decide, once a tick and after both channels, which law flies from the next tick on. */
-void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adapting);
+/* Decide, once a tick and after both channels, which law flies from the next tick on. A tick that is busy leaves out its part of
+ * the check of what is ahead, up to LOOK_WAITS_MAX in a row. */
+void guard_judge(Guard *self, Augmentation *augmentations, real dt, bool adapting, bool busy);
 
 /* Copy the falls since the last call and forget them; returns their number, at most FALLS_MAX. */
 int32_t guard_take_falls(Guard *self, Fall *falls);

@@ -69,12 +69,9 @@ static void step_network(PosteriorSwap *self, const SwapConfig *config, const Ka
 
 /* PosteriorSwap._evaluate */
 static void evaluate_next(PosteriorSwap *self, int32_t most) {
-    real z[INPUTS_MAX];
-    for (int32_t i = 0; i < most && self->evaluated < self->count; i++) {
-        int32_t at = self->evaluated++;
-        features_select(&self->features, self->states + at * SIGNAL_COUNT, z);
-        features_evaluate(&self->features, z, self->Phi + at * FEATURES_MAX);
-    }
+    int32_t at = self->evaluated, left = self->count - at, n = left < most ? left : most;
+    features_at(&self->features, self->states + at * SIGNAL_COUNT, n, self->Phi + at * FEATURES_MAX, FEATURES_MAX);
+    self->evaluated += n;
 }
 
 /* PosteriorSwap._slopes */
@@ -108,12 +105,7 @@ static void filter_on(PosteriorSwap *self, const KalmanLastLayer *law, int32_t m
         }
         const real *residual = self->residuals + 3 * at;
         memcpy(phi, self->Phi + at * FEATURES_MAX, (size_t)k * sizeof(real));
-        for (int axis = 0; axis < 3; axis++) {
-            nu[axis] = REAL(0.0);
-            for (int32_t j = 0; j < k; j++) {
-                nu[axis] += self->theta[3 * j + axis] * phi[j];
-            }
-        }
+        weighted(self->theta, phi, k, nu);
         recent_map_add(&self->map, nu, residual);
         if (learns && self->used > 0) {
             kalman_state_predict(&self->filter, self->between);

@@ -47,7 +47,7 @@ static void look_ahead(Preparation *self, const Augmentation *laws, VersionTest 
     if (!self->begun) {
         ahead_begin(&test->ahead, test, laws[self->looking].adaptive.signals);
     }
-    self->begun = !ahead_step(&test->ahead, &swap->features, swap->theta, AHEAD_PER_PART);
+    self->begun = !ahead_step(&test->ahead, test, &swap->features, swap->theta, AHEAD_PER_PART);
     if (!self->begun) {
         self->looking = next_of(self->swaps, self->looking + 1);
     }

@@ -8,6 +8,9 @@
 #ifndef DMRAC_DECLARATIONS /* what Python reads (onboard/c/compile.py) has no inline functions */
 
 #define OUTPUT_BITS 15
+#define INPUT_BITS 13
+#define SIZE_MAX_Q 32766
+#define SUM_MAX_Q 64800 /* of the sizes of a row's numbers: with 16-bit inputs no sum exceeds 32 bits */
 
 /* Two numbers of 16 bits in one of 32, so that a processor loads both at once. */
 static inline int32_t pair_of(int32_t low, int32_t high) {
@@ -45,6 +48,38 @@ static inline int32_t dot_of_pairs(const int32_t *a, const int32_t *b, int32_t p
     return sum;
 }
 
+/* Products of a row with three vectors, `apart` from each other. */
+static inline void three_dots_of_pairs(const int32_t *row, const int32_t *x, int32_t apart, int32_t pairs,
+                                       int32_t sums[3]) {
+    int32_t a = 0, b = 0, c = 0;
+    for (; pairs >= 2; pairs -= 2, row += 2, x += 2) {
+        int32_t v = row[0], w = row[1];
+        a += low_of(v) * low_of(x[0]);
+        a += high_of(v) * high_of(x[0]);
+        b += low_of(v) * low_of(x[apart]);
+        b += high_of(v) * high_of(x[apart]);
+        c += low_of(v) * low_of(x[2 * apart]);
+        c += high_of(v) * high_of(x[2 * apart]);
+        a += low_of(w) * low_of(x[1]);
+        a += high_of(w) * high_of(x[1]);
+        b += low_of(w) * low_of(x[apart + 1]);
+        b += high_of(w) * high_of(x[apart + 1]);
+        c += low_of(w) * low_of(x[2 * apart + 1]);
+        c += high_of(w) * high_of(x[2 * apart + 1]);
+    }
+    if (pairs > 0) {
+        a += low_of(row[0]) * low_of(x[0]);
+        a += high_of(row[0]) * high_of(x[0]);
+        b += low_of(row[0]) * low_of(x[apart]);
+        b += high_of(row[0]) * high_of(x[apart]);
+        c += low_of(row[0]) * low_of(x[2 * apart]);
+        c += high_of(row[0]) * high_of(x[2 * apart]);
+    }
+    sums[0] = a;
+    sums[1] = b;
+    sums[2] = c;
+}
+
 static inline int32_t pairs_for(int32_t numbers) {
     return (numbers + 1) / 2;
 }
@@ -65,6 +100,11 @@ typedef struct {
     int32_t pair;       /* in the pairs */
     int32_t inputs;
 } Place;
+
+/* Outputs of a layer, in pairs, of `below` with so many fractional bits; scaled inputs, rounded, in pairs. */
+void q15_evaluate_layer(const WholeNetwork *self, const Place *at, int32_t width, const int32_t *below,
+                        int32_t below_bits, int32_t *above);
+void q15_round_inputs(const Features *self, const real *z, int32_t *pairs);
 
 static inline Place place_of(const Network *network, int32_t inputs, int32_t layer) {
     Place place = {0, 0, 0, inputs};

@@ -39,6 +39,7 @@ typedef struct {
     real coming_now[3];  /* angular acceleration by the actuators, rad/s^2, body FRD */
     real coming_next[3]; /* the same in one tick, under the command that is already sent */
     bool level_only;     /* true without a velocity estimate: hold level, sink slowly, do not control position */
+    bool busy;           /* the caller has no time for what can wait */
     int32_t missed;      /* ticks missed since the last one; the last command was held meanwhile */
     real thrust_n;       /* N, collective thrust delivered now */
     real thrust_scale;   /* thrust of the motors as a multiple of the nominal one */

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "control/laws/products.h"
 #include "numerics/elementary.h"
 #include "protocol/geometry.h"
 
@@ -24,8 +25,8 @@ void version_test_init(VersionTest *self, const VersionTestConfig *config, int32
     }
 }
 
-/* The states on the line ahead. */
-static void path_ahead(const VersionTestConfig *config, const real now[SIGNAL_COUNT], real *states) {
+/* A state on the line ahead. */
+static void state_on_path(const VersionTestConfig *config, const real now[SIGNAL_COUNT], int32_t point, real *state) {
     const real *velocity = now + SIGNAL_VELOCITY_N;
     real speed = vector_length(velocity), forward[3] = {REAL(1.0), REAL(0.0), REAL(0.0)};
     if (speed > REAL(0.0)) {
@@ -34,12 +35,9 @@ static void path_ahead(const VersionTestConfig *config, const real now[SIGNAL_CO
         }
     }
     real length = real_max(speed * config->reach_s, STEP_MIN_M * (real)(PATH_POINTS - 1));
-    for (int point = 0; point < PATH_POINTS; point++) {
-        real *state = states + point * SIGNAL_COUNT;
-        memcpy(state, now, SIGNAL_COUNT * sizeof(real));
-        for (int i = 0; i < 3; i++) {
-            state[SIGNAL_POSITION_N + i] += forward[i] * ((real)point * (length / (real)(PATH_POINTS - 1)));
-        }
+    memcpy(state, now, SIGNAL_COUNT * sizeof(real));
+    for (int i = 0; i < 3; i++) {
+        state[SIGNAL_POSITION_N + i] += forward[i] * ((real)point * (length / (real)(PATH_POINTS - 1)));
     }
 }
 
@@ -62,12 +60,21 @@ static void box_state(const VersionTestConfig *config, const real now[SIGNAL_COU
     }
 }
 
+void ahead_state(const Ahead *self, const VersionTest *test, int32_t index, real state[SIGNAL_COUNT]) {
+    if (index < PATH_POINTS) {
+        state_on_path(&test->config, self->now, index, state);
+    } else {
+        box_state(&test->config, self->now, test->corners + index - PATH_POINTS, state);
+    }
+}
+
 /* Ahead.begin */
 void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]) {
-    path_ahead(&test->config, now, self->states);
-    for (int point = 0; point < BOX_POINTS; point++) {
-        box_state(&test->config, now, test->corners + point, self->states + (PATH_POINTS + point) * SIGNAL_COUNT);
-    }
+    real next[SIGNAL_COUNT], step[3];
+    memcpy(self->now, now, sizeof self->now);
+    ahead_state(self, test, 1, next);
+    vector_subtract(next + SIGNAL_POSITION_N, now + SIGNAL_POSITION_N, step);
+    self->apart = vector_length(step);
     self->seen = 0;
     self->steps[0] = self->steps[1] = self->steps[2] = REAL(0.0);
 }
@@ -79,16 +86,6 @@ void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIG
     self->over = REAL(0.0);
 }
 
-/* nu = theta'Phi */
-static void map_of(const real *theta, const real *Phi, int32_t k, real nu[3]) {
-    vector_zero(nu);
-    for (int32_t i = 0; i < k; i++) {
-        for (int axis = 0; axis < 3; axis++) {
-            nu[axis] += theta[3 * i + axis] * Phi[i];
-        }
-    }
-}
-
 static real largest_of(const real three[3]) {
     return real_largest(real_largest(three[0], three[1]), three[2]);
 }
@@ -96,8 +93,8 @@ static real largest_of(const real three[3]) {
 /* Ahead.steepest */
 bool ahead_steepest(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most) {
     for (int32_t i = 0; i < most && self->sloped < BOX_POINTS; i++, self->sloped++) {
-        const real *state = self->states + (PATH_POINTS + self->sloped) * SIGNAL_COUNT;
-        real shares[3];
+        real state[SIGNAL_COUNT], shares[3];
+        ahead_state(self, test, PATH_POINTS + self->sloped, state);
         if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
             largest_shares(features, theta, &test->slope_limits, state, 1, shares);
             self->over = real_largest(self->over, largest_of(shares));
@@ -123,14 +120,20 @@ static void note_nu(Ahead *self, const real nu[3]) {
 }
 
 /* Ahead.step */
-bool ahead_step(Ahead *self, const Features *features, const real *theta, int32_t most) {
-    for (int32_t i = 0; i < most && self->seen < PATH_POINTS + BOX_POINTS; i++, self->seen++) {
-        const real *state = self->states + self->seen * SIGNAL_COUNT;
-        real z[INPUTS_MAX], Phi[FEATURES_MAX], nu[3];
-        features_select(features, state, z);
-        features_evaluate(features, z, Phi);
-        map_of(theta, Phi, features->feature_count, nu);
-        note_nu(self, nu);
+bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most) {
+    real states[AHEAD_PER_PART * SIGNAL_COUNT], Phi[AHEAD_PER_PART * FEATURES_MAX], nu[3];
+    while (most > 0 && self->seen < PATH_POINTS + BOX_POINTS) {
+        int32_t left = PATH_POINTS + BOX_POINTS - self->seen, n = most < left ? most : left;
+        n = n < AHEAD_PER_PART ? n : AHEAD_PER_PART;
+        for (int32_t i = 0; i < n; i++) {
+            ahead_state(self, test, self->seen + i, states + i * SIGNAL_COUNT);
+        }
+        features_at(features, states, n, Phi, FEATURES_MAX);
+        for (int32_t i = 0; i < n; i++, self->seen++) {
+            weighted(theta, Phi + i * FEATURES_MAX, features->feature_count, nu);
+            note_nu(self, nu);
+        }
+        most -= n;
     }
     return self->seen == PATH_POINTS + BOX_POINTS;
 }
@@ -147,13 +150,10 @@ static real change_to(const Ahead *self, const real nu[3]) {
 /* Ahead.found, but for `over` */
 static void find(const Ahead *self, const SlopeLimits *limits, real *spread, real *along) {
     const real *place_limit = slope_limits_at(limits, SIGNAL_POSITION_N);
-    real step[3];
-    vector_subtract(self->states + SIGNAL_COUNT + SIGNAL_POSITION_N, self->states + SIGNAL_POSITION_N, step);
-    real apart = vector_length(step);
     *spread = real_largest(change_to(self, self->low), change_to(self, self->high));
     *along = REAL(0.0);
     for (int axis = 0; axis < 3; axis++) {
-        *along = real_largest(*along, self->steps[axis] / apart / place_limit[axis]);
+        *along = real_largest(*along, self->steps[axis] / self->apart / place_limit[axis]);
     }
 }
 
@@ -220,20 +220,19 @@ Refusal version_test_verdict(VersionTest *self, const real *theta, int32_t k, co
 Refusal version_test_refusal(VersionTest *self, const Features *features, const real *theta,
                              const real now[SIGNAL_COUNT], const real *recent, const real *residuals, int32_t n) {
     int32_t k = features->feature_count;
-    real z[INPUTS_MAX], Phi[FEATURES_MAX], shares[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+    real Phi[FEATURES_MAX], shares[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
     RecentMap map;
     memset(&map, 0, sizeof map);
     ahead_begin_slopes(&self->ahead, self, now);
     ahead_steepest(&self->ahead, self, features, theta, BOX_POINTS);
-    ahead_step(&self->ahead, features, theta, PATH_POINTS + BOX_POINTS);
+    ahead_step(&self->ahead, self, features, theta, PATH_POINTS + BOX_POINTS);
     if (features->kind == ADAPTIVE_FEATURES_NETWORK) {
         largest_shares(features, theta, &self->slope_limits, recent, n, shares);
     }
     for (int32_t i = 0; i < n; i++) {
         real nu[3];
-        features_select(features, recent + i * SIGNAL_COUNT, z);
-        features_evaluate(features, z, Phi);
-        map_of(theta, Phi, k, nu);
+        features_at(features, recent + i * SIGNAL_COUNT, 1, Phi, 0);
+        weighted(theta, Phi, k, nu);
         recent_map_add(&map, nu, residuals + 3 * i);
     }
     return version_test_verdict(self, theta, k, &map, largest_of(shares));
@@ -244,7 +243,7 @@ bool version_test_look(VersionTest *self, const Features *features, const real *
     if (!self->looks) {
         ahead_begin(&self->look, self, now);
     }
-    self->looks = !ahead_step(&self->look, features, theta, CHECKED_PER_PART);
+    self->looks = !ahead_step(&self->look, self, features, theta, CHECKED_PER_PART);
     if (self->looks) {
         return false;
     }

@@ -26,10 +26,11 @@ typedef struct {
 
 /* A map on the path and the box ahead, in parts. */
 typedef struct {
-    real states[(PATH_POINTS + BOX_POINTS) * SIGNAL_COUNT]; /* on the line ahead, from here on, then in the box */
-    real here[3];                                           /* nu at the first state */
-    real last[3];                                           /* and at the last one seen */
-    real low[3];                                            /* the least and the largest of each axis */
+    real now[SIGNAL_COUNT]; /* where it begins: the states are on the line ahead from here on, then in the box */
+    real apart;             /* two states on the line, m */
+    real here[3];           /* nu at the first state */
+    real last[3];           /* and at the last one seen */
+    real low[3];            /* the least and the largest of each axis */
     real high[3];
     real steps[3]; /* the largest change from one state of the path to the next */
     int32_t seen;
@@ -55,6 +56,9 @@ void version_test_init(VersionTest *self, const VersionTestConfig *config, int32
 /* Start at the present state. What `ahead_steepest` has found stays. */
 void ahead_begin(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
 
+/* State `index` of those ahead: of the line, then of the box. */
+void ahead_state(const Ahead *self, const VersionTest *test, int32_t index, real state[SIGNAL_COUNT]);
+
 /* Start with the slopes in the box of the present state. */
 void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIGNAL_COUNT]);
 
@@ -62,7 +66,7 @@ void ahead_begin_slopes(Ahead *self, const VersionTest *test, const real now[SIG
 bool ahead_steepest(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most);
 
 /* The map at so many states; whether all have been seen. */
-bool ahead_step(Ahead *self, const Features *features, const real *theta, int32_t most);
+bool ahead_step(Ahead *self, const VersionTest *test, const Features *features, const real *theta, int32_t most);
 
 /* Add a recent state, with nu there and the residual measured. */
 void recent_map_add(RecentMap *self, const real nu[3], const real residual[3]);

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "numerics/block.h"
 #include "numerics/elementary.h"
 #include "numerics/small_matrix.h"
 #include "protocol/geometry.h"
@@ -62,33 +63,37 @@ static void move_by(ErrorStateFilter *self, real dt, const real accelerometer[3]
     self->collected_dv[2] -= GRAVITY * dt;
 }
 
-/* row[i] += sum_j M[i][j] other[j], with elements `step` apart: one line of a product with a block of the transition */
-static void add_block(const real M[9], real *P, int to, int from, int line, int element) {
+/* row[i] += sum_j M[i][j] other[j], with elements `step` apart: one line of a product with a block of the transition; of a
+ * triangle only from the diagonal on */
+static void add_block(const real M[9], real *P, int to, int from, int line, int element, bool triangle) {
     for (int i = 0; i < 3; i++) {
+        int first = triangle ? to + i : 0;
         real *target = P + (to + i) * line;
         for (int j = 0; j < 3; j++) {
             const real *source = P + (from + j) * line;
             real m = M[3 * i + j];
-            for (int k = 0; m != REAL(0.0) && k < N; k++) {
+            for (int k = m != REAL(0.0) ? first : N; k < N; k++) {
                 target[k * element] += m * source[k * element];
             }
         }
     }
 }
 
-/* P <- Phi P, or P <- P Phi^T with lines and elements exchanged. The order leaves what is still needed as it was. */
+/* P <- Phi P, or the lower triangle of P <- P Phi^T with lines and elements exchanged. The order leaves what is still needed as
+ * it was. */
 static void multiply_transition(const real A[9], const real B[9], const real dt_I[9], real *P, int line, int element) {
-    add_block(dt_I, P, POSITION, VELOCITY, line, element);
-    add_block(A, P, VELOCITY, ATTITUDE, line, element);
-    add_block(B, P, VELOCITY, ACCELEROMETER_BIAS, line, element);
-    add_block(B, P, ATTITUDE, GYRO_BIAS, line, element);
+    bool triangle = line < element;
+    add_block(dt_I, P, POSITION, VELOCITY, line, element, triangle);
+    add_block(A, P, VELOCITY, ATTITUDE, line, element, triangle);
+    add_block(B, P, VELOCITY, ACCELEROMETER_BIAS, line, element, triangle);
+    add_block(B, P, ATTITUDE, GYRO_BIAS, line, element, triangle);
 }
 
-/* Corrections leave an antisymmetric part of P as it is, and Phi lets what rounding adds grow with t^6. */
+/* The upper triangle is that below: an antisymmetric part would stay, and Phi lets it grow with t^6. */
 static void make_symmetric(real P[N * N]) {
     for (int i = 1; i < N; i++) {
         for (int j = 0; j < i; j++) {
-            P[i * N + j] = P[j * N + i] = REAL(0.5) * (P[i * N + j] + P[j * N + i]);
+            P[j * N + i] = P[i * N + j];
         }
     }
 }
@@ -170,8 +175,12 @@ static real correct_by(ErrorStateFilter *self, const real PHt[N], real S, real i
 /* ErrorStateFilter.correct_scalar: S = h P h^T + variance */
 real filter_correct_scalar(ErrorStateFilter *self, const real h[N], real innovation, real variance, real gate) {
     real PHt[N];
-    for (int i = 0; i < N; i++) {
-        PHt[i] = dot(self->P + i * N, h, N);
+    memset(PHt, 0, sizeof PHt);
+    for (int j = 0; j < N; j++) {
+        bool counts = h[j] != REAL(0.0);
+        for (int i = 0; counts && i < N; i++) {
+            PHt[i] += self->P[i * N + j] * h[j];
+        }
     }
     return correct_by(self, PHt, dot(PHt, h, N) + variance, innovation, gate);
 }
@@ -183,6 +192,28 @@ real filter_correct_component(ErrorStateFilter *self, int32_t index, real innova
         PHt[i] = self->P[i * N + index];
     }
     return correct_by(self, PHt, PHt[index] + variance, innovation, gate);
+}
+
+/* P <- P - L L', L [15, 3]; with -DDMRAC_WHOLE_COVARIANCE the products are of whole numbers. */
+static void subtract_square(real P[N * N], const real L[N * 3]) {
+#ifdef DMRAC_WHOLE_COVARIANCE
+    int32_t whole[N * 3];
+    real units[N];
+    for (int i = 0; i < N; i++) {
+        units[i] = block_of(L + 3 * i, 3, 1, whole + 3 * i);
+    }
+#endif
+    for (int i = 0; i < N; i++) {
+        for (int j = 0; j <= i; j++) {
+#ifdef DMRAC_WHOLE_COVARIANCE
+            real change = block_product(whole + 3 * i, units[i], whole + 3 * j, units[j]);
+#else
+            const real *a = L + 3 * i, *b = L + 3 * j;
+            real change = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+#endif
+            P[i * N + j] = P[j * N + i] = P[i * N + j] - change;
+        }
+    }
 }
 
 /* ErrorStateFilter._correct_three: three measurements at once, innovation y, by the Cholesky factor G of S. PHt [15, 3];
@@ -213,14 +244,7 @@ static real correct_three(ErrorStateFilter *self, const real PHt[N * 3], const r
         L[3 * i + 2] = row[0] * i31 + row[1] * i32 + row[2] * (REAL(1.0) / g33);
         error[i] = L[3 * i] * w1 + L[3 * i + 1] * w2 + L[3 * i + 2] * w3;
     }
-    for (int i = 0; i < N; i++) {
-        const real *a = L + 3 * i;
-        for (int j = 0; j <= i; j++) {
-            const real *b = L + 3 * j;
-            real change = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-            self->P[i * N + j] = self->P[j * N + i] = self->P[i * N + j] - change;
-        }
-    }
+    subtract_square(self->P, L);
     apply(self, error);
     return score;
 }

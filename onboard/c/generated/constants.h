@@ -40,7 +40,7 @@
 #define OVERSHOOT REAL(1.28) /* onboard.control.tracking_bound */
 #define STATES_PER_PART 5 /* onboard.control.posterior_swap */
 #define SLOPES_PER_PART 1 /* onboard.control.posterior_swap */
-#define UPDATES_PER_PART 4 /* onboard.control.posterior_swap */
+#define UPDATES_PER_PART 3 /* onboard.control.posterior_swap */
 #define SLOPE_STRIDE 4 /* onboard.control.posterior_swap */
 #define FOLLOWED_MAX 64 /* onboard.control.posterior_swap */
 #define BOX_SLOPES_PER_PART 1 /* onboard.control.version_test */

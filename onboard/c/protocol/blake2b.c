@@ -16,16 +16,21 @@ static uint64_t turned_right(uint64_t word, int bits) {
     return word >> bits | word << (64 - bits);
 }
 
-/* RFC 7693, 3.1: G, on the words a, b, c and d of v */
-static void mix(uint64_t v[16], int a, int b, int c, int d, uint64_t x, uint64_t y) {
-    v[a] += v[b] + x;
-    v[d] = turned_right(v[d] ^ v[a], 32);
-    v[c] += v[d];
-    v[b] = turned_right(v[b] ^ v[c], 24);
-    v[a] += v[b] + y;
-    v[d] = turned_right(v[d] ^ v[a], 16);
-    v[c] += v[d];
-    v[b] = turned_right(v[b] ^ v[c], 63);
+/* RFC 7693, 3.1: G, on the words at i, j, k and l of v */
+static void mix(uint64_t v[16], int i, int j, int k, int l, uint64_t x, uint64_t y) {
+    uint64_t a = v[i], b = v[j], c = v[k], d = v[l];
+    a += b + x;
+    d = turned_right(d ^ a, 32);
+    c += d;
+    b = turned_right(b ^ c, 24);
+    a += b + y;
+    d = turned_right(d ^ a, 16);
+    c += d;
+    b = turned_right(b ^ c, 63);
+    v[i] = a;
+    v[j] = b;
+    v[k] = c;
+    v[l] = d;
 }
 
 /* One round with the schedule `s`: columns, then diagonals */

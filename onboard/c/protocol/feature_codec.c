@@ -37,8 +37,9 @@ static real read_f16(const uint8_t *bytes) {
         return sign ? -value : value;
     }
     uint32_t single = sign << 31 | (exponent == 31 ? 255 : exponent + 112) << 23 | fraction << 13;
-    const uint8_t wide[4] = {0, (uint8_t)(single >> 8 & 255), (uint8_t)(single >> 16 & 255), (uint8_t)(single >> 24)};
-    return (real)read_f32(wide);
+    float value;
+    memcpy(&value, &single, sizeof value);
+    return (real)value;
 }
 
 static real read_float(const uint8_t *bytes, size_t index, uint64_t float_size) {
@@ -190,8 +191,8 @@ static Refusal unpack_channel(MsgpackReader *reader, uint64_t float_size, bool *
         fields.scale.number != vector_bytes) {
         return REFUSAL_UNDECODABLE;
     }
-    if (!all_finite(&fields.parameters, float_size) || !all_finite(&fields.offset, 4) ||
-        !all_finite(&fields.scale, 4)) {
+    if (out == NULL && (!all_finite(&fields.parameters, float_size) || !all_finite(&fields.offset, 4) ||
+                        !all_finite(&fields.scale, 4))) {
         return REFUSAL_NOT_FINITE;
     }
     if (!read_scales(&fields, &shape.selection) || twice) {

@@ -114,7 +114,7 @@ class Pair:
             nu = self._step_channel(side, state, demand * SIZES[side], thrust_n)
             world.move(side, dt, nu, state.residual)
         self.theirs.judge(dt, adapt)
-        self.core.guard_judge(self.ours, self.c_laws[0], dt, adapt)
+        self.core.guard_judge(self.ours, self.c_laws[0], dt, adapt, False)
         self.same_state()
 
     def _step_channel(self, side: int, state: ChannelState, demand: float, thrust_n: float) -> Any:

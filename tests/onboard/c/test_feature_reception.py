@@ -14,12 +14,15 @@ from onboard.control.feature_reception import FeatureReception
 from onboard.control.laws.adaptive import AdaptiveAugmentation
 from protocol.feature_codec import encode_feature_set
 from protocol.feature_set import FeatureSet
+from protocol.messages import REFUSALS
 from protocol.transfer import split
 from tests.onboard.c.guarded_pair import SIZES, smooth_channel
 from tests.onboard.c.parity import SETTINGS, configured, filled
 from tests.onboard.c.test_transfer import broken, c_chunk
 from tests.onboard.control.fixture import AIRFRAME, DT, shipped_controller
 
+ALL, NONE = 0, 2
+"""Of SpareTime."""
 FREE = {"swaps_per_s_max": 1e3, "jumps_max": 1e3, "test": {"enabled": False}}
 
 
@@ -58,7 +61,7 @@ class Both:
         for side, watch in self.controller.guard._watches.items():
             watch._worse_s = self.cascade.guard.watches[side].worse_s = 1.0
         self.controller.guard.judge(DT, adapting)
-        self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting)
+        self.core.guard_judge(self.cascade.guard, self.cascade.augmentations[0], DT, adapting, False)
 
     def swap(self, ticks: int = 100) -> list[str]:
         """The events of both in so many ticks, by default enough to prepare a version to the end."""
@@ -68,7 +71,7 @@ class Both:
         self.now_ns += 5_000_000
         events, warnings = self.theirs.swap(self.controller, self.now_ns)
         outcome = self.core.VersionOutcome()
-        self.core.reception_swap(self.ours, self.cascade, self.now_ns, outcome)
+        self.core.reception_swap(self.ours, self.cascade, self.now_ns, ALL, outcome)
         texts = [version_text(outcome)] if outcome.offered else []
         texts += [fall_text(one) for one in outcome.falls[: outcome.fall_count]]
         assert [(self.now_ns, text) for text in texts] == [*events, *warnings]
@@ -104,6 +107,42 @@ def version(number: int, seed: int, size: float = 0.05) -> FeatureSet:
     """A small version for both channels; the content depends on the seed."""
     position, attitude = (smooth_channel(side, seed, size * SIZES[side]) for side in (0, 1))
     return FeatureSet(number, 0, 5, position, attitude)
+
+
+@pytest.mark.parametrize(("spare", "factor"), [(0, 1), (1, 2)])
+def test_a_tick_with_little_time_leaves_out_its_part_but_never_two_in_a_row(
+    core: Core, spare: int, factor: int
+) -> None:
+    both, outcome, ticks = Both(core), core.VersionOutcome(), 0
+    both.send(version(1, 3))
+    alone, last = Both(core), 0
+    alone.send(version(1, 3))
+    while not alone.tick():
+        last += 1
+    while not outcome.offered:
+        core.reception_swap(both.ours, both.cascade, 5_000_000, spare, outcome)
+        ticks += 1
+    assert ticks == factor * (last + 1)
+    assert outcome.refusal == 0
+
+
+def test_without_time_a_version_is_refused(core: Core) -> None:
+    """The one that is being prepared, and then the one that waits."""
+    both, outcome = Both(core), core.VersionOutcome()
+    both.send(version(1, 3))
+    both.swap(2)
+    both.send(version(2, 4))
+    refused = []
+    for _ in range(4):
+        core.reception_swap(both.ours, both.cascade, 5_000_000, NONE, outcome)
+        refused += [(outcome.version, REFUSALS[outcome.refusal])] if outcome.offered else []
+    assert refused == [(1, "not_accepting"), (2, "not_accepting")]
+    assert both.ours.version == 0
+    both.theirs, theirs = FeatureReception(), core.FeatureReception()
+    both.ours = theirs
+    core.reception_init(both.ours)
+    both.send(version(3, 5))
+    assert "features 3 in use, parent 0, 5 samples" in both.swap(400)
 
 
 WHAT = st.sampled_from(["", "", "", "name", "version", "high", "digest"])

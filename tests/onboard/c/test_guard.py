@@ -206,6 +206,21 @@ def test_a_cliff_that_comes_into_reach(core: Core, law: str) -> None:
     assert pair.texts == ["guard: steep or high ahead in position: version 1 taken back, version 0 flies"]
 
 
+def test_a_busy_tick_leaves_out_its_part_of_the_check_but_never_four_in_a_row(core: Core) -> None:
+    floors = {"misfit_floor": (90.0, 900.0)}
+    pair = Pair(core, "gradient", {"watch": {**floors, "error_floor": (90.0, 900.0)}, "test": floors})
+    fly(pair, 60)
+    assert Trainer(pair).offer("true") == ""
+    fly(pair, 100)
+    seen = []
+    for _ in range(40):
+        core.guard_judge(pair.ours, pair.c_laws[0], 0.005, True, True)
+        seen.append(tuple(test.look.seen for test in pair.ours.tests))
+    moved = [index for index in range(1, 40) if seen[index] != seen[index - 1]]
+    assert np.diff(moved).tolist() == [4] * (len(moved) - 1)
+    assert len(moved) > 7
+
+
 @pytest.mark.parametrize("law", FEATURED)
 def test_a_version_that_loses_when_the_next_one_comes(core: Core, law: str) -> None:
     quiet = {"misfit_floor": (90.0, 900.0), "error_floor": (90.0, 900.0), "disagreement": (0.01, 0.01), "trial_s": 30.0}
@@ -277,7 +292,7 @@ def test_swaps_and_falls_stay_within_their_limits(core: Core) -> None:
     for _ in range(12):
         pair.ours.level = 0
         pair.ours.config.watch.enabled, pair.ours.watches[0].worse_s = True, 9.0
-        core.guard_judge(pair.ours, pair.c_laws[0], 0.005, True)
+        core.guard_judge(pair.ours, pair.c_laws[0], 0.005, True, False)
     falls = (core.Fall * 8)()
     assert (core.guard_take_falls(pair.ours, falls[0]), pair.ours.falls_lost) == (8, 4)
 

@@ -301,7 +301,7 @@ def test_fade_and_variances(core: Core) -> None:
 # --- very many steps in float ---
 
 LONG = Path(__file__).with_name("long_run.c")
-LAW_FILES = ("kalman_state", "kalman_last_layer", "last_layer", "forecast_skill", "path_gap")
+LAW_FILES = ("kalman_state", "kalman_last_layer", "last_layer", "products", "forecast_skill", "path_gap")
 EVERY = 9970
 
 

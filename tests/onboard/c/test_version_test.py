@@ -14,7 +14,7 @@ from onboard.control.version_test import VersionTest, VersionTestConfig, ahead
 from protocol.messages import REFUSALS
 from protocol.signals import SIGNAL_COUNT, SIGNAL_INDEX
 from tests.onboard.c.channels import c_network_features, channel, signals
-from tests.onboard.c.parity import SETTINGS, array, configured, same, view
+from tests.onboard.c.parity import SETTINGS, array, call, configured, same
 from tests.onboard.c.test_laws import GAINS
 from tests.onboard.control.fixture import shipped_controller
 from tests.onboard.control.guard_rig import version
@@ -71,8 +71,9 @@ class Both:
         for own, other in zip(numbers, self.theirs.found, strict=True):
             same(own, other, rtol=RTOL, scale=1e-2)
         path, box = ahead(self.theirs._config, np.asarray(now))
-        states = view((looked or self.ours.ahead).states).reshape(-1, SIGNAL_COUNT)
-        same(states, np.hstack([path, box]).T, scale=1.0)
+        for index, state in enumerate(np.hstack([path, box]).T):
+            own = call(self.core, "ahead_state", looked or self.ours.ahead, self.ours, index, out=SIGNAL_COUNT)
+            same(own, state, scale=1.0)
 
 
 @SETTINGS

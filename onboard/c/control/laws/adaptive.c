@@ -85,12 +85,7 @@ static void report(Adaptive *self, const real nu[3], const real nu_cmd[3], real 
 
 /* Phi [2, k] at the signals of the last tick; of a law that reads its map on the path [3, k]. */
 static void features_of_tick(const Adaptive *self, real *Phi) {
-    int states = adaptive_reads_path(self) ? 3 : 2;
-    for (int i = 0; i < states; i++) {
-        real z[INPUTS_MAX];
-        features_select(&self->features, self->signals + i * SIGNAL_COUNT, z);
-        features_evaluate(&self->features, z, Phi + i * self->features.feature_count);
-    }
+    features_at(&self->features, self->signals, adaptive_reads_path(self) ? 3 : 2, Phi, self->features.feature_count);
 }
 
 /* LastLayer.estimate or KalmanLastLayer.estimate: nu and nu_cmd */

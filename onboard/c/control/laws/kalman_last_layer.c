@@ -43,6 +43,7 @@ static void start(KalmanLastLayer *self, const real *theta, int32_t feature_coun
     self->feature_count = feature_count;
     memcpy(self->theta, theta, (size_t)count * sizeof(real));
     self->theta_norm2 = dot(theta, theta, count);
+    factors_take(self->columns, theta, feature_count);
     self->X_norm2 = REAL(0.0);
     gap_close(&self->gap, NULL);
     skill_restart(&self->skill);
@@ -58,9 +59,13 @@ void kalman_layer_W(const KalmanLastLayer *self, real *W) {
 
 /* KalmanLastLayer.weight_norm: norm(theta + X)^2 without the row of b */
 real kalman_layer_weight_norm(const KalmanLastLayer *self) {
-    int count = 3 * self->feature_count;
-    real cross = REAL(2.0) * dot(self->theta, self->state.X, count);
-    real bias2 = vector_squared_length(self->state.X + count);
+    int k = self->feature_count;
+    real cross = REAL(0.0), bias2 = vector_squared_length(self->state.X + 3 * k);
+    Factor X[3];
+    factors_take(X, self->state.X, k);
+    for (int axis = 0; axis < 3; axis++) {
+        cross += REAL(2.0) * factor_dot(self->columns + axis, X + axis, k);
+    }
     return real_sqrt(real_max(self->theta_norm2 + cross + self->X_norm2 - bias2, REAL(0.0)));
 }
 
@@ -70,7 +75,13 @@ real kalman_layer_residual_variance(const KalmanLastLayer *self, real dt) {
 }
 
 static real squares_of_X(const KalmanLastLayer *self) {
-    return dot(self->state.X, self->state.X, 3 * self->state.size);
+    Factor X[3];
+    real sum = REAL(0.0);
+    factors_take(X, self->state.X, self->state.size);
+    for (int axis = 0; axis < 3; axis++) {
+        sum += factor_dot(X + axis, X + axis, self->state.size);
+    }
+    return sum;
 }
 
 /* KalmanLastLayer._keep_in_ball: what rounding leaves outside is scaled */
@@ -129,22 +140,16 @@ static real confidence(const KalmanState *state, const real *Phi, int32_t stride
     return REAL(1.0) - unknown / prior;
 }
 
-/* out = W'Phi of one column; the numbers of Phi are `stride` apart */
-static void weighted(const real *W, const real *Phi, int32_t k, int32_t stride, real out[3]) {
-    vector_zero(out);
-    for (int i = 0; i < k; i++) {
-        for (int axis = 0; axis < 3; axis++) {
-            out[axis] += W[3 * i + axis] * Phi[i * stride];
-        }
-    }
-}
-
-/* nu of evaluate, of one column: theta'Phi + a X'Phi + b */
+/* nu of evaluate, of one column: theta'Phi + a X'Phi + b; the numbers of Phi are `stride` apart */
 static void nu_of(const real *theta, const KalmanState *state, const real *Phi, int32_t stride, real a, real nu[3]) {
     int k = state->size - 1;
     real of_X[3];
-    weighted(theta, Phi, k, stride, nu);
-    weighted(state->X, Phi, k, stride, of_X);
+    Factor columns[3], of_Phi;
+    factor_take(&of_Phi, Phi, k, stride);
+    factors_take(columns, theta, k);
+    factors_times(columns, &of_Phi, k, nu);
+    factors_take(columns, state->X, k);
+    factors_times(columns, &of_Phi, k, of_X);
     for (int axis = 0; axis < 3; axis++) {
         nu[axis] = nu[axis] + a * of_X[axis] + state->X[3 * k + axis];
     }
@@ -219,14 +224,18 @@ void project(real *X, const real *S, int32_t n, real radius, real *work) {
 
 /* What a step knows of one column. */
 typedef struct {
+    Factor Phi;
     real g[STATES_MAX]; /* S [Phi; 0] */
-    real form;          /* Phi'S Phi */
+    Factor of_g;
+    real form; /* Phi'S Phi */
 } Along;
 
 static void look_along(const KalmanLastLayer *self, const real *Phi, Along *out) {
     int k = self->feature_count;
+    factor_take(&out->Phi, Phi, k, 1);
     kalman_state_product(&self->state, Phi, k, REAL(1.0), out->g);
-    out->form = dot(Phi, out->g, k);
+    factor_take(&out->of_g, out->g, k, 1);
+    out->form = factor_dot(&out->Phi, &out->of_g, k);
 }
 
 /* KalmanLastLayer._tracking: factor of e'PB in the innovation, implicit in the effect of the tracking term on e_2 one tick
@@ -237,12 +246,10 @@ static real tracking(const KalmanLastLayer *self, real share, real dt) {
 }
 
 /* a after the correction, from forms before it: `of_here` and `of_ahead` are what it changed along each column */
-static real faded(const KalmanLastLayer *self, const real *Phi, const Along *h, const Along *a, real of_here,
-                  real of_ahead, real v) {
+static real faded(const KalmanLastLayer *self, const Along *h, const Along *a, real of_here, real of_ahead, real v) {
     int k = self->feature_count;
-    const real *Phi_ahead = Phi + k;
-    real prior_here = self->prior_variance * dot(Phi, Phi, k);
-    real prior_ahead = self->prior_variance * dot(Phi_ahead, Phi_ahead, k);
+    real prior_here = self->prior_variance * factor_dot(&h->Phi, &h->Phi, k);
+    real prior_ahead = self->prior_variance * factor_dot(&a->Phi, &a->Phi, k);
     return fade(REAL(1.0) - (h->form - of_here * of_here * v) / prior_here,
                 REAL(1.0) - (a->form - of_ahead * of_ahead * v) / prior_ahead);
 }
@@ -274,31 +281,41 @@ static bool correct(KalmanLastLayer *self, const Along *here, const real *S_bias
     return true;
 }
 
+/* W'Phi = theta'Phi + X'Phi */
+static void map_of(const KalmanLastLayer *self, const Factor X[3], const Factor *Phi, real out[3]) {
+    real of_X[3];
+    factors_times(self->columns, Phi, self->feature_count, out);
+    factors_times(X, Phi, self->feature_count, of_X);
+    vector_add(out, of_X, out);
+}
+
 /* KalmanLastLayer.step */
 void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], const real residual[3], real dt,
                        real nu[3], real nu_cmd[3]) {
     KalmanState *state = &self->state;
     int k = self->feature_count;
-    const real *Phi_ahead = Phi + k, *Phi_path = Phi + 2 * k;
     real lambda = self->config.composite_gain;
     if (lambda == REAL(0.0)) {
         kalman_layer_estimate(self, Phi, nu, nu_cmd);
         return;
     }
     Along h, a; /* here, ahead */
-    real W[FEATURES_MAX * 3], map_here[3], on_path[3], theta_ahead[3], map_ahead[3], S_bias[STATES_MAX];
+    Factor path, of_bias_column, X[3];
+    real map_here[3], on_path[3], theta_ahead[3], map_ahead[3], S_bias[STATES_MAX];
     kalman_state_predict(state, dt);
     look_along(self, Phi, &h);
-    look_along(self, Phi_ahead, &a);
-    kalman_layer_W(self, W);
-    weighted(W, Phi, k, 1, map_here);
-    weighted(W, Phi_path, k, 1, on_path);
-    weighted(self->theta, Phi_ahead, k, 1, theta_ahead);
-    weighted(state->X, Phi_ahead, k, 1, map_ahead);
+    look_along(self, Phi + k, &a);
+    factor_take(&path, Phi + 2 * k, k, 1);
+    factors_take(X, state->X, k);
+    map_of(self, X, &h.Phi, map_here);
+    map_of(self, X, &path, on_path);
+    factors_times(self->columns, &a.Phi, k, theta_ahead);
+    factors_times(X, &a.Phi, k, map_ahead);
     /* Quadratic forms of S along the bias (b), here (h), ahead (a) and on the path now (p). */
-    real bh = h.g[k], ah = dot(Phi_ahead, h.g, k), ph = dot(Phi_path, h.g, k), ba = a.g[k];
+    real bh = h.g[k], ah = factor_dot(&a.Phi, &h.of_g, k), ph = factor_dot(&path, &h.of_g, k), ba = a.g[k];
     kalman_state_column(state, k, S_bias);
-    real bp = dot(S_bias, Phi_path, k), bb = S_bias[k];
+    factor_take(&of_bias_column, S_bias, k, 1);
+    real bp = factor_dot(&of_bias_column, &path, k), bb = S_bias[k];
     real s = h.form + REAL(2.0) * bh + bb;
     real v = real_max(self->noise_variance, s / (lambda * dt)) + s;
     real d[3], b[3], deviation[3], t = tracking(self, s / v, dt);
@@ -324,7 +341,7 @@ void kalman_layer_step(KalmanLastLayer *self, const real *Phi, const real e[6], 
     vector_subtract(map_here, on_path, deviation);
     real keep = REAL(1.0) - self->config.fast_bias_rate * dt * (bh + bb) / s;
     gap_step(&self->gap, &self->PB, deviation, s / v, keep, t, dt);
-    real share = self->config.confidence ? faded(self, Phi, &h, &a, of_here, of_ahead, v) : REAL(1.0);
+    real share = self->config.confidence ? faded(self, &h, &a, of_here, of_ahead, v) : REAL(1.0);
     for (int axis = 0; axis < 3; axis++) {
         map_ahead[axis] = theta_ahead[axis] + share * (map_ahead[axis] + of_ahead * d[axis]);
     }

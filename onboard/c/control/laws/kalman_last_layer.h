@@ -25,6 +25,7 @@ typedef struct {
     int32_t feature_count;        /* k */
     real theta[FEATURES_MAX * 3]; /* [k, 3], the trained last layer */
     real theta_norm2;
+    Factor columns[3]; /* of theta */
     KalmanState state; /* n = k + 1, the bias last */
     real X_norm2;
     PathGap gap;

@@ -252,7 +252,8 @@ void kalman_state_predict(KalmanState *self, real dt) {
     }
     for (int32_t i = 0; i < self->size; i++) {
         real d = self->keep[i];
-        for (int axis = 0; d != REAL(1.0) && axis < 3; axis++) {
+        bool reverts = d != REAL(1.0);
+        for (int axis = 0; reverts && axis < 3; axis++) {
             self->X[3 * i + axis] *= d;
         }
         predict_row(self, i);
@@ -272,12 +273,7 @@ void kalman_state_copy(KalmanState *self, const KalmanState *from) {
 /* KalmanState.along */
 void kalman_state_along(const KalmanState *self, const real *column, int32_t count, real *g, real x[3]) {
     kalman_state_product(self, column, count, REAL(1.0), g);
-    x[0] = x[1] = x[2] = REAL(0.0);
-    for (int i = 0; i < count; i++) {
-        for (int axis = 0; axis < 3; axis++) {
-            x[axis] += self->X[3 * i + axis] * column[i];
-        }
-    }
+    weighted(self->X, column, count, x);
 }
 
 /* KalmanState.correct */

@@ -9,15 +9,12 @@
  *
  * With -DDMRAC_WHOLE_COVARIANCE S is in whole numbers of 32 bits, for processors without floating-point unit: S_ij over
  * sqrt(S0_ii S0_jj), which is at most 1, with 30 fractional bits. Sums are 64 bits wide. A step rounds each number by 1e-9; a
- * prediction adds (1 - d_i^2) to the diagonal, 2.5e-4 of `dmrac`. X and nu stay in `real`. The library on the Mambo is built
- * so (mambo/build.py). */
+ * prediction adds (1 - d_i^2) to the diagonal, 2.5e-4 of `dmrac`. X and nu stay in `real`; their products with
+ * the features are of whole numbers too (products.h). The library on the Mambo is built so (mambo/build.py). */
 #ifndef DMRAC_KALMAN_STATE_H
 #define DMRAC_KALMAN_STATE_H
 
-#include "control/features.h"
-
-/* The features and the fast bias. */
-#define STATES_MAX (FEATURES_MAX + 1)
+#include "control/laws/products.h"
 
 /* A number of S. */
 #ifdef DMRAC_WHOLE_COVARIANCE

@@ -83,17 +83,22 @@ void slope_bound_step(SlopeBound *self, const Features *features, const real sig
 /* slopes [3, n] = (theta + X)'J units; of which axes their norm is above 1. Returns whether there is one. */
 static bool slopes_of(const KalmanState *state, const real *theta, const real *J, const real *units, int32_t n,
                       real *slopes, bool steep[3]) {
+    real W[FEATURES_MAX * 3];
+    Factor weights[3], column;
+    int32_t rows = state->size - 2; /* without the constant and the bias */
     bool any = false;
-    for (int axis = 0; axis < 3; axis++) {
-        real *row = slopes + axis * n;
-        for (int j = 0; j < n; j++) {
-            real sum = REAL(0.0);
-            for (int i = 0; i < state->size - 2; i++) {
-                sum += (theta[3 * i + axis] + state->X[3 * i + axis]) * J[i * n + j];
-            }
-            row[j] = sum * units[axis * n + j];
+    for (int i = 0; i < 3 * rows; i++) {
+        W[i] = theta[i] + state->X[i];
+    }
+    factors_take(weights, W, rows);
+    for (int j = 0; j < n; j++) {
+        factor_take(&column, J + j, rows, n);
+        for (int axis = 0; axis < 3; axis++) {
+            slopes[axis * n + j] = factor_dot(weights + axis, &column, rows) * units[axis * n + j];
         }
-        steep[axis] = dot(row, row, n) > REAL(1.0);
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        steep[axis] = dot(slopes + axis * n, slopes + axis * n, n) > REAL(1.0);
         any = any || steep[axis];
     }
     return any;
@@ -101,7 +106,7 @@ static bool slopes_of(const KalmanState *state, const real *theta, const real *J
 
 /* S J and J'S J. */
 static void look_along(const KalmanState *state, int32_t n, SlopeWorkspace *work) {
-    int size = state->size, rows = size - 2; /* without the constant and the bias */
+    int size = state->size, rows = size - 2;
     for (int j = 0; j < n; j++) {
         real column[STATES_MAX], g[STATES_MAX], most = REAL(1.0);
         for (int m = 0; m < rows; m++) {
@@ -113,13 +118,12 @@ static void look_along(const KalmanState *state, int32_t n, SlopeWorkspace *work
             work->along[i * n + j] = g[i];
         }
     }
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j <= i; j++) {
-            real sum = REAL(0.0);
-            for (int m = 0; m < rows; m++) {
-                sum += work->J[m * n + i] * work->along[m * n + j];
-            }
-            work->among[i * n + j] = work->among[j * n + i] = sum;
+    for (int j = 0; j < n; j++) {
+        Factor along, column;
+        factor_take(&along, work->along + j, rows, n);
+        for (int i = j; i < n; i++) {
+            factor_take(&column, work->J + i, rows, n);
+            work->among[i * n + j] = work->among[j * n + i] = factor_dot(&column, &along, rows);
         }
     }
 }
