@@ -58,11 +58,12 @@ def test_features_are_refused_with_the_reason(controller, sent, reason):
 
 
 def test_features_that_jump_too_far_are_refused_in_flight():
-    """nu is continuous at the present state, so the path has to lead somewhere else."""
+    """nu is continuous at the present state, so the path has to lead somewhere else, and what is there to be flown."""
     loop = in_flight("dmrac")
     position = loop.core.controller.augmentations[0]
     position._config = position._config.model_copy(update={"swap": SwapConfig(jump_max=1e-6)})
     position._signals = position._signals + np.array([0.0, 0.5, 0.0])
+    position.last_layer._skill.shares = [1.0, 1.0, 1.0]
     position.step = lambda channel, telemetry: np.zeros(3)  # the next tick would see hover again
     loop.peer.sender.offer(features(last_layer=1.0), loop.now_ns)
     loop.fly(1.2)
