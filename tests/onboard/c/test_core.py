@@ -49,7 +49,7 @@ def brief(name: str) -> Any:
 @pytest.mark.parametrize("controller", [brief(name) for name in CONTROLLERS])
 def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None:
     learns = controller in ("dmrac", "paper_dmrac")
-    config = resolve("figure8_wind", Choices(controller, 3, 6.0 if SANITIZED else 12.0, LEARNING if learns else ()))
+    config = resolve("figure8_wind", Choices(controller, 3, 9.0 if SANITIZED else 12.0, LEARNING if learns else ()))
     lockstep, *_ = build(config)
     shadow = lockstep._onboard = ShadowCore(config.onboard, variant)
     for _ in range(round(config.duration_s * 200)):
