@@ -27,7 +27,7 @@ from runtime.sockets import require_free, split_address
 MINUTES_MAX: Final = 59.0
 MINUTES_MIN: Final = 0.6
 BATTERY_S: Final = 200.0
-"""A full cell of the vehicle flies so long with room to spare: on the figure-8 in wind it is at its limit after 275 s."""
+"""A full cell flies so long with room to spare: on the figure-8 in wind it is at its limit after 275 s."""
 TURN_S: Final = 0.05
 ON_THE_GROUND_S: Final = 0.2
 """After onboard is ready, and before the vehicle is calibrated: here it may be killed."""

@@ -140,7 +140,11 @@ MUTANTS: Final = (
     Mutant("gain", "control/laws/kalman_last_layer.c", "REAL(2.0) * bh + bb", "bh + bb", "test_kalman"),
     Mutant("sign", "control/laws/path_gap.c", "(m - kept - t * (", "(m - kept + t * (", "test_kalman"),
     Mutant(
-        "stale", "control/laws/forecast_skill.c", "        self->slow_map[axis] += share * fast_map;\n", "", "test_kalman"
+        "stale",
+        "control/laws/forecast_skill.c",
+        "        self->slow_map[axis] += share * fast_map;\n",
+        "",
+        "test_kalman",
     ),
     Mutant(
         "index",
