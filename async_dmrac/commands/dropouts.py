@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly and print the table; return 0 (every vehicle survived) or 1 (one crashed)."""
-    from experiments.link.dropout_flights import flights_with, fly_all
+    from experiments.link.dropout_flights import DropoutRow, flights_with, fly_all
 
     choices = Choices(arguments.controller, arguments.seed, arguments.duration)
     flights = flights_with(arguments.traces, arguments.scenario, choices)

@@ -1,5 +1,6 @@
 """The shipped dropout traces, their two formats, and flights with them."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,13 @@ def test_the_vehicle_survives_a_delay_of_a_quarter_of_a_second() -> None:
 @pytest.mark.parametrize("name", trace_names())
 def test_the_vehicle_survives_every_shipped_trace(name: str) -> None:
     assert fly_one(DropoutFlight(name, "figure8_wind", Choices("pid", 2, 16.0))).survived
+
+
+def test_the_command_flies_one_trace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = tmp_path / "rows.json"
+    assert main(["dropouts", "dead", "--controller", "pid", "--duration", "8", "--jobs", "1", "--out", str(rows)]) == 0
+    assert capsys.readouterr().out.count(" yes ") == 2, "and one over a perfect link"
+    assert [row["trace"] for row in json.loads(rows.read_text(encoding="utf-8"))] == ["perfect", "dead"]
 
 
 @pytest.mark.full

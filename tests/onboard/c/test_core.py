@@ -62,6 +62,17 @@ def test_a_whole_flight_beside_numpys(controller: str, variant: Variant) -> None
     shadow.compare_summaries()
 
 
+def test_weak_motors_at_their_limit_beside_numpys(variant: Variant) -> None:
+    """The limits of the mixer follow the estimated thrust."""
+    weak = ("vehicle.motors.gain=[0.62, 0.62, 0.62, 0.62]", "vehicle.disturbances.0.speed_m_s=8.0")
+    config = resolve("figure8_wind", Choices("pid", 3, 9.0, weak))
+    lockstep, *_ = build(config)
+    lockstep._onboard = ShadowCore(config.onboard, variant)
+    for _ in range(round(config.duration_s * 200)):
+        lockstep.step()
+
+
+
 def test_a_flight_with_keys_beside_numpys(variant: Variant, tmp_path: Path) -> None:
     keys = [bytes([number] * 32) for number in (1, 2, 3)]
     names = ("key_file", "vehicle_key_file", "ground_key_file")
