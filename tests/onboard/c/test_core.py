@@ -72,7 +72,6 @@ def test_weak_motors_at_their_limit_beside_numpys(variant: Variant) -> None:
         lockstep.step()
 
 
-
 def test_a_flight_with_keys_beside_numpys(variant: Variant, tmp_path: Path) -> None:
     keys = [bytes([number] * 32) for number in (1, 2, 3)]
     names = ("key_file", "vehicle_key_file", "ground_key_file")
