@@ -21,10 +21,3 @@ def test_the_shipped_gains_fly_it(controller: str, seed: int) -> None:
     outcome = fly_lockstep(resolve("figure8_real", Choices(controller, seed, 20.0)), with_offboard=False)
     assert outcome.crash_reason == ""
     assert outcome.trace.mode[-1] == FlightMode.LANDING  # as planned, a second before the end
-
-
-@pytest.mark.full
-def test_without_driving_the_motors_against_their_lag_it_is_lost() -> None:
-    slow = ("onboard.airframe.motor_response_s=1.0",)
-    outcome = fly_lockstep(resolve("figure8_real", Choices("mrac", 13, 25.0, slow)), with_offboard=False)
-    assert outcome.crash_reason
