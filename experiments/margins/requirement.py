@@ -53,12 +53,12 @@ class MarginRequirement(ConfigRecord):
         shares = self._shares(margins(OMEGA, loop.L))
         if unstable_poles(loop.characteristic):
             return 1.0 + min(*shares[:2], UNSTABLE_MAX)
-        return max(0.0, 1.0 - min(shares))
+        return _missing(shares)
 
     def shortfall_with_the_steepest_map(self, config: FlightConfig) -> float:
         """The same of the position loop with the steepest map that the guard accepts; 0 without such a map."""
-        found = [one.margins for one in steepest_map_margins(config, OMEGA)]
-        return max((1.0 - min(self._shares(one)) for one in found if min(self._shares(one)) < 1.0), default=0.0)
+        found = steepest_map_margins(config, OMEGA)
+        return max((_missing(self._shares(one.margins)) for one in found), default=0.0)
 
     def _shares(self, found: Margins) -> list[float]:
         """Of what is needed: gain, phase and delay margin."""
@@ -68,6 +68,11 @@ class MarginRequirement(ConfigRecord):
             (found.delay_margin_ms, self.delay_margin_ms),
         )
         return [float(has / needs) for has, needs in pairs]
+
+
+def _missing(shares: list[float]) -> float:
+    """What the smallest of the shares is short of 1."""
+    return max(0.0, 1.0 - min(shares))
 
 
 class Corner(ConfigRecord):
