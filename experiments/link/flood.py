@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rich.table import Table
 
@@ -18,15 +19,29 @@ from experiments.flights.scenario import FlightConfig
 from protocol.keys import write_key
 from runtime.errors import StartError
 
+
+
+class Port(NamedTuple):
+    """A port that can be flooded."""
+
+    process: str
+    """"onboard" or "offboard", whose port it is."""
+    target: str
+    """Its address, of `network`; "" for onboard's port towards the ground station, which is any free one."""
+    peer: str
+    """Whose address the flood carries, of `network`; the motion capture may send from any."""
+    rejected: str
+    """In the summary of the process: what its core rejected on this port, by reason; "" if it is not there."""
+
+
 PORTS: Final = {
-    "vehicle": ("onboard_vehicle", "vehicle"),
-    "offboard": ("onboard_link", "radio_onboard"),
-    "ground": ("", "ground"),
-    "motion capture": ("motion_capture", "motion_capture"),
-    "onboard": ("offboard_link", "radio_offboard"),
+    "vehicle": Port("onboard", "onboard_vehicle", "vehicle", "vehicle_rejected"),
+    "offboard": Port("onboard", "onboard_link", "radio_onboard", "rejected"),
+    "ground": Port("onboard", "", "ground", ""),
+    "motion capture": Port("offboard", "motion_capture", "motion_capture", "poses_rejected"),
+    "onboard": Port("offboard", "offboard_link", "radio_offboard", "rejected"),
 }
-"""By the name of the port in the reports: the address that is flooded, and that of its peer, in `network`. Onboard's
-port towards the ground station is any free one; the motion capture's may be anybody's."""
+"""By the name of the port in the reports."""
 RATES_HZ: Final = (1_000, 10_000, 50_000)
 KEYS: Final = tuple(key.setting for key in LINK_KEYS.values())
 END_LIMIT_S: Final = 10.0
@@ -46,7 +61,7 @@ class Flooded:
     """Of onboard's ticks."""
     tick_p99_us: float
     dropped: dict[str, int]
-    """By the flooded process, by reason."""
+    """By the flooded process, by reason: what its intake dropped, and what its core rejected."""
 
 
 def keyed(config: FlightConfig, folder: Path) -> FlightConfig:
@@ -87,10 +102,19 @@ def fly(config: FlightConfig, out: Path, port: str = "", rate_hz: int = 0) -> Fl
     trace = read_trace(out)
     survived = bool(sim.get("survived")) and trace is not None
     error = flight_metrics(trace, config.onboard.guidance.trajectory).position_rmse_m if trace else float("nan")
-    summaries = (onboard, result.offboard or {})
-    dropped: dict[str, int] = next((one["dropped"][port] for one in summaries if port in one.get("dropped", {})), {})
+    dropped = _dropped(port, {"onboard": onboard, "offboard": result.offboard or {}})
     share = onboard.get("missed", 0) / max(1, onboard.get("ticks", 1))
     return Flooded(port, sent_hz, survived, error, share, onboard.get("tick_us", {}).get("p99", float("nan")), dropped)
+
+
+def _dropped(port: str, summaries: dict[str, dict[str, Any]]) -> dict[str, int]:
+    """What the flooded process did not use, by reason; nothing if no port was flooded."""
+    if port not in PORTS:
+        return {}
+    summary = summaries[PORTS[port].process]
+    counts = Counter(summary.get("dropped", {}).get(port, {}))
+    counts.update(summary.get(PORTS[port].rejected, {}))
+    return dict(counts)
 
 
 class _Flooder:
@@ -122,9 +146,9 @@ class _Flooder:
 
 def flood_command(config: FlightConfig, port: str, rate_hz: int, seconds: float) -> list[str]:
     """Return the command that floods a port, one of PORTS, of a flight that is under way. Raises StartError."""
-    target, peer = PORTS[port]
-    there: str = getattr(config.network, peer)
-    here: str = getattr(config.network, target) if target else port_towards(there)
+    flooded = PORTS[port]
+    there: str = getattr(config.network, flooded.peer)
+    here: str = getattr(config.network, flooded.target) if flooded.target else port_towards(there)
     return [sys.executable, "-m", "experiments.link.flood_sender", here, there, str(rate_hz), str(seconds)]
 
 

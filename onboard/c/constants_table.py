@@ -50,6 +50,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "onboard.control.watch": ("STRIDE=WATCH_STRIDE",),
     "onboard.control.guard": ("LOSES_S",),
     "onboard.flight.guidance": ("RETURN_M_S2",),
+    "onboard.flight.path_turn": ("STEP_S=TURN_STEP_S",),
     "onboard.flight.supervisor": ("LEVEL_MAX_RAD", "_QUEUE_MAX=COMMAND_QUEUE_MAX", "_PROGRESS_M", "_NOT_READY_NS"),
     "onboard.estimation.state_history": ("LENGTH=HISTORY_LENGTH",),
     "onboard.estimation.error_state_filter": (

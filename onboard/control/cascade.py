@@ -1,7 +1,7 @@
 """The cascade of all built-in controllers: a position loop and an attitude loop, each with a law.
 
     position:  u = K_r r - K x - nu_ad     -> thrust and attitude command
-    attitude:  u = K_1 e_R - K_2 omega - nu_ad -> torque = J u + omega x J omega
+    attitude:  u = K_1 e_R - K_2 (omega - omega_d) + alpha_d - nu_ad -> torque = J u + omega x J omega
 
 Order within tick k: the reference models advance with the command of tick k-1 and what was delivered since; then error
 and law at the present; then the command.
@@ -74,8 +74,11 @@ class CascadeSettings(ConfigRecord):
     prediction: Annotated[bool, Field(description="attitude and rates predicted over the loop's dead time")] = True
     gyro_delay_ticks: Annotated[float, Field(ge=0, le=10, description="age of the rates, for the prediction")] = 1.0
     command_rate_filter_s: Annotated[
-        float, Field(ge=0, le=0.5, description="of the commanded attitude's rate, fed forward; 0: none")
+        float, Field(ge=0, le=0.5, description="of the rate that feedback adds to the command's; 0: it is not fed forward")
     ] = 0.03
+    path_turn: Annotated[
+        float, Field(ge=0, le=1, description="share of the path's rate and acceleration of turn that is fed forward")
+    ] = 1.0
     level_sink_speed_m_s: Annotated[float, Field(gt=0, le=1)] = 0.4
 
 
@@ -133,7 +136,9 @@ class CascadedController:
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
         self._command_turn: Vector3 = (0.0, 0.0, 0.0)
-        self._command_rate: Vector3 = (0.0, 0.0, 0.0)
+        self._added_rate: Vector3 = (0.0, 0.0, 0.0)
+        self._omega_d: Vector3 = (0.0, 0.0, 0.0)
+        self._alpha_d: Vector3 = (0.0, 0.0, 0.0)
         self._resets_seen = 0
         self._running = False
 
@@ -155,7 +160,7 @@ class CascadedController:
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
         self._output.law = self.guard.level
         self.guard.judge(inputs.dt, inputs.adapt)
-        self.bounds.step(inputs, self._output, self._command_turn, self._command_rate)
+        self.bounds.step(inputs, self._output, self._command_turn, self._omega_d, self._alpha_d)
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
@@ -342,21 +347,38 @@ class CascadedController:
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()
         return self._airframe.mass_kg * thrust_along((fx, fy, fz), (r02, r12, r22)), commanded
 
-    def _commanded_rate(self, commanded: Quaternion, inputs: ControlInputs) -> Vector3:
-        """Rate of the commanded attitude, rad/s, filtered; zero without that feed-forward and on the ground."""
+    def _feed_forward(self, commanded: Quaternion, inputs: ControlInputs) -> None:
+        """omega_d [rad/s] and alpha_d [rad/s^2] of the commanded attitude; zero on the ground.
+
+        The path's turn is known without noise. What feedback adds to the command's rate is noise in part: filtered.
+        """
+        path_rate, self._alpha_d = self._path_turn(inputs)
         w, x, y, z = self._commanded
         self._commanded = commanded
         turned = geometry.quaternion_multiply((w, -x, -y, -z), commanded)
         self._command_turn = turn = geometry.quaternion_to_rotation_vector(turned)
         if self._settings.command_rate_filter_s == 0.0 or not inputs.adapt:
-            self._command_rate = (0.0, 0.0, 0.0)
-            return self._command_rate
-        if max(map(abs, turn)) > COMMAND_JUMP_RAD:
-            turn = (0.0, 0.0, 0.0)
+            self._added_rate, self._omega_d = (0.0, 0.0, 0.0), path_rate
+            return
+        jump = max(map(abs, turn)) > COMMAND_JUMP_RAD
         share = 1.0 - exp(-inputs.dt / self._settings.command_rate_filter_s)
-        each_axis = zip(self._command_rate, turn, strict=True)
-        self._command_rate = vector(rate + share * (t / inputs.dt - rate) for rate, t in each_axis)
-        return self._command_rate
+        each_axis = zip(self._added_rate, turn, path_rate, strict=True)
+        self._added_rate = vector(
+            rate + share * ((0.0 if jump else t / inputs.dt - path) - rate) for rate, t, path in each_axis
+        )
+        self._omega_d = add(path_rate, self._added_rate)
+
+    def _path_turn(self, inputs: ControlInputs) -> tuple[Vector3, Vector3]:
+        """Rate and acceleration of the path's turn, body FRD, as they are fed forward; zero where no path is."""
+        share = self._settings.path_turn
+        if share == 0.0 or not inputs.adapt or inputs.level_only:
+            return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = (inputs.state.rotation * share).tolist()
+        rate, acceleration = (
+            (r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z)
+            for x, y, z in inputs.target.turn
+        )
+        return rate, acceleration
 
     def _predicted(self, inputs: ControlInputs) -> tuple[Quaternion, Vector3]:
         """Attitude and rates when the command of this tick acts: half a tick after the next one begins.
@@ -381,7 +403,7 @@ class CascadedController:
         return geometry.quaternion_multiply((w, x, y, z), (1.0, *turn)), there
 
     def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
-        """u = K_1 e_R - K_2 (omega - omega_d) - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
+        """u = K_1 e_R - K_2 (omega - omega_d) + alpha_d - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
         channel, telemetry = self._channels[1], self._output.attitude
         (w, x, y, z), omega = self._predicted(inputs)
         ex, ey, ez = geometry.quaternion_to_rotation_vector(geometry.quaternion_multiply((w, -x, -y, -z), commanded))
@@ -389,9 +411,9 @@ class CascadedController:
         p, q, r = omega
         channel.tracking_error[:] = (*e_R, -p, -q, -r)
         nu_ad = self.guard.step(1, channel, telemetry, inputs)
-        omega_d = self._commanded_rate(commanded, inputs)
-        each_axis = zip(self._a1, e_R, self._a2, omega, omega_d, nu_ad.tolist(), strict=True)
-        u = vector(k1 * e1 - k2 * (w_i - w_d) - nu for k1, e1, k2, w_i, w_d, nu in each_axis)
+        self._feed_forward(commanded, inputs)
+        each_axis = zip(self._a1, e_R, self._a2, omega, self._omega_d, self._alpha_d, nu_ad.tolist(), strict=True)
+        u = vector(k1 * e1 - k2 * (w_i - w_d) + a_d - nu for k1, e1, k2, w_i, w_d, a_d, nu in each_axis)
         telemetry.demand[:] = u
         self._turn_command = vector(ui + nu for ui, nu in zip(u, telemetry.adaptive_now.tolist(), strict=True))
         u = add(u, inputs.excitation[1])

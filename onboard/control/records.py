@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from onboard.estimation.state import VehicleState
+from onboard.flight.path_turn import PathTurn
 from onboard.flight.trajectory import PathPoint
 from protocol.conventions import Array
 from protocol.geometry import Vector3
@@ -25,6 +26,8 @@ class Target(NamedTuple):
     yaw_rad: float
     path: PathPoint
     """The path itself: `now` without the way back to the path after a jump of the position estimate."""
+    turn: PathTurn = PathTurn()
+    """How the thrust of the path turns t_ff ahead."""
     lap_phase: float = -1.0
     """Share of the lap flown, in [0, 1); negative while the path does not repeat."""
     lap_s: float = 0.0

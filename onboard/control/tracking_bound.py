@@ -11,7 +11,8 @@ measured one. It is filtered from the rate of change of the estimated velocity a
 velocity's includes the corrections by poses, without which an error of the estimated tilt would be missing.
 
 In the attitude channel a_d is the acceleration of the commanded attitude, which is noise differentiated twice. The
-response s to it is known exactly with its sign, so it is computed apart: bound = |s| + majorant of the rest.
+response s to it is known exactly with its sign, so it is computed apart: bound = |s| + majorant of the rest. In the
+rest, what is fed forward (omega_d, alpha_d) takes its place.
 """
 
 from math import exp, sqrt
@@ -105,10 +106,10 @@ class AxisBound:
         self._z1 = self._keep1 * self._z1 + self._feed1 * size
         return z2
 
-    def respond(self, turn: float, rate_fed_forward: float, dt: float) -> float:
+    def respond(self, turn: float, omega_d: float, alpha_d: float, dt: float) -> float:
         """s after one period at whose end the command turns, rad: an error at once."""
         s, rate = self._response, self._response_rate
-        alpha = self.k1 * s - self.k2 * (rate - rate_fed_forward)
+        alpha = self.k1 * s - self.k2 * (rate - omega_d) + alpha_d
         self._response = s = s - dt * (rate + 0.5 * dt * alpha) + turn
         self._response_rate = rate + dt * alpha
         return s
@@ -133,14 +134,21 @@ class TrackingBounds:
         """Start anew at the next step."""
         self._running = False
 
-    def step(self, inputs: ControlInputs, output: ControlOutput, command_turn: Vector3, command_rate: Vector3) -> None:
+    def step(
+        self,
+        inputs: ControlInputs,
+        output: ControlOutput,
+        command_turn: Vector3,
+        omega_d: Vector3,
+        alpha_d: Vector3,
+    ) -> None:
         """Write the bounds of this tick into the telemetry, 0 while the laws do not adapt.
 
         Parameters
         ----------
         output: with the commanded attitude of this tick.
         command_turn: rad, turn of the commanded attitude since the last tick.
-        command_rate: omega_ff, rad/s: the rate of the commanded attitude as it is fed forward.
+        omega_d, alpha_d: rad/s and rad/s^2: rate and acceleration of the commanded attitude as they are fed forward.
         """
         if not inputs.adapt:
             self._running = False
@@ -151,7 +159,9 @@ class TrackingBounds:
             self._start(inputs.period)
         self._resets_seen = inputs.state.position_reset_count
         output.position.tracking_bound = self._position_bound(inputs, restart)
-        output.attitude.tracking_bound = self._attitude_bound(inputs, output, command_turn, command_rate, restart)
+        output.attitude.tracking_bound = self._attitude_bound(
+            inputs, output, command_turn, omega_d, alpha_d, restart
+        )
 
     def _start(self, period: float) -> None:
         self._running, self._period = True, period
@@ -179,7 +189,8 @@ class TrackingBounds:
         inputs: ControlInputs,
         output: ControlOutput,
         command_turn: Vector3,
-        command_rate: Vector3,
+        omega_d: Vector3,
+        alpha_d: Vector3,
         restart: bool,
     ) -> float:
         """Bound on the angle between the vehicle and the commanded attitude, rad; axes: body FRD."""
@@ -192,7 +203,7 @@ class TrackingBounds:
             if restart:
                 bound = axis.restart(0.0, e[i], -rates[i])
             else:
-                bound = abs(axis.respond(command_turn[i], command_rate[i], dt))
-                bound += axis.step(0.0, u_hat[i], residual[i], e[i], command_rate[i] - rates[i])
+                bound = abs(axis.respond(command_turn[i], omega_d[i], alpha_d[i], dt))
+                bound += axis.step(alpha_d[i], u_hat[i], residual[i], e[i], omega_d[i] - rates[i])
             squared += bound * bound
         return sqrt(squared)

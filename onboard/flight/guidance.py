@@ -15,6 +15,7 @@ from pydantic import Field
 from configs.loader import ConfigRecord
 from onboard.control.records import Target
 from onboard.estimation.state import VehicleState
+from onboard.flight.path_turn import STEP_S, path_turn
 from onboard.flight.trajectory import Path, PathClock, PathPoint, TrajectoryConfig
 from protocol.geometry import ZERO, Vector3, subtract, vector
 
@@ -118,11 +119,14 @@ class Guidance:
         now = self._at(0.0, offset, rate) if any(offset) else path
         ahead = self._at(config.look_ahead_s, offset, rate)
         attitude_ahead = self._at(config.attitude_look_ahead_s, offset, rate)
-        lead = self._at(config.feed_forward_lead_s, ZERO, 0.0)
+        before, lead, after = (
+            self._at(config.feed_forward_lead_s + step_s, ZERO, 0.0).acceleration for step_s in (-STEP_S, 0.0, STEP_S)
+        )
         # On a hold or landing the target no longer moves as in the laps before.
         phase = self.path.lap_phase(self._clock.time_s) if self._clock.steady else -1.0
         yaw_rad = config.trajectory.yaw_rad
-        return Target(now, lead.acceleration, ahead, attitude_ahead, yaw_rad, path, phase, self.path.lap_s)
+        turn = path_turn(before, lead, after)
+        return Target(now, lead, ahead, attitude_ahead, yaw_rad, path, turn, phase, self.path.lap_s)
 
     def _return(self, dt: float) -> float:
         """Reduce the offset along a straight line; returns its relative rate, 1/s: d offset / dt = -rate offset."""

@@ -2,7 +2,7 @@
  * onboard/control/cascade.py, which explains it.
  *
  *     position:  u = K_r r - K x - nu_ad         -> thrust and attitude command
- *     attitude:  u = K_1 e_R - K_2 omega - nu_ad -> torque = J u + omega x J omega */
+ *     attitude:  u = K_1 e_R - K_2 (omega - omega_d) + alpha_d - nu_ad -> torque = J u + omega x J omega */
 #ifndef DMRAC_CASCADE_H
 #define DMRAC_CASCADE_H
 
@@ -32,7 +32,9 @@ typedef struct {
     real turn_command[3]; /* the same of the attitude, rad/s^2 */
     real commanded[4];    /* attitude, of the last step */
     real command_turn[3]; /* rad, since the step before */
-    real command_rate[3]; /* rad/s, filtered */
+    real added_rate[3];   /* rad/s: what feedback adds to the command's rate, filtered */
+    real omega_d[3];      /* rad/s */
+    real alpha_d[3];      /* rad/s^2 */
     int32_t resets_seen;
     bool running;
 } Cascade;

@@ -5,6 +5,7 @@
 #include <stdbool.h>
 
 #include "estimation/state.h"
+#include "flight/path_turn.h"
 #include "flight/trajectory.h"
 #include "numerics/real.h"
 
@@ -16,6 +17,7 @@ typedef struct {
     PathPoint attitude_ahead; /* the same for the attitude channel, with a shorter t_ahead */
     real yaw_rad;
     PathPoint path; /* the path itself: `now` without the way back to the path after a jump of the position estimate */
+    PathTurn turn;  /* how the thrust of the path turns t_ff ahead */
     real lap_phase; /* share of the lap flown, in [0, 1); negative while the path does not repeat */
     real lap_s;     /* duration of a lap, s; 0 for a path without laps */
 } Target;

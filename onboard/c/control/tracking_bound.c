@@ -70,9 +70,9 @@ static real axis_step(AxisBound *self, real a_d, real u_hat, real residual, real
 }
 
 /* AxisBound.respond */
-static real axis_respond(AxisBound *self, real turn, real rate_fed_forward, real dt) {
+static real axis_respond(AxisBound *self, real turn, real omega_d, real alpha_d, real dt) {
     real s = self->response, rate = self->response_rate;
-    real alpha = self->k1 * s - self->k2 * (rate - rate_fed_forward);
+    real alpha = self->k1 * s - self->k2 * (rate - omega_d) + alpha_d;
     self->response = s - dt * (rate + REAL(0.5) * dt * alpha) + turn;
     self->response_rate = rate + dt * alpha;
     return self->response;
@@ -123,7 +123,7 @@ static real position_bound(TrackingBounds *self, const ControlInputs *inputs, bo
 
 /* TrackingBounds._attitude_bound: on the angle between the vehicle and the commanded attitude; axes: body FRD */
 static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                           const real command_turn[3], const real command_rate[3], bool restart) {
+                           const real command_turn[3], const real omega_d[3], const real alpha_d[3], bool restart) {
     const ChannelMeasurement *measured = inputs->attitude;
     real inverse[4], difference[4], e[3], squared = REAL(0.0);
     quaternion_conjugate(inputs->state->quaternion, inverse);
@@ -135,9 +135,9 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
         if (restart) {
             bound = axis_restart(axis, REAL(0.0), e[i], -rate);
         } else {
-            bound = real_abs(axis_respond(axis, command_turn[i], command_rate[i], inputs->dt));
+            bound = real_abs(axis_respond(axis, command_turn[i], omega_d[i], alpha_d[i], inputs->dt));
             bound +=
-                axis_step(axis, REAL(0.0), measured->u_hat[i], measured->residual[i], e[i], command_rate[i] - rate);
+                axis_step(axis, alpha_d[i], measured->u_hat[i], measured->residual[i], e[i], omega_d[i] - rate);
         }
         squared += bound * bound;
     }
@@ -146,7 +146,8 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
 
 /* TrackingBounds.step */
 void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                          const real command_turn[3], const real command_rate[3], real bounds[2]) {
+                          const real command_turn[3], const real omega_d[3], const real alpha_d[3],
+                          real bounds[2]) {
     bounds[0] = bounds[1] = REAL(0.0);
     if (!inputs->adapt) {
         self->running = false;
@@ -159,5 +160,5 @@ void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, con
     }
     self->resets_seen = inputs->state->position_reset_count;
     bounds[0] = position_bound(self, inputs, restart);
-    bounds[1] = attitude_bound(self, inputs, commanded, command_turn, command_rate, restart);
+    bounds[1] = attitude_bound(self, inputs, commanded, command_turn, omega_d, alpha_d, restart);
 }

@@ -54,9 +54,10 @@ void tracking_bounds_init(TrackingBounds *self, const ChannelGains *position, co
 void tracking_bounds_reset(TrackingBounds *self);
 
 /* The bounds of this tick, position [m] and attitude [rad]; 0 while the laws do not adapt. `commanded`: the commanded
- * attitude of this tick. `command_turn`: rad, its turn since the last tick. `command_rate`: rad/s, its rate as it is fed
- * forward. */
+ * attitude of this tick. `command_turn`: rad, its turn since the last tick. `omega_d`, `alpha_d`: rad/s and rad/s^2, its
+ * rate and acceleration as they are fed forward. */
 void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                          const real command_turn[3], const real command_rate[3], real bounds[2]);
+                          const real command_turn[3], const real omega_d[3], const real alpha_d[3],
+                          real bounds[2]);
 
 #endif

@@ -109,7 +109,7 @@ void guidance_step(Guidance *self, bool run, bool landing, real dt, bool climbin
     self->descent_speed = real_min(real_max(self->descent_speed + change, REAL(0.0)), speed);
     self->descent_m += dt * self->descent_speed;
     real rate = return_rate(self, dt);
-    PathPoint lead;
+    PathPoint lead[3];
     point_at(self, REAL(0.0), NO_OFFSET, REAL(0.0), &out->path);
     if (is_off(self->offset)) {
         point_at(self, REAL(0.0), self->offset, rate, &out->now);
@@ -118,8 +118,12 @@ void guidance_step(Guidance *self, bool run, bool landing, real dt, bool climbin
     }
     point_at(self, config->look_ahead_s, self->offset, rate, &out->ahead);
     point_at(self, config->attitude_look_ahead_s, self->offset, rate, &out->attitude_ahead);
-    point_at(self, config->feed_forward_lead_s, NO_OFFSET, REAL(0.0), &lead);
-    vector_copy(lead.acceleration, out->feed_forward);
+    for (int i = 0; i < 3; i++) {
+        real lead_s = config->feed_forward_lead_s + (real)(i - 1) * TURN_STEP_S;
+        point_at(self, lead_s, NO_OFFSET, REAL(0.0), lead + i);
+    }
+    vector_copy(lead[1].acceleration, out->feed_forward);
+    path_turn(lead[0].acceleration, lead[1].acceleration, lead[2].acceleration, &out->turn);
     out->yaw_rad = config->trajectory.yaw_rad;
     /* On a hold or landing the target no longer moves as in the laps before. */
     bool steady = path_clock_steady(&self->clock);

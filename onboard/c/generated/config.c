@@ -423,6 +423,7 @@ static void read_CascadeSettings(Cursor *from, CascadeSettings *out) {
     out->prediction = read_int(from) != 0;
     out->gyro_delay_ticks = read_real(from);
     out->command_rate_filter_s = read_real(from);
+    out->path_turn = read_real(from);
     out->level_sink_speed_m_s = read_real(from);
 }
 
@@ -462,7 +463,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xd9, 0x71, 0x79, 0x70, 0xba, 0xa4, 0x2a, 0xc6};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xfa, 0x75, 0x09, 0xba, 0xfa, 0xca, 0xf6, 0xeb};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

@@ -8,7 +8,7 @@
 
 #include "numerics/real.h"
 
-#define CONFIG_IMAGE_BYTES 4212
+#define CONFIG_IMAGE_BYTES 4220
 
 /* After each member: its place within the packed record, in bytes, and its unit. */
 
@@ -368,8 +368,9 @@ typedef struct {
     GuardConfig guard; /* 1016 */
     bool prediction; /* 1344: attitude and rates predicted over the loop's dead time */
     real gyro_delay_ticks; /* 1352: age of the rates, for the prediction */
-    real command_rate_filter_s; /* 1360: of the commanded attitude's rate, fed forward; 0: none */
-    real level_sink_speed_m_s; /* 1368 */
+    real command_rate_filter_s; /* 1360: of the rate that feedback adds to the command's; 0: it is not fed forward */
+    real path_turn; /* 1368: share of the path's rate and acceleration of turn that is fed forward */
+    real level_sink_speed_m_s; /* 1376 */
 } CascadeSettings;
 
 typedef struct {
@@ -398,9 +399,9 @@ typedef struct {
     SupervisorConfig supervisor; /* 664 */
     GuidanceConfig guidance; /* 928 */
     CascadeSettings controller; /* 2664: of the cascade */
-    SamplerConfig samples; /* 4040 */
-    Swing lissajous[2]; /* 4088: north and east; zero on another path */
-    int32_t layout[8]; /* 4136: bytes of feature_digest */
+    SamplerConfig samples; /* 4048 */
+    Swing lissajous[2]; /* 4096: north and east; zero on another path */
+    int32_t layout[8]; /* 4144: bytes of feature_digest */
 } CoreConfig;
 
 /* Reads a packed image; false if it is not one of this layout, and `out` must not be used then. */

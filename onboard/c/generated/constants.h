@@ -53,6 +53,7 @@
 #define WATCH_STRIDE 4 /* onboard.control.watch */
 #define LOSES_S REAL(0.3) /* onboard.control.guard */
 #define RETURN_M_S2 REAL(2.0) /* onboard.flight.guidance */
+#define TURN_STEP_S REAL(0.04) /* onboard.flight.path_turn */
 #define LEVEL_MAX_RAD REAL(0.35) /* onboard.flight.supervisor */
 #define COMMAND_QUEUE_MAX 8 /* onboard.flight.supervisor */
 #define PROGRESS_M REAL(0.05) /* onboard.flight.supervisor */

@@ -162,6 +162,7 @@ MUTANTS: Final = (
         "REAL(0.99) * self->share * (motor_thrusts[i] - *thrust)",
         "test_sampling",
     ),
+    Mutant("sign", "flight/path_turn.c", "- stretch * out->rate[i]", "+ stretch * out->rate[i]", "test_guidance"),
     Mutant(
         "index",
         "record/tick.c",

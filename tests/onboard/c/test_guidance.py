@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from onboard.c.library import Core
 from onboard.estimation.state import VehicleState
 from onboard.flight.guidance import Guidance, GuidanceConfig
+from onboard.flight.path_turn import STEP_S
 from onboard.flight.trajectory import (
     Circle,
     Figure8,
@@ -145,6 +146,8 @@ def test_guidance(core: Core, name: str, events: list[Any]) -> None:
         for point in ("now", "ahead", "attitude_ahead", "path"):
             same_point(getattr(target, point), getattr(expected, point))
         same(target.feed_forward, expected.feed_forward, scale=1.0)
+        same(target.turn.rate, expected.turn.rate, scale=1.0 / STEP_S)
+        same(target.turn.acceleration, expected.turn.acceleration, scale=1.0 / STEP_S**2)
         rest = [target.yaw_rad, target.lap_phase, target.lap_s]
         same(rest, [expected.yaw_rad, expected.lap_phase, expected.lap_s], scale=1.0)
         assert core.guidance_finished(ours) == theirs.finished

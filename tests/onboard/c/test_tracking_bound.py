@@ -69,11 +69,11 @@ def test_bounds(
         state.position_reset_count += index == jump_at
         missed = 2 if index == missed_at else 0
         dt = (1 + missed) * (2.0 * DT if index == other_period_at else DT)
-        turn, rate = tuple(0.02 * x for x in turns[9:12]), tuple(turns[9:12])
+        turn, rate, alpha = (tuple(share * x for x in turns[9:12]) for share in (0.02, 1.0, 10.0))
         target = Target(point, (0.0,) * 3, point, point, 0.0, point)
         signals, coming = np.zeros((SIGNAL_COUNT, 2)), ((0.0,) * 3, (0.0,) * 3)
         inputs = ControlInputs(dt, state, target, signals, position, measured, False, adapt, coming, missed=missed)
-        theirs.step(inputs, output, turn, rate)
+        theirs.step(inputs, output, turn, rate, alpha)
         kept = [
             filled(core.VehicleState, state),
             filled(core.Target, target),
@@ -82,7 +82,7 @@ def test_bounds(
         ]
         members = dict(zip(MEMBERS, map(ctypes.pointer, kept), strict=True))
         c_inputs = core.ControlInputs(dt=dt, adapt=adapt, missed=missed, **members)
-        bounds = call(core, "tracking_bounds_step", ours, c_inputs, commanded, turn, rate, out=2)
+        bounds = call(core, "tracking_bounds_step", ours, c_inputs, commanded, turn, rate, alpha, out=2)
         same(bounds, [output.position.tracking_bound, output.attitude.tracking_bound])
         if index == reset_at:
             theirs.reset()
@@ -94,7 +94,7 @@ def test_nothing_is_bounded_while_nothing_adapts(core: Core) -> None:
     core.tracking_bounds_init(ours, configured(core, POSITION), configured(core, POSITION))
     inputs = core.ControlInputs(dt=DT)  # nothing else is read
     zero = array(core, np.zeros(3))
-    assert list(call(core, "tracking_bounds_step", ours, inputs, np.zeros(4), zero, zero, out=2)) == [0.0, 0.0]
+    assert list(call(core, "tracking_bounds_step", ours, inputs, np.zeros(4), zero, zero, zero, out=2)) == [0.0, 0.0]
 
 
 def test_the_bound_of_a_known_error_is_that_error(core: Core) -> None:
@@ -106,6 +106,6 @@ def test_the_bound_of_a_known_error_is_that_error(core: Core) -> None:
     members = dict(zip(MEMBERS, map(ctypes.pointer, (state, target, nothing, nothing)), strict=True))
     inputs = core.ControlInputs(dt=DT, adapt=True, **members)
     zero = np.zeros(3)
-    bounds = call(core, "tracking_bounds_step", ours, inputs, [1.0, 0.0, 0.0, 0.0], zero, zero, out=2)
+    bounds = call(core, "tracking_bounds_step", ours, inputs, [1.0, 0.0, 0.0, 0.0], zero, zero, zero, out=2)
     assert bounds[0] == pytest.approx(0.3)
     assert bounds[1] == 0.0

@@ -3,6 +3,7 @@
 Motors are the onboard actuator model itself, sensing is exact, a command acts one tick after it was computed.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -94,8 +95,8 @@ class Rig:
         self.specific_force = np.array([0.0, 0.0, -GRAVITY])
         self.output: ControlOutput = ControlOutput()
 
-    def inputs(self) -> ControlInputs:
-        """What the controller is given now."""
+    def inputs(self, target: Target | None = None) -> ControlInputs:
+        """What the controller is given now, with the rig's own target unless another is given."""
         self._sense()
         point = PathPoint(tuple(self.target), REST, REST)
         delivered = self.belief.delivered
@@ -104,7 +105,7 @@ class Rig:
         return ControlInputs(
             dt=DT,
             state=self.state,
-            target=Target(point, REST, point, point, self.yaw, point),
+            target=target or Target(point, REST, point, point, self.yaw, point),
             signals=signals,
             position=position,
             attitude=attitude,
@@ -114,11 +115,13 @@ class Rig:
             level_only=self.level_only,
         )
 
-    def fly(self, seconds: float) -> list[dict[str, np.ndarray]]:
-        """Runs the loop; one row of telemetry a tick."""
+    def fly(
+        self, seconds: float, target_at: Callable[[float], Target | None] = lambda _: None
+    ) -> list[dict[str, np.ndarray]]:
+        """Runs the loop; one row of telemetry a tick. `target_at`: of the time since the call, s."""
         rows = []
-        for _ in range(round(seconds / DT)):
-            self.output = self.controller.step(self.inputs())
+        for tick in range(round(seconds / DT)):
+            self.output = self.controller.step(self.inputs(target_at(tick * DT)))
             rows.append(self._row())
             command = self.mixer.thrusts(self.output.thrust_n, self.output.torque_nm)
             self.saturated = abs(sum(command) - self.output.thrust_n) > 1e-3

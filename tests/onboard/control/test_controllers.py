@@ -15,7 +15,10 @@ from experiments.flights.scenario import Choices, resolve
 from onboard.control.features import random_channel
 from onboard.control.interface import ControllerConfig
 from onboard.control.laws.last_layer import AdaptationConfig
+from onboard.control.records import Target
+from onboard.flight.path_turn import STEP_S, path_turn
 from onboard.flight.supervisor import FlightMode
+from onboard.flight.trajectory import PathPoint
 from onboard.record.tick import OFFSET
 from protocol.feature_set import FeatureSet
 from protocol.signals import SIGNAL_INDEX
@@ -220,6 +223,34 @@ def test_a_far_target_asks_for_no_more_than_a_near_one() -> None:
 
 def test_the_feed_forward_is_added_as_it_is() -> None:
     np.testing.assert_allclose(demand_at((0.0, 0.0, -1.0), (0.3, -0.2, 0.1))[0], (0.3, -0.2, 0.1))
+
+
+SWING_M, SWING_RAD_S = np.array([0.3, 0.4, 0.0]), 2.5
+
+
+def swing(t: float) -> PathPoint:
+    place, speed = SWING_M * np.sin(SWING_RAD_S * t), SWING_M * SWING_RAD_S * np.cos(SWING_RAD_S * t)
+    return PathPoint(tuple(place - (0.0, 0.0, 1.0)), tuple(speed), tuple(-(SWING_RAD_S**2) * place))
+
+
+def swing_target(t: float) -> Target:
+    lead_s = 0.01  # the command's way to the motors
+    now, about = swing(t), [swing(t + lead_s + step).acceleration for step in (-STEP_S, 0.0, STEP_S)]
+    return Target(now, about[1], now, now, 0.0, now, path_turn(*about))
+
+
+def error_on_a_swing(share: float) -> float:
+    """RMS error along a swing, m, of a perfectly known vehicle with this share of the path's turn."""
+    rig = Rig(shipped_controller("none", {"path_turn": share}))
+    rig.velocity = SWING_M * SWING_RAD_S
+    flown = column(rig.fly(8.0, swing_target), "position")
+    wanted = np.array([swing(tick * DT).position for tick in range(len(flown))])
+    return float(np.sqrt(np.mean(np.square(flown - wanted)[800:])))
+
+
+def test_the_turn_of_the_path_is_flown_without_an_error_of_the_attitude() -> None:
+    """Without it the attitude follows 1 - (1 + T_c K_2) s^2 / K_1 of its command (docs/control.md)."""
+    assert error_on_a_swing(1.0) < 0.35 * error_on_a_swing(0.0)
 
 
 def test_a_great_yaw_error_is_turned_gently() -> None:

@@ -6,8 +6,10 @@ import pytest
 from configs.loader import CONFIG_DIRECTORY, fill, merge, read_tree
 from onboard.estimation.state import VehicleState
 from onboard.flight.guidance import Guidance, GuidanceConfig
+from onboard.flight.path_turn import STEP_S, path_turn
 
 DT = 0.005
+TURN_TICKS = round(STEP_S / DT)
 FIGURE8 = {"kind": "figure8", "length_m": 2.0, "width_m": 1.0, "period_s": 6.0}
 
 
@@ -106,12 +108,15 @@ def test_the_leads_are_the_targets_own_future():
         sooner = targets[tick + attitude_ahead].now
         np.testing.assert_allclose(targets[tick].attitude_ahead.position, sooner.position, atol=1e-9)
         np.testing.assert_allclose(targets[tick].feed_forward, targets[tick + lead].now.acceleration, atol=1e-9)
+        about = (targets[tick + lead + step].now.acceleration for step in (-TURN_TICKS, 0, TURN_TICKS))
+        np.testing.assert_allclose(targets[tick].turn, path_turn(*about), atol=1e-6)
 
 
 def test_a_held_target_has_no_lead():
     held = fly(started(), (True, False, 12), (False, False, 3))[-1]
     np.testing.assert_allclose(held.ahead.position, held.now.position)
     assert held.feed_forward == (0.0, 0.0, 0.0)
+    assert not np.any(held.turn)
 
 
 def test_the_lap_phase_is_known_only_while_the_target_moves_as_in_the_laps_before():
