@@ -20,7 +20,6 @@ from protocol.keys import write_key
 from runtime.errors import StartError
 
 
-
 class Port(NamedTuple):
     """A port that can be flooded."""
 

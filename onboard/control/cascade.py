@@ -74,7 +74,8 @@ class CascadeSettings(ConfigRecord):
     prediction: Annotated[bool, Field(description="attitude and rates predicted over the loop's dead time")] = True
     gyro_delay_ticks: Annotated[float, Field(ge=0, le=10, description="age of the rates, for the prediction")] = 1.0
     command_rate_filter_s: Annotated[
-        float, Field(ge=0, le=0.5, description="of the rate that feedback adds to the command's; 0: it is not fed forward")
+        float,
+        Field(ge=0, le=0.5, description="of the rate that feedback adds to the command's; 0: it is not fed forward"),
     ] = 0.03
     path_turn: Annotated[
         float, Field(ge=0, le=1, description="share of the path's rate and acceleration of turn that is fed forward")
@@ -403,7 +404,7 @@ class CascadedController:
         return geometry.quaternion_multiply((w, x, y, z), (1.0, *turn)), there
 
     def _attitude_loop(self, inputs: ControlInputs, commanded: Quaternion) -> Vector3:
-        """u = K_1 e_R - K_2 (omega - omega_d) + alpha_d - nu_ad, rad/s^2;  tau = J u + omega x J omega, N m; body FRD."""
+        """u = K_1 e_R - K_2 (omega - omega_d) + alpha_d - nu_ad;  tau = J u + omega x J omega, N m; body FRD."""
         channel, telemetry = self._channels[1], self._output.attitude
         (w, x, y, z), omega = self._predicted(inputs)
         ex, ey, ez = geometry.quaternion_to_rotation_vector(geometry.quaternion_multiply((w, -x, -y, -z), commanded))

@@ -159,9 +159,7 @@ class TrackingBounds:
             self._start(inputs.period)
         self._resets_seen = inputs.state.position_reset_count
         output.position.tracking_bound = self._position_bound(inputs, restart)
-        output.attitude.tracking_bound = self._attitude_bound(
-            inputs, output, command_turn, omega_d, alpha_d, restart
-        )
+        output.attitude.tracking_bound = self._attitude_bound(inputs, output, command_turn, omega_d, alpha_d, restart)
 
     def _start(self, period: float) -> None:
         self._running, self._period = True, period

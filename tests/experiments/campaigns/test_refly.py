@@ -1,5 +1,6 @@
 """Repeated flights: the same to the bit, or different."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from experiments.campaigns.flight_jobs import FlightJob
 from experiments.campaigns.flight_row import Row, empty_row
 from experiments.campaigns.flown import FlownCampaign, publish, read_flown
 from experiments.campaigns.provenance import here, kernels_of, openblas_kernels, other_kernels
-from experiments.campaigns.refly import pick, refly
+from experiments.campaigns.refly import Reflown, core_statistics, pick, refly
 from experiments.campaigns.runner import CampaignRun, Progress, open_store, prepare_folder, run_campaign
 from experiments.campaigns.worker import FlightResult, fly_job
 from tests.experiments.inline_workers import InlineWorkers
@@ -154,6 +155,39 @@ def test_differences_are_reported(tmp_path: Path) -> None:
     assert told[0] == f"survived {mm} 10.00 mm, now survived {mm} 12.00 mm"
     assert told[1] == f"survived {mm} 10.00 mm, now lost {mm} 10.00 mm"
     assert told[2] == "failed: it broke"
+
+
+def test_the_other_core_flies_the_same_flights_and_the_statistics_are_compared(tmp_path: Path) -> None:
+    campaign = flown(tmp_path / "flown")
+    keys, cores = pick(campaign, 100, 0), set[str]()
+
+    def almost(job: FlightJob) -> FlightResult:
+        cores.add(job.core)
+        far = job.controller == "pid" and job.case == "source"
+        lost = job.controller == "none" and job.case == "warm" and job.seed == 1001
+        return made_up(job, position_rmse_m=0.0102 if far else 0.01005, survived=not lost, trace_sha256="other")
+
+    flights = refly(campaign, keys, tmp_path / "again", InlineWorkers(almost), silent, "c")
+    rows = {(row.case, row.controller): row for row in core_statistics(flights)}
+    assert cores == {"c"}
+    assert all(row.flights == 3 for row in rows.values())
+    assert {key for key, row in rows.items() if not row.same} == {("source", "pid"), ("warm", "none")}
+    assert rows["warm", "none"].survived == (3, 2)
+    assert rows["source", "pid"].median_m == pytest.approx((0.01, 0.0102))
+
+
+def test_statistics_without_survivors_have_no_median() -> None:
+    lost = {"case": "a", "controller": "pid", "survived": False, "position_rmse_m": 1.0}
+    (row,) = core_statistics([Reflown(lost, lost)])
+    assert row.same
+    assert math.isnan(row.median_m[0])
+
+
+def test_only_flights_of_the_named_controllers_are_chosen(tmp_path: Path) -> None:
+    campaign = flown(tmp_path / "flown")
+    assert {key.split("/")[1] for key in pick(campaign, 100, 0, ["pid"])} == {"pid"}
+    with pytest.raises(ConfigError, match=r"holds no flights of 'mrac'; it has pid"):
+        pick(campaign, None, 0, ["pid", "mrac"])
 
 
 def test_flights_of_other_settings_are_not_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
