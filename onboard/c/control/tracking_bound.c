@@ -136,8 +136,7 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
             bound = axis_restart(axis, REAL(0.0), e[i], -rate);
         } else {
             bound = real_abs(axis_respond(axis, command_turn[i], omega_d[i], alpha_d[i], inputs->dt));
-            bound +=
-                axis_step(axis, alpha_d[i], measured->u_hat[i], measured->residual[i], e[i], omega_d[i] - rate);
+            bound += axis_step(axis, alpha_d[i], measured->u_hat[i], measured->residual[i], e[i], omega_d[i] - rate);
         }
         squared += bound * bound;
     }
@@ -146,8 +145,7 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
 
 /* TrackingBounds.step */
 void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                          const real command_turn[3], const real omega_d[3], const real alpha_d[3],
-                          real bounds[2]) {
+                          const real command_turn[3], const real omega_d[3], const real alpha_d[3], real bounds[2]) {
     bounds[0] = bounds[1] = REAL(0.0);
     if (!inputs->adapt) {
         self->running = false;

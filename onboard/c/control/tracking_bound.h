@@ -57,7 +57,6 @@ void tracking_bounds_reset(TrackingBounds *self);
  * attitude of this tick. `command_turn`: rad, its turn since the last tick. `omega_d`, `alpha_d`: rad/s and rad/s^2, its
  * rate and acceleration as they are fed forward. */
 void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                          const real command_turn[3], const real omega_d[3], const real alpha_d[3],
-                          real bounds[2]);
+                          const real command_turn[3], const real omega_d[3], const real alpha_d[3], real bounds[2]);
 
 #endif
