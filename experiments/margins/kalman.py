@@ -5,6 +5,10 @@ With the gains k_w and k_b (1/s) of W along Phi and of the fast bias b, and the 
     F = k_w / (s + s_w) + k_b / (s + s_b),    nu = F (r / (1 + T s) - nu - t e'PB),    e = E (nu - r)
     nu / r = F (1 / (1 + T s) + t E') / (1 + F (1 + t E')),    E' = (w_1 + w_2 s) / (s^2 + k_2 s + k_1)
 
+and e = E (nu - r + u - u_hat) where hedging leaves the lag in e, so that nu = (nu / r) r + H_e (u_hat - u) with
+
+    H_e = F t E' / (1 + F (1 + t E')),
+
 where w_1, w_2 are the weights of e_1 and e_2 in PB. k_w + k_b is Phi'S Phi / (R dt), at most composite_gain.
 
 **A map with a slope.** With m the map's slope in x, constant, and the path at rest, nu takes up what the map says with
@@ -31,12 +35,14 @@ SETTLING_TICKS: Final = 40000
 
 
 class LawResponse(NamedTuple):
-    """The law at given gains; nu / r = numerator / (1 + loop)."""
+    """The law at given gains; nu / r = numerator / (1 + loop), H_e = error / (1 + loop)."""
 
     numerator: Any
     """F (1 / (1 + T s) + t E')."""
     loop: Any
     """F (1 + t E')."""
+    error: Any
+    """F t E'."""
 
     @property
     def filter(self) -> Any:
@@ -107,7 +113,8 @@ def _response(
 ) -> LawResponse:
     tracking = _tracking(law, error_weight, gains, axis, s)
     F = k_w / (s + law.prior_rate) + k_b / (s + law.fast_bias_rate)
-    return LawResponse(F * (1.0 / (1.0 + law.residual_filter_s * s) + tracking), F * (1.0 + tracking))
+    taken = F * (1.0 / (1.0 + law.residual_filter_s * s) + tracking)
+    return LawResponse(taken, F * (1.0 + tracking), F * tracking)
 
 
 def _tracking(law: KalmanConfig, error_weight: tuple[float, float], gains: ChannelGains, axis: int, s: Any) -> Any:

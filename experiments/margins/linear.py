@@ -5,29 +5,31 @@ The vehicle (`config.vehicle`) may differ from the one that onboard assumes (`co
     G = gain A exp(-d s)        what the vehicle's actuators do with a demand: true gain, lag and dead time
     A_n exp(-d_n s)             what onboard believes they do: u_hat (experiments/margins/plant.py has both)
     K = k_1 + k_2 s             the feedback, and H the law as a filter from the residual to nu_ad
+    H_e                         the law as a filter from u_hat - u to nu_ad: what hedging leaves in e; 0 if it hedges all
     Q = K A_n (1 - exp(-d_n s)) / s^2    prediction over the dead time that onboard knows; 0 without
 
 **Attitude.** The law sees r = x_ddot - A_n exp(-d_n s) u, and the feedback the state predicted from u and nu_ad:
 
-    u = -K G / s^2 u' - Q (u + nu_ad) - nu_ad,    nu_ad = H (G u' - A_n exp(-d_n s) u)
+    u = -K G / s^2 u' - Q (u + nu_ad) - nu_ad,    nu_ad = H (G u' - A_n exp(-d_n s) u) + H_e (A_n exp(-d_n s) - 1) u
 
 Broken between the demand u and the vehicle, u' = -L^-1 u, so the loop has the delay that onboard does not know:
 
-    L = (K G / (1 + Q) / s^2 + H G) / (1 - H A_n exp(-d_n s))
+    L = (K G / (1 + Q) / s^2 + H G) / (1 - H A_n exp(-d_n s) + H_e (A_n exp(-d_n s) - 1))
 
 Two things are simplified: the turn over the dead time comes from the model, where onboard takes the measured rate, and
 nu_ad passes through A_n there. From commanded to true attitude, with C the feedback on a command,
 
-    T = C G / s^2 / ((1 + Q) (1 + H (G - A_n exp(-d_n s))) + K G / s^2)
+    T = C G / s^2 / ((1 + Q) (1 + H (G - A_n exp(-d_n s)) + H_e (A_n exp(-d_n s) - 1)) + K G / s^2)
 
-and the law cancels out where G is the nominal plant.
+and the residual's filter cancels out where G is the nominal plant.
 
 **Position.** With rho the lift by the thrust at a command over the nominal one, the thrust demand settles at g / rho,
 which makes the tilt for a demand rho times as large. u_hat follows from the attitude as measured, so lag and dead time
 are known, rho is not: horizontally r = (rho - 1) T u. Vertically u_hat follows from the motors' model. Broken at the
 demand, with u_hat aware of it,
 
-    horizontal: L = rho K T / s^2 + H (rho - 1) T,    vertical: L = K G / s^2 + H (G - A_n exp(-d_n s)).
+    horizontal: L = (rho K T / s^2 + H (rho - 1) T + H_e T) / (1 - H_e)
+    vertical:   L = (K G / s^2 + H (G - A_n exp(-d_n s)) + H_e A_n exp(-d_n s)) / (1 - H_e).
 
 **Stability.** Margins mean nothing where the closed loop is unstable. 1 + L over a common denominator, times that of H,
 is the characteristic function. Its zeros in the right half plane are the unstable poles; stability.py counts them.
@@ -54,10 +56,13 @@ SCALE_RAD_S: Final = 10.0
 
 
 class Law(NamedTuple):
-    """H = numerator / denominator, each without poles in the right half plane; the denominator is 1 at infinity."""
+    """H = numerator / denominator and H_e = error / denominator, each without poles in the right half plane; the
+    denominator is 1 at infinity.
+    """
 
     numerator: Any
     denominator: Any
+    error: Any = 0.0
 
 
 class PredictedLoop(NamedTuple):
@@ -79,11 +84,11 @@ class LinearModel:
             raise ValueError(f"{config.controller}: not a cascade, so there is no linear prediction")
         self._config, self._settings, self._s = config, settings, 1j * omega
 
-    def loop(self, channel: int, axis: int) -> PredictedLoop:
-        """One loop: channel 0 position, 1 attitude."""
+    def loop(self, channel: int, axis: int, added: Any = 0.0) -> PredictedLoop:
+        """One loop: channel 0 position, 1 attitude. `added` [n]: to the feedback K of a position loop."""
         if channel == 1:
             return self.attitude[axis].loop
-        return self._vertical() if axis == 2 else self._horizontal(axis)
+        return self._vertical(added) if axis == 2 else self._horizontal(axis, added)
 
     @cached_property
     def attitude(self) -> "tuple[_AttitudeLoop, _AttitudeLoop, _AttitudeLoop]":
@@ -91,21 +96,23 @@ class LinearModel:
         roll, pitch, yaw = (_AttitudeLoop(self._config, self._settings, axis, self._s) for axis in range(3))
         return roll, pitch, yaw
 
-    def _horizontal(self, axis: int) -> PredictedLoop:
-        s, rho, channel = self._s, lift_gain(self._config), self._settings.position
+    def _horizontal(self, axis: int, added: Any) -> PredictedLoop:
         T = self.attitude[1 - axis].closed()  # north is flown by pitch, east by roll
-        K, law = _feedback(channel, axis, s), _law(channel, axis, s)
-        feedback, rest = rho * K * T / s**2, (rho - 1.0) * T
-        L = feedback + law.numerator / law.denominator * rest
-        return PredictedLoop(L, _scaled(law.denominator * (1.0 + feedback) + law.numerator * rest, channel, s))
+        rho = lift_gain(self._config)
+        return self._position(axis, added, rho * T, T)
 
-    def _vertical(self) -> PredictedLoop:
+    def _vertical(self, added: Any) -> PredictedLoop:
+        plant = lift_plant(self._config, self._s)
+        return self._position(2, added, plant.true, plant.nominal)
+
+    def _position(self, axis: int, added: Any, true: Any, known: Any) -> PredictedLoop:
+        """The loop with what a demand does, and with what u_hat knows of that."""
         s, channel = self._s, self._settings.position
-        plant = lift_plant(self._config, s)
-        K, law = _feedback(channel, 2, s), _law(channel, 2, s)
-        feedback, rest = K * plant.true / s**2, plant.true - plant.nominal
-        L = feedback + law.numerator / law.denominator * rest
-        return PredictedLoop(L, _scaled(law.denominator * (1.0 + feedback) + law.numerator * rest, channel, s))
+        K, law = _feedback(channel, axis, s) + added, _law(self._settings, channel, axis, s)
+        feedback = K * true / s**2
+        learnt = law.numerator * (true - known) + law.error * known
+        L = (law.denominator * feedback + learnt) / (law.denominator - law.error)
+        return PredictedLoop(L, _scaled(law.denominator * (1.0 + feedback) + learnt - law.error, channel, s))
 
 
 class _AttitudeLoop:
@@ -114,12 +121,13 @@ class _AttitudeLoop:
     def __init__(self, config: FlightConfig, settings: CascadeSettings, axis: int, s: Any) -> None:
         channel, plant = settings.attitude, attitude_plant(config, axis, s)
         self._settings, self._axis, self._s, self._G = settings, axis, s, plant.true
-        K, law = _feedback(channel, axis, s), _law(channel, axis, s)
+        K, law = _feedback(channel, axis, s), _law(settings, channel, axis, s)
         Q = K * (plant.nominal_prompt - plant.nominal) / s**2 if settings.prediction else 0.0
         KG = K * plant.true / s**2
-        H = law.numerator / law.denominator
-        self._denominator = (1.0 + Q) * (1.0 + H * (plant.true - plant.nominal)) + KG
-        L = (KG / (1.0 + Q) + H * plant.true) / (1.0 - H * plant.nominal)
+        H, H_e = law.numerator / law.denominator, law.error / law.denominator
+        lag = H_e * (plant.nominal - 1.0)
+        self._denominator = (1.0 + Q) * (1.0 + H * (plant.true - plant.nominal) + lag) + KG
+        L = (KG / (1.0 + Q) + H * plant.true) / (1.0 - H * plant.nominal + lag)
         self.loop = PredictedLoop(L, _scaled(law.denominator * self._denominator, channel, s))
 
     def closed(self) -> Any:
@@ -155,9 +163,9 @@ def _feedback(channel: ChannelSettings, axis: int, s: Any) -> Any:
     return k1 + k2 * s + integral
 
 
-def _law(channel: ChannelSettings, axis: int, s: Any) -> Law:
-    """nu_ad / residual."""
-    law, gains = channel.augmentation, channel.gains
+def _law(settings: CascadeSettings, channel: ChannelSettings, axis: int, s: Any) -> Law:
+    """nu_ad / residual, and nu_ad / what hedging leaves in e."""
+    law, gains, left = channel.augmentation, channel.gains, 0.0 if settings.hedging == "all" else 1.0
     match law:
         case L1Config():
             return Law(law.bandwidth_rad_s / (s + law.bandwidth_rad_s), 1.0)
@@ -165,7 +173,7 @@ def _law(channel: ChannelSettings, axis: int, s: Any) -> Law:
             return Law(1.0 / (1.0 + law.filter_s * s), 1.0)
         case AdaptiveConfig(law=KalmanConfig() as covariance):
             response = fastest_response(covariance, law.error_weight, gains, axis, s)
-            return Law(response.numerator, 1.0 + response.loop)
+            return Law(response.numerator, 1.0 + response.loop, left * response.error)
         case AdaptiveConfig():
             k1, k2 = gains.stiffness()[axis], gains.rate_gain()[axis]
             rate_weight = law.error_weight[1] / law.error_weight[0]
@@ -174,6 +182,6 @@ def _law(channel: ChannelSettings, axis: int, s: Any) -> Law:
             pole = law.law.composite_gain
             composite = pole / (1.0 + law.law.residual_filter_s * s)
             over = s + pole + SCALE_RAD_S
-            return Law((composite + tracking) / over, (s + pole + tracking) / over)
+            return Law((composite + tracking) / over, (s + pole + tracking) / over, left * tracking / over)
         case _:
             return Law(np.zeros_like(s), 1.0)

@@ -46,8 +46,7 @@ def steepest_map_margins(config: FlightConfig, omega: Array, times: float = 1.0)
             k1, k2 = position.stiffness()[axis], position.rate_gain()[axis]
             tilts = 1 - axis if channel else axis  # the axis of the attitude that turns the thrust to north, to east
             fed_back = slope_fed_back(law, augmentation.error_weight, one.gains, tilts, s)
-            loop, feedback = model.loop(0, axis).L, k1 + k2 * s
             for over, slope in (("place", shares.place * k1), ("motion", shares.motion * k2 * s)):
                 for sign in (-times, times):
-                    found = margins(omega, loop * (1.0 + sign * fed_back * slope / feedback))
+                    found = margins(omega, model.loop(0, axis, sign * fed_back * slope).L)
                     yield Steep(channel, over, axis, found)

@@ -8,7 +8,7 @@ and law at the present; then the command.
 """
 
 from math import exp
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -31,7 +31,7 @@ from onboard.control.slope import SlopeLimits
 from onboard.control.tracking_bound import TrackingBounds
 from onboard.flight.trajectory import PathPoint
 from protocol import geometry
-from protocol.conventions import Array
+from protocol.conventions import GRAVITY, Array
 from protocol.feature_config import ChannelName, FeaturesConfig
 from protocol.feature_set import FeatureSet
 from protocol.geometry import Quaternion, Vector3, add, vector
@@ -67,7 +67,10 @@ class CascadeSettings(ConfigRecord):
     features: FeaturesConfig
     position: ChannelSettings
     attitude: ChannelSettings
-    hedging: Annotated[bool, Field(description="pseudo-control hedging of both reference models")] = True
+    hedging: Annotated[
+        Literal["limits", "all", "none"],
+        Field(description="what is taken out of both reference models: what limits took, or lag and dead time, too"),
+    ] = "limits"
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
     limits: DemandLimitsConfig = DemandLimitsConfig()
     guard: GuardConfig = GuardConfig()
@@ -135,6 +138,8 @@ class CascadedController:
         )
         self._command: Vector3 = (0.0, 0.0, 0.0)
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
+        self._limited: Vector3 = (0.0, 0.0, 0.0)
+        """What the demand's limits took of the position channel's u, m/s^2."""
         self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
         self._command_turn: Vector3 = (0.0, 0.0, 0.0)
         self._added_rate: Vector3 = (0.0, 0.0, 0.0)
@@ -283,19 +288,26 @@ class CascadedController:
         if state.position_reset_count != self._resets_seen and not self._follow_jump(inputs):
             return
         position, attitude = self._channels
-        self._position_model.step(self._command, self._hedge(self._output.position, position), inputs.dt)
+        hedge = self._hedge(self._output.position, position, self._limited)
+        self._position_model.step(self._command, hedge, inputs.dt)
         self._position_model.error(state.position, state.velocity, position.model_error)
-        self._attitude_model.step(self._turn_command, self._hedge(self._output.attitude, attitude), inputs.dt)
+        hedge = self._hedge(self._output.attitude, attitude, (0.0, 0.0, 0.0))
+        self._attitude_model.step(self._turn_command, hedge, inputs.dt)
         self._attitude_model.error(state.quaternion, state.rates, attitude.model_error)
         e1, e2, e3, _, _, _ = attitude.model_error.tolist()
         if inputs.dt > MODEL_GAP_MAX_S or e1 * e1 + e2 * e2 + e3 * e3 > MODEL_ERROR_MAX_RAD**2:
             self._attitude_model.reset(state.quaternion, state.rates)
             attitude.model_error[:] = 0.0
 
-    def _hedge(self, telemetry: ChannelTelemetry, channel: ChannelState) -> Vector3:
-        """u - u_hat: what the actuators did not deliver of the last demand; zero without hedging."""
-        if not self._settings.hedging:
+    def _hedge(self, telemetry: ChannelTelemetry, channel: ChannelState, limited: Vector3) -> Vector3:
+        """What is taken out of the reference: what limits took of the last demand (`limited`, or all if motors are at
+        theirs), or u - u_hat, all that was not delivered.
+        """
+        hedging = self._settings.hedging
+        if hedging == "none":
             return 0.0, 0.0, 0.0
+        if hedging == "limits" and not channel.saturated:
+            return limited
         each_axis = zip(telemetry.demand.tolist(), channel.u_hat.tolist(), strict=True)
         return vector(u - u_hat for u, u_hat in each_axis)
 
@@ -343,6 +355,7 @@ class CascadedController:
         """Collective thrust [N] along the present body axis, and the attitude for u, within the limits."""
         self._limits.step(inputs.adapt, float(inputs.position.residual[2]), inputs.dt)
         fx, fy, fz = self._limits.specific_thrust(u, float(self._output.position.adaptive[2]))
+        self._limited = u[0] + fx, u[1] + fy, u[2] + fz - GRAVITY
         norm = (fx * fx + fy * fy + fz * fz) ** 0.5
         commanded = geometry.attitude_for_thrust((fx / norm, fy / norm, fz / norm), inputs.target.yaw_rad)
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()

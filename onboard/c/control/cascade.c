@@ -8,6 +8,8 @@
 
 enum { PLACE, TURN }; /* the channels */
 
+static const real NOTHING[3] = {REAL(0.0), REAL(0.0), REAL(0.0)};
+
 /* CascadedController.__init__ */
 void cascade_init(Cascade *self, const CascadeSettings *settings, const AirframeConfig *airframe,
                   const ChannelFeatures *start) {
@@ -166,12 +168,18 @@ static bool follow_jump(Cascade *self, const ControlInputs *inputs) {
     return true;
 }
 
-/* CascadedController._hedge: u - u_hat, what the actuators did not deliver of the last demand; zero without hedging */
-static void hedge_of(Cascade *self, int channel, real hedge[3]) {
+/* CascadedController._hedge: what limits took of the last demand (`limited`, or all if motors are at theirs), or
+ * u - u_hat, all that was not delivered */
+static void hedge_of(Cascade *self, int channel, const real limited[3], real hedge[3]) {
     vector_zero(hedge);
-    if (self->settings.hedging) {
-        vector_subtract(telemetry_of(self, channel)->demand, self->channels[channel].u_hat, hedge);
+    if (self->settings.hedging == CASCADE_HEDGING_NONE) {
+        return;
     }
+    if (self->settings.hedging == CASCADE_HEDGING_LIMITS && !self->channels[channel].saturated) {
+        vector_copy(limited, hedge);
+        return;
+    }
+    vector_subtract(telemetry_of(self, channel)->demand, self->channels[channel].u_hat, hedge);
 }
 
 /* CascadedController._advance_models */
@@ -186,10 +194,10 @@ static void advance_models(Cascade *self, const ControlInputs *inputs) {
     if (state->position_reset_count != self->resets_seen && !follow_jump(self, inputs)) {
         return;
     }
-    hedge_of(self, PLACE, hedge);
+    hedge_of(self, PLACE, self->limited, hedge);
     position_model_step(&self->position_model, self->command, hedge, inputs->dt);
     position_model_error(&self->position_model, state->position, state->velocity, position_error);
-    hedge_of(self, TURN, hedge);
+    hedge_of(self, TURN, NOTHING, hedge);
     attitude_model_step(&self->attitude_model, self->turn_command, hedge, inputs->dt);
     attitude_model_error(&self->attitude_model, state->quaternion, state->rates, e);
     if (inputs->dt > MODEL_GAP_MAX_S || vector_squared_length(e) > MODEL_ERROR_MAX_RAD * MODEL_ERROR_MAX_RAD) {
@@ -227,6 +235,8 @@ static void thrust_vector(Cascade *self, const ControlInputs *inputs) {
     demand_limits_step(&self->limits, inputs->adapt, inputs->position->residual[2], inputs->dt);
     demand_limits_specific_thrust(&self->limits, u, self->output.position.adaptive[2], f);
     real norm = vector_length(f);
+    vector_add(u, f, self->limited);
+    self->limited[2] -= GRAVITY;
     for (int i = 0; i < 3; i++) {
         down[i] = f[i] / norm;
     }

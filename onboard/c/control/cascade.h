@@ -30,6 +30,7 @@ typedef struct {
     ControlOutput output; /* of the last step */
     real command[3];      /* K_r r of the reference model, m/s^2 */
     real turn_command[3]; /* the same of the attitude, rad/s^2 */
+    real limited[3];      /* what the demand's limits took of the position channel's u, m/s^2 */
     real commanded[4];    /* attitude, of the last step */
     real command_turn[3]; /* rad, since the step before */
     real added_rate[3];   /* rad/s: what feedback adds to the command's rate, filtered */

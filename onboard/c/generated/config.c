@@ -416,7 +416,7 @@ static void read_GuardConfig(Cursor *from, GuardConfig *out) {
 static void read_CascadeSettings(Cursor *from, CascadeSettings *out) {
     read_ChannelSettings(from, &out->position);
     read_ChannelSettings(from, &out->attitude);
-    out->hedging = read_int(from) != 0;
+    out->hedging = (CascadeSettingsHedging)read_choice(from, 2);
     out->position_error_max_m = read_real(from);
     read_DemandLimitsConfig(from, &out->limits);
     read_GuardConfig(from, &out->guard);
@@ -463,7 +463,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0xfa, 0x75, 0x09, 0xba, 0xfa, 0xca, 0xf6, 0xeb};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x7f, 0xf1, 0x24, 0xd4, 0xcc, 0x88, 0xa0, 0x15};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }
