@@ -172,10 +172,10 @@ static bool follow_jump(Cascade *self, const ControlInputs *inputs) {
  * u - u_hat, all that was not delivered */
 static void hedge_of(Cascade *self, int channel, const real limited[3], real hedge[3]) {
     vector_zero(hedge);
-    if (self->settings.hedging == CASCADE_HEDGING_NONE) {
+    if (self->settings.hedging == CASCADE_SETTINGS_HEDGING_NONE) {
         return;
     }
-    if (self->settings.hedging == CASCADE_HEDGING_LIMITS && !self->channels[channel].saturated) {
+    if (self->settings.hedging == CASCADE_SETTINGS_HEDGING_LIMITS && !self->channels[channel].saturated) {
         vector_copy(limited, hedge);
         return;
     }
