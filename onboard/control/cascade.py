@@ -68,9 +68,9 @@ class CascadeSettings(ConfigRecord):
     position: ChannelSettings
     attitude: ChannelSettings
     hedging: Annotated[
-        Literal["limits", "all", "none"],
-        Field(description="what is taken out of both reference models: what limits took, or lag and dead time, too"),
-    ] = "limits"
+        Literal["all", "limits", "none"],
+        Field(description="what is taken out of both reference models: all that is not delivered, or what limits take"),
+    ] = "all"
     position_error_max_m: Annotated[float, Field(gt=0, le=10)] = 1.5
     limits: DemandLimitsConfig = DemandLimitsConfig()
     guard: GuardConfig = GuardConfig()
@@ -300,8 +300,8 @@ class CascadedController:
             attitude.model_error[:] = 0.0
 
     def _hedge(self, telemetry: ChannelTelemetry, channel: ChannelState, limited: Vector3) -> Vector3:
-        """What is taken out of the reference: what limits took of the last demand (`limited`, or all if motors are at
-        theirs), or u - u_hat, all that was not delivered.
+        """What is taken out of the reference: u - u_hat, all that was not delivered, or only what limits took of the last
+        demand: `limited`, and all while motors are at theirs.
         """
         hedging = self._settings.hedging
         if hedging == "none":

@@ -168,8 +168,8 @@ static bool follow_jump(Cascade *self, const ControlInputs *inputs) {
     return true;
 }
 
-/* CascadedController._hedge: what limits took of the last demand (`limited`, or all if motors are at theirs), or
- * u - u_hat, all that was not delivered */
+/* CascadedController._hedge: u - u_hat, all that was not delivered, or only what limits took of the last demand:
+ * `limited`, and all while motors are at theirs */
 static void hedge_of(Cascade *self, int channel, const real limited[3], real hedge[3]) {
     vector_zero(hedge);
     if (self->settings.hedging == CASCADE_SETTINGS_HEDGING_NONE) {

@@ -463,7 +463,7 @@ static void read_CoreConfig(Cursor *from, CoreConfig *out) {
 }
 
 bool config_decode(const uint8_t *packed, size_t size, CoreConfig *out) {
-    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x7f, 0xf1, 0x24, 0xd4, 0xcc, 0x88, 0xa0, 0x15};
+    static const uint8_t header[12] = {0x44, 0x4d, 0x52, 0x43, 0x31, 0x82, 0x07, 0x92, 0xf9, 0xa1, 0x8b, 0x04};
     if (size != CONFIG_IMAGE_BYTES || memcmp(packed, header, sizeof header) != 0) {
         return false;
     }

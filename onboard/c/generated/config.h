@@ -306,7 +306,7 @@ typedef struct {
     ChannelSettingsAugmentation augmentation; /* 48 */
 } ChannelSettings;
 
-typedef enum { CASCADE_SETTINGS_HEDGING_LIMITS, CASCADE_SETTINGS_HEDGING_ALL, CASCADE_SETTINGS_HEDGING_NONE } CascadeSettingsHedging;
+typedef enum { CASCADE_SETTINGS_HEDGING_ALL, CASCADE_SETTINGS_HEDGING_LIMITS, CASCADE_SETTINGS_HEDGING_NONE } CascadeSettingsHedging;
 
 typedef struct {
     real tilt_max_rad; /* 0 */
@@ -364,7 +364,7 @@ typedef struct {
 typedef struct {
     ChannelSettings position; /* 0 */
     ChannelSettings attitude; /* 480 */
-    CascadeSettingsHedging hedging; /* 960: what is taken out of both reference models: what limits took, or lag and dead time, too */
+    CascadeSettingsHedging hedging; /* 960: what is taken out of both reference models: all that is not delivered, or what limits take */
     real position_error_max_m; /* 968 */
     DemandLimitsConfig limits; /* 976 */
     GuardConfig guard; /* 1016 */

@@ -1,4 +1,4 @@
-"""Pseudo-control hedging: saturation, lag and limits stay out of the model error; u_hat is what acted."""
+"""Pseudo-control hedging: limits stay out of the model error, and lag where that is asked; u_hat is what acted."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from onboard.control.actuators import Delivered
 from tests.onboard.control.fixture import AIRFRAME, FORCE, Rig, column, shipped_controller
 
 
-def errors_of_a_great_step(hedging: bool, name: str = "none", **disturbance: Any) -> tuple[Any, Any]:
+def errors_of_a_great_step(hedging: str, name: str = "none", **disturbance: Any) -> tuple[Any, Any]:
     """Error e of both channels while the motors saturate: 2.6 m at once, and a quarter turn of yaw."""
     rig = Rig(shipped_controller(name, {"hedging": hedging}), **disturbance)
     rig.target, rig.yaw = np.array([1.5, -1.5, -2.5]), 1.5
@@ -16,24 +16,34 @@ def errors_of_a_great_step(hedging: bool, name: str = "none", **disturbance: Any
     return column(rows, "position_e"), column(rows, "attitude_e")
 
 
-def test_hedging_keeps_saturation_lag_and_limits_out_of_both_errors() -> None:
+def test_hedging_of_all_keeps_saturation_lag_and_limits_out_of_both_errors() -> None:
     """Nothing is unknown here, so that e ought to stay zero: through tilt limit, motor limits, lag and dead time."""
-    position, attitude = errors_of_a_great_step(True)
+    position, attitude = errors_of_a_great_step("all")
     assert np.abs(position[:, :3]).max() < 0.01
     assert np.abs(attitude[:, :3]).max() < 0.01
 
 
 def test_without_hedging_the_limits_look_like_a_disturbance() -> None:
-    position, attitude = errors_of_a_great_step(False)
+    position, attitude = errors_of_a_great_step("none")
     assert np.abs(position[:, :3]).max() > 0.3
     assert np.abs(attitude[:, :3]).max() > 0.1
+
+
+def test_hedging_of_limits_leaves_the_lag_alone() -> None:
+    """A step that no limit cuts: e has what lag and dead time cost. One that limits cut: e has no more than that."""
+    rig = Rig(shipped_controller("none", {"hedging": "limits"}))
+    rig.target = np.array([0.05, 0.0, -1.0])
+    lag = np.abs(column(rig.fly(2.0), "position_e")[:, 0]).max()
+    assert 0.002 < lag < 0.02
+    (hedged, _), (unhedged, _) = errors_of_a_great_step("limits"), errors_of_a_great_step("none")
+    assert np.abs(hedged[:, :3]).max() < 0.2 * np.abs(unhedged[:, :3]).max()
 
 
 def test_the_errors_dynamics_are_the_same_in_saturation() -> None:
     """With a disturbance and no nu_ad, e follows e_dot = A_rm e - B Delta whether the motors saturate or not."""
     calm = Rig(shipped_controller("none"), FORCE)
     unsaturated = column(calm.fly(2.0), "position_e")
-    saturated, _ = errors_of_a_great_step(True, force=FORCE)
+    saturated, _ = errors_of_a_great_step("all", force=FORCE)
     np.testing.assert_allclose(saturated, unsaturated, atol=0.05)
     np.testing.assert_allclose(unsaturated[-1, :3], -np.array(FORCE) / (16.0, 16.0, 25.0), rtol=0.05)
 
@@ -64,13 +74,14 @@ def test_both_directions_of_the_attitude_dynamics_know_the_gyroscopic_torque() -
 
 
 def test_hedging_keeps_adaptation_from_learning_a_limit() -> None:
-    def learnt(hedging: bool) -> float:
-        over = {"hedging": hedging}
+    def learnt(hedging: str) -> float:
+        over: dict[str, Any] = {"hedging": hedging}
         for channel in ("position", "attitude"):
             over[channel] = {"augmentation": {"law": {"composite_gain": 0.0, "tracking_gain": 16.0}}}
         rig = Rig(shipped_controller("bias", over))
         rig.target = np.array([1.5, -1.5, -2.5])
         return float(np.abs(column(rig.fly(2.0), "position_nu")).max())
 
-    assert learnt(True) < 0.1
-    assert learnt(False) > 1.0
+    assert learnt("all") < 0.1
+    assert learnt("none") > 1.0
+    assert learnt("limits") < 0.1 * learnt("none")
