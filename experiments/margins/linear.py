@@ -5,7 +5,7 @@ The vehicle (`config.vehicle`) may differ from the one that onboard assumes (`co
     G = gain A exp(-d s)        what the vehicle's actuators do with a demand: true gain, lag and dead time
     A_n exp(-d_n s)             what onboard believes they do: u_hat (experiments/margins/plant.py has both)
     K = k_1 + k_2 s             the feedback, and H the law as a filter from the residual to nu_ad
-    H_e                         the law as a filter from u_hat - u to nu_ad: what hedging leaves in e; 0 if it hedges all
+    H_e                         the law as a filter from u_hat - u to nu_ad, where hedging leaves that in e; else 0
     Q = K A_n (1 - exp(-d_n s)) / s^2    prediction over the dead time that onboard knows; 0 without
 
 **Attitude.** The law sees r = x_ddot - A_n exp(-d_n s) u, and the feedback the state predicted from u and nu_ad:

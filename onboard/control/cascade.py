@@ -7,7 +7,6 @@ Order within tick k: the reference models advance with the command of tick k-1 a
 and law at the present; then the command.
 """
 
-from math import exp
 from typing import Annotated, Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ from pydantic import Field
 
 from configs.loader import ConfigRecord
 from onboard.control.airframe import AirframeConfig
+from onboard.control.command_motion import CommandMotion
 from onboard.control.demand_limits import DemandLimits, DemandLimitsConfig, thrust_along
 from onboard.control.guard import Fall, Guard, GuardConfig
 from onboard.control.laws.adaptive import AdaptiveAugmentation, AdaptiveConfig
@@ -46,8 +46,6 @@ POSITION_N, VELOCITY_N = SIGNAL_INDEX["position_n"], SIGNAL_INDEX["velocity_n"]
 BODY_VELOCITY_X = SIGNAL_INDEX["body_velocity_x"]
 """The other two axes follow."""
 YAW_ERROR_MAX_RAD = 0.5
-COMMAND_JUMP_RAD = 0.2
-"""A commanded attitude that changes by more in a tick is a new command, and its change no rate."""
 MODEL_ERROR_MAX_RAD = 0.6
 """Above this attitude error the linear error model does not hold: the reference is set to the vehicle's attitude."""
 MODEL_GAP_MAX_S = 0.02
@@ -140,11 +138,7 @@ class CascadedController:
         self._turn_command: Vector3 = (0.0, 0.0, 0.0)
         self._limited: Vector3 = (0.0, 0.0, 0.0)
         """What the demand's limits took of the position channel's u, m/s^2."""
-        self._commanded: Quaternion = (1.0, 0.0, 0.0, 0.0)
-        self._command_turn: Vector3 = (0.0, 0.0, 0.0)
-        self._added_rate: Vector3 = (0.0, 0.0, 0.0)
-        self._omega_d: Vector3 = (0.0, 0.0, 0.0)
-        self._alpha_d: Vector3 = (0.0, 0.0, 0.0)
+        self._motion = CommandMotion(settings.command_rate_filter_s, settings.path_turn)
         self._resets_seen = 0
         self._running = False
 
@@ -166,7 +160,7 @@ class CascadedController:
         self._output.torque_nm = self._attitude_loop(inputs, commanded)
         self._output.law = self.guard.level
         self.guard.judge(inputs.dt, inputs.adapt)
-        self.bounds.step(inputs, self._output, self._command_turn, self._omega_d, self._alpha_d)
+        self.bounds.step(inputs, self._output, self._motion)
         return self._output
 
     def reset(self, inputs: ControlInputs) -> None:
@@ -300,8 +294,9 @@ class CascadedController:
             attitude.model_error[:] = 0.0
 
     def _hedge(self, telemetry: ChannelTelemetry, channel: ChannelState, limited: Vector3) -> Vector3:
-        """What is taken out of the reference: u - u_hat, all that was not delivered, or only what limits took of the last
-        demand: `limited`, and all while motors are at theirs.
+        """What is taken out of the reference: u - u_hat, all that was not delivered, or only what limits took.
+
+        limited: what they took of the last demand; while motors are at theirs, all is taken out.
         """
         hedging = self._settings.hedging
         if hedging == "none":
@@ -361,39 +356,6 @@ class CascadedController:
         r02, r12, r22 = inputs.state.rotation[:, 2].tolist()
         return self._airframe.mass_kg * thrust_along((fx, fy, fz), (r02, r12, r22)), commanded
 
-    def _feed_forward(self, commanded: Quaternion, inputs: ControlInputs) -> None:
-        """omega_d [rad/s] and alpha_d [rad/s^2] of the commanded attitude; zero on the ground.
-
-        The path's turn is known without noise. What feedback adds to the command's rate is noise in part: filtered.
-        """
-        path_rate, self._alpha_d = self._path_turn(inputs)
-        w, x, y, z = self._commanded
-        self._commanded = commanded
-        turned = geometry.quaternion_multiply((w, -x, -y, -z), commanded)
-        self._command_turn = turn = geometry.quaternion_to_rotation_vector(turned)
-        if self._settings.command_rate_filter_s == 0.0 or not inputs.adapt:
-            self._added_rate, self._omega_d = (0.0, 0.0, 0.0), path_rate
-            return
-        jump = max(map(abs, turn)) > COMMAND_JUMP_RAD
-        share = 1.0 - exp(-inputs.dt / self._settings.command_rate_filter_s)
-        each_axis = zip(self._added_rate, turn, path_rate, strict=True)
-        self._added_rate = vector(
-            rate + share * ((0.0 if jump else t / inputs.dt - path) - rate) for rate, t, path in each_axis
-        )
-        self._omega_d = add(path_rate, self._added_rate)
-
-    def _path_turn(self, inputs: ControlInputs) -> tuple[Vector3, Vector3]:
-        """Rate and acceleration of the path's turn, body FRD, as they are fed forward; zero where no path is."""
-        share = self._settings.path_turn
-        if share == 0.0 or not inputs.adapt or inputs.level_only:
-            return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = (inputs.state.rotation * share).tolist()
-        rate, acceleration = (
-            (r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z)
-            for x, y, z in inputs.target.turn
-        )
-        return rate, acceleration
-
     def _predicted(self, inputs: ControlInputs) -> tuple[Quaternion, Vector3]:
         """Attitude and rates when the command of this tick acts: half a tick after the next one begins.
 
@@ -425,8 +387,9 @@ class CascadedController:
         p, q, r = omega
         channel.tracking_error[:] = (*e_R, -p, -q, -r)
         nu_ad = self.guard.step(1, channel, telemetry, inputs)
-        self._feed_forward(commanded, inputs)
-        each_axis = zip(self._a1, e_R, self._a2, omega, self._omega_d, self._alpha_d, nu_ad.tolist(), strict=True)
+        self._motion.step(commanded, inputs)
+        omega_d, alpha_d = self._motion.omega_d, self._motion.alpha_d
+        each_axis = zip(self._a1, e_R, self._a2, omega, omega_d, alpha_d, nu_ad.tolist(), strict=True)
         u = vector(k1 * e1 - k2 * (w_i - w_d) + a_d - nu for k1, e1, k2, w_i, w_d, a_d, nu in each_axis)
         telemetry.demand[:] = u
         self._turn_command = vector(ui + nu for ui, nu in zip(u, telemetry.adaptive_now.tolist(), strict=True))

@@ -18,9 +18,10 @@ rest, what is fed forward (omega_d, alpha_d) takes its place.
 from math import exp, sqrt
 from typing import Final, NamedTuple
 
+from onboard.control.command_motion import CommandMotion
 from onboard.control.records import ControlInputs, ControlOutput
 from onboard.control.reference_model import ChannelGains
-from protocol.geometry import Vector3, quaternion_multiply, quaternion_to_rotation_vector
+from protocol.geometry import quaternion_multiply, quaternion_to_rotation_vector
 
 RESIDUAL_FILTER_S: Final = 0.02
 """T of Delta_hat = (2 F - F^2) r, F = 1 / (1 + T s): no lag for a Delta that changes steadily. Not a tuned value."""
@@ -134,21 +135,13 @@ class TrackingBounds:
         """Start anew at the next step."""
         self._running = False
 
-    def step(
-        self,
-        inputs: ControlInputs,
-        output: ControlOutput,
-        command_turn: Vector3,
-        omega_d: Vector3,
-        alpha_d: Vector3,
-    ) -> None:
+    def step(self, inputs: ControlInputs, output: ControlOutput, motion: CommandMotion) -> None:
         """Write the bounds of this tick into the telemetry, 0 while the laws do not adapt.
 
         Parameters
         ----------
         output: with the commanded attitude of this tick.
-        command_turn: rad, turn of the commanded attitude since the last tick.
-        omega_d, alpha_d: rad/s and rad/s^2: rate and acceleration of the commanded attitude as they are fed forward.
+        motion: of the commanded attitude, and what of it is fed forward.
         """
         if not inputs.adapt:
             self._running = False
@@ -159,7 +152,7 @@ class TrackingBounds:
             self._start(inputs.period)
         self._resets_seen = inputs.state.position_reset_count
         output.position.tracking_bound = self._position_bound(inputs, restart)
-        output.attitude.tracking_bound = self._attitude_bound(inputs, output, command_turn, omega_d, alpha_d, restart)
+        output.attitude.tracking_bound = self._attitude_bound(inputs, output, motion, restart)
 
     def _start(self, period: float) -> None:
         self._running, self._period = True, period
@@ -183,25 +176,20 @@ class TrackingBounds:
         return sqrt(squared) + ESTIMATE_SIGMAS * state.position_sigma_m
 
     def _attitude_bound(
-        self,
-        inputs: ControlInputs,
-        output: ControlOutput,
-        command_turn: Vector3,
-        omega_d: Vector3,
-        alpha_d: Vector3,
-        restart: bool,
+        self, inputs: ControlInputs, output: ControlOutput, motion: CommandMotion, restart: bool
     ) -> float:
         """Bound on the angle between the vehicle and the commanded attitude, rad; axes: body FRD."""
         w, x, y, z = inputs.state.quaternion.tolist()
         e = quaternion_to_rotation_vector(quaternion_multiply((w, -x, -y, -z), output.commanded_quaternion))
         rates, dt = inputs.state.rates.tolist(), inputs.dt
         u_hat, residual = inputs.attitude.u_hat.tolist(), inputs.attitude.residual.tolist()
+        turn, omega_d, alpha_d = motion.turn, motion.omega_d, motion.alpha_d
         squared = 0.0
         for i, axis in enumerate(self._attitude):
             if restart:
                 bound = axis.restart(0.0, e[i], -rates[i])
             else:
-                bound = abs(axis.respond(command_turn[i], omega_d[i], alpha_d[i], dt))
+                bound = abs(axis.respond(turn[i], omega_d[i], alpha_d[i], dt))
                 bound += axis.step(alpha_d[i], u_hat[i], residual[i], e[i], omega_d[i] - rates[i])
             squared += bound * bound
         return sqrt(squared)

@@ -25,7 +25,8 @@ void cascade_init(Cascade *self, const CascadeSettings *settings, const Airframe
     gains_rate_gain(attitude, self->a2);
     demand_limits_init(&self->limits, &settings->limits);
     tracking_bounds_init(&self->bounds, position, attitude);
-    self->output.commanded_quaternion[0] = self->commanded[0] = REAL(1.0);
+    self->output.commanded_quaternion[0] = REAL(1.0);
+    command_motion_init(&self->motion, settings->command_rate_filter_s, settings->path_turn);
     augmentation_init(self->augmentations + PLACE, settings, PLACE, start + PLACE);
     augmentation_init(self->augmentations + TURN, settings, TURN, start + TURN);
     guard_init(&self->guard, &settings->guard, self->augmentations, position, attitude, airframe,
@@ -245,53 +246,6 @@ static void thrust_vector(Cascade *self, const ControlInputs *inputs) {
     self->output.thrust_n = self->airframe.mass_kg * thrust_along(f, axis);
 }
 
-/* out = from^-1 to, as a rotation vector, rad */
-static void turn_between(const real from[4], const real to[4], real out[3]) {
-    real inverse[4], turn[4];
-    quaternion_conjugate(from, inverse);
-    quaternion_multiply(inverse, to, turn);
-    quaternion_to_rotation_vector(turn, out);
-}
-
-/* CascadedController._path_turn: body FRD, as it is fed forward; zero where no path is */
-static void find_path_turn(const Cascade *self, const ControlInputs *inputs, real rate[3], real acceleration[3]) {
-    const PathTurn *turn = &inputs->target->turn;
-    real R[9], share = self->settings.path_turn;
-    vector_zero(rate);
-    vector_zero(acceleration);
-    if (share == REAL(0.0) || !inputs->adapt || inputs->level_only) {
-        return;
-    }
-    for (int i = 0; i < 9; i++) {
-        R[i] = share * inputs->state->rotation[i];
-    }
-    for (int i = 0; i < 3; i++) {
-        rate[i] = R[i] * turn->rate[0] + R[3 + i] * turn->rate[1] + R[6 + i] * turn->rate[2];
-        acceleration[i] =
-            R[i] * turn->acceleration[0] + R[3 + i] * turn->acceleration[1] + R[6 + i] * turn->acceleration[2];
-    }
-}
-
-/* CascadedController._feed_forward: omega_d and alpha_d of the commanded attitude; zero on the ground */
-static void feed_forward(Cascade *self, const ControlInputs *inputs) {
-    const real *turn = self->command_turn;
-    find_path_turn(self, inputs, self->omega_d, self->alpha_d);
-    turn_between(self->commanded, self->output.commanded_quaternion, self->command_turn);
-    memcpy(self->commanded, self->output.commanded_quaternion, sizeof self->commanded);
-    if (self->settings.command_rate_filter_s == REAL(0.0) || !inputs->adapt) {
-        vector_zero(self->added_rate);
-        return;
-    }
-    real largest = real_max(real_max(real_abs(turn[0]), real_abs(turn[1])), real_abs(turn[2]));
-    bool jump = largest > COMMAND_JUMP_RAD;
-    real share = REAL(1.0) - real_exp(-inputs->dt / self->settings.command_rate_filter_s);
-    for (int i = 0; i < 3; i++) {
-        real added = jump ? REAL(0.0) : turn[i] / inputs->dt - self->omega_d[i];
-        self->added_rate[i] += share * (added - self->added_rate[i]);
-        self->omega_d[i] += self->added_rate[i];
-    }
-}
-
 /* CascadedController._predicted: attitude and rates when the command of this tick acts, half a tick after the next begins */
 static void predict(const Cascade *self, const ControlInputs *inputs, real quaternion[4], real omega[3]) {
     const real *nu = self->output.attitude.adaptive_now, *rates = inputs->state->rates;
@@ -316,15 +270,16 @@ static void predict(const Cascade *self, const ControlInputs *inputs, real quate
  * tau = J u + omega x J omega, N m; body FRD */
 static void attitude_loop(Cascade *self, const ControlInputs *inputs) {
     ChannelTelemetry *telemetry = &self->output.attitude;
+    const CommandMotion *motion = &self->motion;
     real quaternion[4], omega[3], nu_ad[3], *e = self->channels[TURN].tracking_error, *u = telemetry->demand;
     predict(self, inputs, quaternion, omega);
     turn_between(quaternion, self->output.commanded_quaternion, e);
     e[2] = real_clip(e[2], -YAW_ERROR_MAX_RAD, YAW_ERROR_MAX_RAD);
     vector_scale(omega, REAL(-1.0), e + 3);
     guarded_step(self, TURN, inputs, nu_ad);
-    feed_forward(self, inputs);
+    command_motion_step(&self->motion, self->output.commanded_quaternion, inputs);
     for (int i = 0; i < 3; i++) {
-        u[i] = self->a1[i] * e[i] - self->a2[i] * (omega[i] - self->omega_d[i]) + self->alpha_d[i] - nu_ad[i];
+        u[i] = self->a1[i] * e[i] - self->a2[i] * (omega[i] - motion->omega_d[i]) + motion->alpha_d[i] - nu_ad[i];
         self->turn_command[i] = u[i] + telemetry->adaptive_now[i];
     }
     const real *J = self->airframe.inertia_kg_m2;
@@ -345,8 +300,7 @@ void cascade_step(Cascade *self, const ControlInputs *inputs) {
     attitude_loop(self, inputs);
     output->law = (int32_t)self->guard.level;
     guard_judge(&self->guard, self->augmentations, inputs->dt, inputs->adapt, inputs->busy);
-    tracking_bounds_step(&self->bounds, inputs, output->commanded_quaternion, self->command_turn, self->omega_d,
-                         self->alpha_d, bounds);
+    tracking_bounds_step(&self->bounds, inputs, output->commanded_quaternion, &self->motion, bounds);
     output->position.tracking_bound = bounds[PLACE];
     output->attitude.tracking_bound = bounds[TURN];
     memcpy(output->position.error, self->channels[PLACE].model_error, sizeof output->position.error);

@@ -6,6 +6,7 @@
 #ifndef DMRAC_CASCADE_H
 #define DMRAC_CASCADE_H
 
+#include "control/command_motion.h"
 #include "control/demand_limits.h"
 #include "control/guard.h"
 #include "control/laws/augmentation.h"
@@ -31,11 +32,7 @@ typedef struct {
     real command[3];      /* K_r r of the reference model, m/s^2 */
     real turn_command[3]; /* the same of the attitude, rad/s^2 */
     real limited[3];      /* what the demand's limits took of the position channel's u, m/s^2 */
-    real commanded[4];    /* attitude, of the last step */
-    real command_turn[3]; /* rad, since the step before */
-    real added_rate[3];   /* rad/s: what feedback adds to the command's rate, filtered */
-    real omega_d[3];      /* rad/s */
-    real alpha_d[3];      /* rad/s^2 */
+    CommandMotion motion;
     int32_t resets_seen;
     bool running;
 } Cascade;

@@ -123,8 +123,9 @@ static real position_bound(TrackingBounds *self, const ControlInputs *inputs, bo
 
 /* TrackingBounds._attitude_bound: on the angle between the vehicle and the commanded attitude; axes: body FRD */
 static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                           const real command_turn[3], const real omega_d[3], const real alpha_d[3], bool restart) {
+                           const CommandMotion *motion, bool restart) {
     const ChannelMeasurement *measured = inputs->attitude;
+    const real *omega_d = motion->omega_d, *alpha_d = motion->alpha_d;
     real inverse[4], difference[4], e[3], squared = REAL(0.0);
     quaternion_conjugate(inputs->state->quaternion, inverse);
     quaternion_multiply(inverse, commanded, difference);
@@ -135,7 +136,7 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
         if (restart) {
             bound = axis_restart(axis, REAL(0.0), e[i], -rate);
         } else {
-            bound = real_abs(axis_respond(axis, command_turn[i], omega_d[i], alpha_d[i], inputs->dt));
+            bound = real_abs(axis_respond(axis, motion->turn[i], omega_d[i], alpha_d[i], inputs->dt));
             bound += axis_step(axis, alpha_d[i], measured->u_hat[i], measured->residual[i], e[i], omega_d[i] - rate);
         }
         squared += bound * bound;
@@ -145,7 +146,7 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
 
 /* TrackingBounds.step */
 void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                          const real command_turn[3], const real omega_d[3], const real alpha_d[3], real bounds[2]) {
+                          const CommandMotion *motion, real bounds[2]) {
     bounds[0] = bounds[1] = REAL(0.0);
     if (!inputs->adapt) {
         self->running = false;
@@ -158,5 +159,5 @@ void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, con
     }
     self->resets_seen = inputs->state->position_reset_count;
     bounds[0] = position_bound(self, inputs, restart);
-    bounds[1] = attitude_bound(self, inputs, commanded, command_turn, omega_d, alpha_d, restart);
+    bounds[1] = attitude_bound(self, inputs, commanded, motion, restart);
 }

@@ -5,6 +5,7 @@
 #ifndef DMRAC_TRACKING_BOUND_H
 #define DMRAC_TRACKING_BOUND_H
 
+#include "control/command_motion.h"
 #include "control/records.h"
 #include "generated/config.h"
 
@@ -54,9 +55,8 @@ void tracking_bounds_init(TrackingBounds *self, const ChannelGains *position, co
 void tracking_bounds_reset(TrackingBounds *self);
 
 /* The bounds of this tick, position [m] and attitude [rad]; 0 while the laws do not adapt. `commanded`: the commanded
- * attitude of this tick. `command_turn`: rad, its turn since the last tick. `omega_d`, `alpha_d`: rad/s and rad/s^2, its
- * rate and acceleration as they are fed forward. */
+ * attitude of this tick. `motion`: of that, and what of it is fed forward. */
 void tracking_bounds_step(TrackingBounds *self, const ControlInputs *inputs, const real commanded[4],
-                          const real command_turn[3], const real omega_d[3], const real alpha_d[3], real bounds[2]);
+                          const CommandMotion *motion, real bounds[2]);
 
 #endif

@@ -17,9 +17,9 @@
 #define ADAPT_HEIGHT_M REAL(0.2) /* onboard.core */
 #define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.core */
 #define YAW_ERROR_MAX_RAD REAL(0.5) /* onboard.control.cascade */
-#define COMMAND_JUMP_RAD REAL(0.2) /* onboard.control.cascade */
 #define MODEL_ERROR_MAX_RAD REAL(0.6) /* onboard.control.cascade */
 #define MODEL_GAP_MAX_S REAL(0.02) /* onboard.control.cascade */
+#define COMMAND_JUMP_RAD REAL(0.2) /* onboard.control.command_motion */
 #define FALL_MIN_M_S2 REAL(2.0) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_0 REAL(0.96) /* onboard.control.demand_limits */
 #define ASTRAY_COSINE_1 REAL(0.9) /* onboard.control.demand_limits */

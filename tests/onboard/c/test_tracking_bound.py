@@ -9,13 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.c.library import Core
+from onboard.control.command_motion import CommandMotion
 from onboard.control.records import ChannelMeasurement, ControlInputs, ControlOutput, Target
 from onboard.control.reference_model import ChannelGains
 from onboard.control.tracking_bound import TrackingBounds, majorant
 from onboard.estimation.state import VehicleState
 from onboard.flight.trajectory import PathPoint
+from protocol.geometry import vector
 from protocol.signals import SIGNAL_COUNT
-from tests.onboard.c.parity import SETTINGS, array, call, configured, filled, quaternions, same, vectors
+from tests.onboard.c.parity import SETTINGS, call, configured, filled, quaternions, same, vectors, view
 from tests.onboard.control.fixture import DT
 
 POSITION = ChannelGains(natural_frequency_rad_s=(5.6, 5.6, 5.0), damping=0.68)
@@ -69,11 +71,14 @@ def test_bounds(
         state.position_reset_count += index == jump_at
         missed = 2 if index == missed_at else 0
         dt = (1 + missed) * (2.0 * DT if index == other_period_at else DT)
-        turn, rate, alpha = (tuple(share * x for x in turns[9:12]) for share in (0.02, 1.0, 10.0))
+        motion = CommandMotion(0.03, 1.0)
+        motion.turn, motion.omega_d, motion.alpha_d = (
+            vector(share * x for x in turns[9:12]) for share in (0.02, 1.0, 10.0)
+        )
         target = Target(point, (0.0,) * 3, point, point, 0.0, point)
         signals, coming = np.zeros((SIGNAL_COUNT, 2)), ((0.0,) * 3, (0.0,) * 3)
         inputs = ControlInputs(dt, state, target, signals, position, measured, False, adapt, coming, missed=missed)
-        theirs.step(inputs, output, turn, rate, alpha)
+        theirs.step(inputs, output, motion)
         kept = [
             filled(core.VehicleState, state),
             filled(core.Target, target),
@@ -82,19 +87,28 @@ def test_bounds(
         ]
         members = dict(zip(MEMBERS, map(ctypes.pointer, kept), strict=True))
         c_inputs = core.ControlInputs(dt=dt, adapt=adapt, missed=missed, **members)
-        bounds = call(core, "tracking_bounds_step", ours, c_inputs, commanded, turn, rate, alpha, out=2)
+        bounds = call(core, "tracking_bounds_step", ours, c_inputs, commanded, fed_forward(core, motion), out=2)
         same(bounds, [output.position.tracking_bound, output.attitude.tracking_bound])
         if index == reset_at:
             theirs.reset()
             core.tracking_bounds_reset(ours)
 
 
+def fed_forward(core: Core, motion: CommandMotion) -> Any:
+    ours = core.CommandMotion()
+    for name in ("turn", "omega_d", "alpha_d"):
+        view(getattr(ours, name))[...] = getattr(motion, name)
+    return ours
+
+
 def test_nothing_is_bounded_while_nothing_adapts(core: Core) -> None:
     ours = core.TrackingBounds()
     core.tracking_bounds_init(ours, configured(core, POSITION), configured(core, POSITION))
     inputs = core.ControlInputs(dt=DT)  # nothing else is read
-    zero = array(core, np.zeros(3))
-    assert list(call(core, "tracking_bounds_step", ours, inputs, np.zeros(4), zero, zero, zero, out=2)) == [0.0, 0.0]
+    assert list(call(core, "tracking_bounds_step", ours, inputs, np.zeros(4), core.CommandMotion(), out=2)) == [
+        0.0,
+        0.0,
+    ]
 
 
 def test_the_bound_of_a_known_error_is_that_error(core: Core) -> None:
@@ -105,7 +119,6 @@ def test_the_bound_of_a_known_error_is_that_error(core: Core) -> None:
     nothing = core.ChannelMeasurement()
     members = dict(zip(MEMBERS, map(ctypes.pointer, (state, target, nothing, nothing)), strict=True))
     inputs = core.ControlInputs(dt=DT, adapt=True, **members)
-    zero = np.zeros(3)
-    bounds = call(core, "tracking_bounds_step", ours, inputs, [1.0, 0.0, 0.0, 0.0], zero, zero, zero, out=2)
+    bounds = call(core, "tracking_bounds_step", ours, inputs, [1.0, 0.0, 0.0, 0.0], core.CommandMotion(), out=2)
     assert bounds[0] == pytest.approx(0.3)
     assert bounds[1] == 0.0
