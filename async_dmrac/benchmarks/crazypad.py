@@ -29,6 +29,7 @@ from async_dmrac.benchmarks.recordings import (
     lagged,
     median_rate_hz,
     read_columns,
+    same_rate,
     slope,
 )
 from configs.loader import ConfigError
@@ -100,7 +101,7 @@ class Result:
     flights: list[Left]
     """One held-out flight per condition."""
     left_out: list[str]
-    """Logs with too few samples in the air."""
+    """Logs with too few samples in the air, or at another rate than most."""
 
 
 def read_motor_log(path: Path) -> Log:
@@ -198,15 +199,14 @@ def _result(folder: Path, kind: Kind, rounds: int) -> Result:
         by_condition.setdefault(path.parent.name, []).append(path)
     if NORMAL not in by_condition:
         raise ConfigError(f"{folder}: no folder {NORMAL} with .csv files of CrazyPAD; {WHERE}")
+    every = [kind.read(path) for paths in by_condition.values() for path in paths]
     usable: dict[str, list[Log]] = {}
     left_out = []
-    for condition, paths in by_condition.items():
-        for path in paths:
-            log = kind.read(path)
-            if np.count_nonzero(log.flying) >= SAMPLES_MIN:
-                usable.setdefault(condition, []).append(log)
-            else:
-                left_out.append(log.name)
+    for log, fits in zip(every, same_rate([log.rate_hz for log in every]), strict=True):
+        if fits and np.count_nonzero(log.flying) >= SAMPLES_MIN:
+            usable.setdefault(log.condition, []).append(log)
+        else:
+            left_out.append(log.name)
     held = [logs[-1] for logs in usable.values() if len(logs) > 1]
     training = [one for logs in usable.values() for one in (logs[:-1] if len(logs) > 1 else logs)]
     normal = [one for one in training if one.condition == NORMAL]

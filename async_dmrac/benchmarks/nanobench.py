@@ -32,6 +32,7 @@ from async_dmrac.benchmarks.recordings import (
     lagged,
     median_rate_hz,
     read_columns,
+    same_rate,
     slope,
 )
 from configs.loader import ConfigError
@@ -148,7 +149,7 @@ class Result:
     flights: list[Left]
     """Held-out flights."""
     left_out: list[str]
-    """Flights with too few samples in the air."""
+    """Flights with too few samples in the air, or at another rate than most."""
 
 
 def read_flight(path: Path) -> Flight:
@@ -215,7 +216,10 @@ def learner_result(folder: Path, rounds: int = 30) -> Result:
         If a folder or file is missing, or does not have their format, or no trajectory was flown twice.
     """
     flights = [one.aligned() for one in read_flights(folder / FLIGHTS)]
-    usable = [one for one in flights if np.count_nonzero(_in_air(one)) >= SAMPLES_MIN]
+    same = same_rate([one.rate_hz for one in flights])
+    usable = [
+        one for one, fits in zip(flights, same, strict=True) if fits and np.count_nonzero(_in_air(one)) >= SAMPLES_MIN
+    ]
     held = _last_repetitions([one.name for one in usable])
     if not held:
         raise ConfigError(f"{folder / FLIGHTS}: no trajectory with two flights; {WHERE}")

@@ -2,7 +2,8 @@
 
 Their tables have accelerometer and gyroscope, at 100 rows/s, and no optical flow, range or pressure. So the estimator
 gets the IMU and poses of the motion capture, 100/s or 10/s. What the Crazyflie's own filter was given is not in their
-files. Both are compared with the motion capture while motor 1 runs, their definition of flight.
+files. Both are compared with the motion capture while motor 1 runs, their definition of flight, from SETTLED_S after the
+estimator's start on. It starts at the first half second without fast rotation: some of their tables begin in flight.
 """
 
 from collections.abc import Sequence
@@ -34,6 +35,7 @@ Their attitude error there (2.12, 2.71, 29.67 deg) takes radians from degrees an
 FLIP: Final = np.array([1.0, -1.0, -1.0])
 """Z up to z down: half a turn about x, of the world and of the body."""
 SPARSE_HZ: Final = 10.0
+SETTLED_S: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,10 @@ class Estimates:
     speed: str
     late_s: float
     """By which the onboard columns are late. All but `logged_m_s` is free of it."""
+    compared_s: float
+    """Of the flight, by all but `logged_m_s`."""
     logged_m_s: float
-    """Of the Crazyflie's filter as logged: their measure."""
+    """Of the Crazyflie's filter as logged, over the whole flight: their measure."""
     theirs_m_s: float
     theirs_deg: float
     """Of the Crazyflie's filter."""
@@ -77,7 +81,7 @@ class OfSpeed:
 def estimates(folder: Path) -> tuple[list[Estimates], list[str]]:
     """Run the estimator on each trefoil flight of their repository; also the names of flights that are left out.
 
-    A flight is left out if it is shorter than their limit, or if no still start comes before it.
+    A flight is left out if what can be compared is shorter than their limit of SAMPLES_MIN rows.
 
     Raises
     ------
@@ -144,8 +148,12 @@ def _errors(name: str, flight: Flight) -> Estimates | None:
     logged = _velocity_error(flight, flight.ekf_velocity, flight.running)
     late, aligned = flight.late_rows(), flight.aligned()
     dense, sparse = estimate(aligned, flight.rate_hz), estimate(aligned, SPARSE_HZ)
-    rows: Mask = aligned.running & np.isfinite(dense[0]).all(axis=1)
-    if np.count_nonzero(rows) < SAMPLES_MIN:
+    begun = np.flatnonzero(np.isfinite(dense[0]).all(axis=1))
+    if not begun.size:
+        return None
+    rows: Mask = aligned.running & (aligned.time_s >= aligned.time_s[begun[0]] + SETTLED_S)
+    compared = int(np.count_nonzero(rows))
+    if compared < SAMPLES_MIN:
         return None
     errors = [
         of(aligned, given, rows)
@@ -153,7 +161,7 @@ def _errors(name: str, flight: Flight) -> Estimates | None:
         for of, given in zip((_velocity_error, _attitude_error_deg), pair, strict=True)
     ]
     speed = next((one for one in SPEEDS if f"_{one}_" in flight.name), "other")
-    return Estimates(name, speed, late / flight.rate_hz, logged, *errors)
+    return Estimates(name, speed, late / flight.rate_hz, compared / flight.rate_hz, logged, *errors)
 
 
 def _velocity_error(flight: Flight, velocity: Array, rows: Mask) -> float:

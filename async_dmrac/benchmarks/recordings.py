@@ -27,6 +27,7 @@ SLOPE_ROWS: Final = 5
 LAGS_S: Final = tuple(0.01 * k for k in range(13))
 """Lags of the motors that `fit_lag` tries."""
 RATE_TOLERANCE: Final = 0.1
+"""By which the rates of flights may differ to be learnt from together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +89,12 @@ def median_rate_hz(path: Path, time_s: Array) -> float:
     return 1.0 / float(np.median(steps))
 
 
+def same_rate(rates_hz: Sequence[float]) -> list[bool]:
+    """Whether each rate is near the median of them all."""
+    middle = float(np.median(rates_hz)) if rates_hz else 0.0
+    return [abs(rate_hz - middle) <= RATE_TOLERANCE * middle for rate_hz in rates_hz]
+
+
 def slope(values: Array, time_s: Array) -> Array:
     """[n, q], change per second of `values` [n, q] over SLOPE_ROWS on each side; NaN at both ends."""
     rows = SLOPE_ROWS
@@ -141,17 +148,10 @@ def compare(
 
     Parameters
     ----------
+    training, tested: flights of one rate, `same_rate`.
     inputs, outputs: names of the columns of `signals` and `residual`. rounds: of training.
-
-    Raises
-    ------
-    ConfigError
-        If a flight has another rate than the first.
     """
     rate_hz = training[0].rate_hz
-    for flight in (*training, *tested):
-        if abs(flight.rate_hz / rate_hz - 1.0) > RATE_TOLERANCE:
-            raise ConfigError(f"{flight.name}: {flight.rate_hz:.1f} samples/s, but {training[0].name} {rate_hz:.1f}")
     signals, residual = (np.vstack(parts) for parts in zip(*((f.signals, f.residual) for f in training), strict=True))
     sizes = np.maximum(np.sqrt(np.square(residual).mean(axis=0)), 1e-9)
     spread = np.maximum(signals.std(axis=0), 1e-9)

@@ -230,7 +230,7 @@ def _show_left(flights: Sequence["Left"], left_out: Sequence[str], show: Callabl
             f" {one.held:13.3f} {one.adapted:16.3f}"
         )
     if left_out:
-        show(f"left out, too few samples in the air: {', '.join(left_out)}")
+        show(f"left out, too few samples in the air or another rate: {', '.join(left_out)}")
 
 
 def _folder(arguments: argparse.Namespace, where: str) -> Path:

@@ -25,6 +25,7 @@ from tests.async_dmrac.benchmarks.nanobench_files import (
     HEADER,
     LATE_ROWS,
     MOTOR_LAG_S,
+    STILL_S,
     K,
     write_flight,
 )
@@ -102,6 +103,7 @@ def test_the_estimator_follows_the_motion_capture_and_their_filter_has_its_error
         assert one.theirs_m_s == pytest.approx(float(np.linalg.norm(EKF_OFF_M_S)), abs=1e-3)
         assert one.theirs_deg == pytest.approx(EKF_OFF_DEG, abs=1e-2)
         assert one.logged_m_s > one.theirs_m_s
+        assert one.compared_s == pytest.approx(16.0 - STILL_S, abs=0.1)
         assert one.ours_m_s < 0.03
         assert one.ours_deg < 0.5
         assert one.sparse_m_s < 0.05
@@ -109,6 +111,20 @@ def test_the_estimator_follows_the_motion_capture_and_their_filter_has_its_error
     slow, medium = by_speed(found)
     assert (slow.speed, slow.flights, slow.published_m_s, medium.flights) == ("slow", 2, 0.069, 1)
     assert slow.ours_m_s == pytest.approx(np.mean([one.ours_m_s for one in found if one.speed == "slow"]))
+
+
+def test_a_table_that_begins_in_flight_is_compared_once_the_estimator_has_settled(tmp_path: Path) -> None:
+    for part in FOLDERS:
+        write_flight(tmp_path / part / "B9_trefoil_slow_rep1.csv", 5)
+    path = tmp_path / FOLDERS[1] / "B9_trefoil_slow_rep1.csv"
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *rows[430:]]) + "\n")
+    whole, cut = estimates(tmp_path)[0]
+    assert cut.compared_s == pytest.approx(16.0 - 4.3 - 0.5 - 2.0, abs=0.1)
+    assert cut.ours_m_s == pytest.approx(whole.ours_m_s, abs=0.003)
+    assert cut.ours_deg < 0.5
+    path.write_text("\n".join([header, *rows[430:700]]) + "\n")
+    assert estimates(tmp_path)[1] == ["pid_trefoil/B9_trefoil_slow_rep1"]
 
 
 def test_the_command_prints_both_tables(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
