@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from async_dmrac.learner import Learner
-from async_dmrac.learning.laws import KalmanLaw
 from configs.loader import ConfigError
 from protocol.conventions import Array
 
@@ -26,6 +25,7 @@ SLOPE_ROWS: Final = 5
 """Rows on each side of a slope."""
 LAGS_S: Final = tuple(0.01 * k for k in range(13))
 """Lags of the motors that `fit_lag` tries."""
+BIASES_S: Final = (0.03, 0.1, 0.3, 1.0, 3.0)
 RATE_TOLERANCE: Final = 0.1
 """By which the rates of flights may differ to be learnt from together."""
 
@@ -51,7 +51,7 @@ class Left:
     zero: float
     """No model."""
     bias: float
-    """A bias alone, by the law of the last layer."""
+    """A bias alone: the residual's average, with that time constant of BIASES_S that fits the training flights best."""
     untrained: float
     """Random features, last layer adapted."""
     held: float
@@ -163,7 +163,8 @@ def compare(
 
     trained, untrained = learner(), learner()
     trained.fit(signals, residual, rounds=rounds)
-    return [_left(flight, trained, untrained, sizes) for flight in tested]
+    bias_s = min(BIASES_S, key=lambda one: _left_by_bias(training, one))
+    return [_left(flight, trained, untrained, bias_s) for flight in tested]
 
 
 def rms(errors: Array) -> float:
@@ -171,7 +172,7 @@ def rms(errors: Array) -> float:
     return float(np.sqrt(np.square(errors).mean()))
 
 
-def _left(flight: Samples, trained: Learner, untrained: Learner, sizes: Array) -> Left:
+def _left(flight: Samples, trained: Learner, untrained: Learner, bias_s: float) -> Left:
     truth = flight.residual
     trained.restart()
     held = trained.predict(flight.signals)
@@ -179,7 +180,7 @@ def _left(flight: Samples, trained: Learner, untrained: Learner, sizes: Array) -
         flight.name,
         len(truth),
         rms(truth),
-        rms(truth - _bias_ahead(flight, sizes)),
+        rms(truth - _bias_ahead(flight, bias_s)),
         rms(truth - _ahead(untrained, flight)),
         rms(truth - held),
         rms(truth - _ahead(trained, flight)),
@@ -197,16 +198,16 @@ def _ahead(learner: Learner, flight: Samples) -> Array:
     return predicted
 
 
-def _bias_ahead(flight: Samples, sizes: Array) -> Array:
-    """[n, q]: the law with the constant as its only feature, AHEAD_S ahead."""
-    late, predicted, count = round(AHEAD_S * flight.rate_hz), np.zeros_like(flight.residual), sizes.size
-    law, one, no_error = KalmanLaw(), np.ones(1), np.zeros(2 * count)
-    law.start(np.zeros((1, count)), 1.0 / flight.rate_hz, np.zeros((2 * count, count)))
-    for row in range(len(predicted)):
-        if row >= late:
-            law.update(one, flight.residual[row - late] / sizes, no_error)
-        predicted[row] = law.estimate(one[:, None])[:, 0] * sizes
+def _bias_ahead(flight: Samples, bias_s: float) -> Array:
+    """[n, q]: the average so far, from 0 on, AHEAD_S ahead."""
+    late, predicted = round(AHEAD_S * flight.rate_hz), np.zeros_like(flight.residual)
+    keep = float(np.exp(-1.0 / (flight.rate_hz * bias_s)))
+    predicted[late:] = lfilter([1.0 - keep], [1.0, -keep], flight.residual, axis=0)[: len(predicted) - late]
     return predicted
+
+
+def _left_by_bias(flights: Sequence[Samples], bias_s: float) -> float:
+    return rms(np.vstack([one.residual - _bias_ahead(one, bias_s) for one in flights]))
 
 
 def _numbers(path: Path, rows: Sequence[Sequence[str]], column: int, name: str) -> Array:

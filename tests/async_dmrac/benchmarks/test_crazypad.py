@@ -78,9 +78,7 @@ def write_controller_log(path: Path, trim: float, seed: int, n: int = 700) -> di
     """A flight with an angular acceleration `trim` about pitch that its commands do not give."""
     rng, t = np.random.default_rng(seed), np.arange(n) * DT
     air = in_air(n)
-    commands = np.column_stack(
-        [0.05 * np.sin(7.0 * t + seed), 0.04 * np.sin(9.0 * t), 0.06 * np.cos(5.0 * t + seed)]
-    )
+    commands = np.column_stack([0.05 * np.sin(7.0 * t + seed), 0.04 * np.sin(9.0 * t), 0.06 * np.cos(5.0 * t + seed)])
     commands = np.round(65535.0 * np.where(air[:, None], commands, 0.0)) / 65535.0
     rates = np.zeros((n, 3))
     answer = behind_lag(commands) * AXIS_GAINS
@@ -170,7 +168,8 @@ def test_the_learner_leaves_less_than_a_bias_of_damaged_flights(data: Path) -> N
         assert one.adapted < 0.5 * one.held  # what is cut is not known before
     cut = rates.flights[1]
     assert cut.zero > 1.0
-    assert cut.adapted < cut.bias < cut.zero
+    assert cut.adapted < 0.9 * cut.bias
+    assert cut.adapted < 0.9 * cut.zero
     assert len(KINDS[0].inputs) == 9
     assert len(KINDS[1].inputs) == 7
 

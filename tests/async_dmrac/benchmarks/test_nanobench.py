@@ -104,10 +104,10 @@ def test_the_estimator_follows_the_motion_capture_and_their_filter_has_its_error
         assert one.theirs_deg == pytest.approx(EKF_OFF_DEG, abs=1e-2)
         assert one.logged_m_s > one.theirs_m_s
         assert one.compared_s == pytest.approx(16.0 - STILL_S, abs=0.1)
-        assert one.ours_m_s < 0.03
-        assert one.ours_deg < 0.5
-        assert one.sparse_m_s < 0.05
-        assert one.sparse_deg < 1.0
+        assert one.ours_m_s < 0.004
+        assert one.ours_deg < 0.15
+        assert one.sparse_m_s < 0.006
+        assert one.sparse_deg < 0.2
     slow, medium = by_speed(found)
     assert (slow.speed, slow.flights, slow.published_m_s, medium.flights) == ("slow", 2, 0.069, 1)
     assert slow.ours_m_s == pytest.approx(np.mean([one.ours_m_s for one in found if one.speed == "slow"]))
@@ -122,7 +122,7 @@ def test_a_table_that_begins_in_flight_is_compared_once_the_estimator_has_settle
     whole, cut = estimates(tmp_path)[0]
     assert cut.compared_s == pytest.approx(16.0 - 4.3 - 0.5 - 2.0, abs=0.1)
     assert cut.ours_m_s == pytest.approx(whole.ours_m_s, abs=0.003)
-    assert cut.ours_deg < 0.5
+    assert cut.ours_deg < 0.15
     path.write_text("\n".join([header, *rows[430:700]]) + "\n")
     assert estimates(tmp_path)[1] == ["pid_trefoil/B9_trefoil_slow_rep1"]
 
