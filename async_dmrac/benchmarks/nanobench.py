@@ -63,6 +63,8 @@ AIRBORNE_M: Final = 0.3
 """Above it in the motion capture's frame, the floor has no effect. Their vehicle stands at 0.07 m."""
 SAMPLES_MIN: Final = 200
 """Flights with fewer samples are left out: their limit."""
+WHOLE_SHARE_MIN: Final = 0.9
+"""Fewer quaternions of unit length are another column; others are moments without a pose, and left out."""
 LATE_ROWS_MAX: Final = 10
 REPETITION: Final = re.compile(r"^(.+)_rep(\d+)$")
 INPUTS: Final = (*VELOCITY, *ATTITUDE, *MOTORS, BATTERY)
@@ -72,7 +74,7 @@ OUTPUTS: Final = ("x", "y", "z")
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A flight of theirs, without the rows in which a number is missing. World frame z up, body z up."""
+    """A flight of theirs, without the rows in which a number or a pose is missing. World frame z up, body z up."""
 
     name: str
     time_s: Array
@@ -167,6 +169,12 @@ def read_flight(path: Path) -> Flight:
         columns[name] = filled(columns[name])
     table = np.column_stack([columns[name] for name in COLUMNS])
     whole = table[np.isfinite(table).all(axis=1)]
+    for names in (ATTITUDE, EKF_ATTITUDE):
+        norms = np.linalg.norm(whole[:, [COLUMNS.index(name) for name in names]], axis=1)
+        unit = np.abs(norms - 1.0) < 0.01
+        if len(unit) and unit.mean() < WHOLE_SHARE_MIN:
+            raise ConfigError(f"{path}: columns {', '.join(names)}: the quaternions are not of unit length")
+        whole = whole[unit]
     if len(whole) < 2:
         raise ConfigError(f"{path}: {len(whole)} rows with all numbers, expected at least 2")
 
@@ -174,24 +182,20 @@ def read_flight(path: Path) -> Flight:
         found: Array = whole[:, [COLUMNS.index(name) for name in names]]
         return found
 
-    attitude, ekf = part(ATTITUDE), part(EKF_ATTITUDE)
-    for names, quaternions in ((ATTITUDE, attitude), (EKF_ATTITUDE, ekf)):
-        if np.abs(np.linalg.norm(quaternions, axis=1) - 1.0).max() > 0.01:
-            raise ConfigError(f"{path}: columns {', '.join(names)}: a quaternion is not of unit length")
     time_s = whole[:, 0]
     return Flight(
         path.stem,
         time_s,
         median_rate_hz(path, time_s),
         part(POSITION),
-        attitude,
+        part(ATTITUDE),
         part(VELOCITY),
         part(FORCE) * GRAVITY,
         part(RATE),
         part(MOTORS) / FULL_PWM,
         part((BATTERY,))[:, 0],
         part(EKF_VELOCITY),
-        ekf,
+        part(EKF_ATTITUDE),
     )
 
 

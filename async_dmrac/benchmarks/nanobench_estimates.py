@@ -3,7 +3,8 @@
 Their tables have accelerometer and gyroscope, at 100 rows/s, and no optical flow, range or pressure. So the estimator
 gets the IMU and poses of the motion capture, 100/s or 10/s. What the Crazyflie's own filter was given is not in their
 files. Both are compared with the motion capture while motor 1 runs, their definition of flight, from SETTLED_S after
-the estimator's start on. It starts at the first half second without fast rotation: some of their tables begin in flight.
+the estimator's start on. It starts at the first half second without fast rotation, because some of their tables begin
+in flight.
 """
 
 from collections.abc import Sequence

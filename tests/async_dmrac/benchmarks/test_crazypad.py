@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from async_dmrac.benchmarks.crazypad import (
     KINDS,
@@ -46,10 +47,11 @@ def behind_lag(commands: Array) -> Array:
     return found
 
 
-def in_air(n: int) -> Array:
+def in_air(n: int) -> NDArray[np.bool_]:
     """[n] bool: two flights and a landing between them, as they fly."""
     k = np.arange(n)
-    return (k >= 60) & (k < n - 20) & ~((k > n // 2) & (k < n // 2 + 40))
+    found: NDArray[np.bool_] = (k >= 60) & (k < n - 20) & ~((k > n // 2) & (k < n // 2 + 40))
+    return found
 
 
 def write_motor_log(path: Path, loss: float, seed: int, n: int = 700) -> dict[str, Array]:

@@ -145,10 +145,11 @@ def test_rows_without_a_number_are_left_out_and_voltages_filled(tmp_path: Path) 
     lines = path.read_text().splitlines()
     first, second = lines[101].split(","), lines[102].split(",")
     lines[101] = ",".join(["" if k == 1 else cell for k, cell in enumerate(first)])
+    lines[301] = ",".join(["0.0" if 4 <= k <= 7 else cell for k, cell in enumerate(lines[301].split(","))])
     lines[102] = ",".join([*second[:-1], "0.000000000"])
     path.write_text("\n".join(lines) + "\n")
     flight = read_flight(path)
-    assert len(flight.time_s) == 799
+    assert len(flight.time_s) == 798  # a cell is empty; a pose is zero
     assert flight.battery[100] == pytest.approx(float(first[-1]))
 
 
@@ -172,7 +173,7 @@ def test_a_quaternion_in_other_units_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "B2_circle_slow_rep1.csv"
     write_flight(path, 1, seconds=5.0)
     path.write_text(path.read_text().replace("qx,qy,qz,qw,roll,pitch,yaw", "roll,pitch,yaw,qw,qx,qy,qz", 1))
-    with pytest.raises(ConfigError, match=r"columns qx, qy, qz, qw: a quaternion is not of unit length"):
+    with pytest.raises(ConfigError, match=r"columns qx, qy, qz, qw: the quaternions are not of unit length"):
         read_flight(path)
 
 
