@@ -2,15 +2,16 @@
 
 `dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
 flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's; `dmrac bench gym` counts the
-steps per second of the Gymnasium environments; `dmrac bench neural-fly` and `omac` run the learner alone on tasks of
-others.
+steps per second of the Gymnasium environments; `dmrac bench neural-fly`, `omac`, `nanobench` and `crazypad` run the
+learner, and on `nanobench` the estimator, on tasks and flights of others.
 """
 
 import argparse
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from async_dmrac.commands.output import add_json_option, print_json
 from async_dmrac.commands.shared import plain_console, positive
@@ -18,16 +19,22 @@ from configs.loader import ConfigError
 from experiments.flights.scenario import DEFAULT_SCENARIO, Choices, resolve
 from runtime.extras import require_modules
 
+if TYPE_CHECKING:
+    from async_dmrac.benchmarks.recordings import Left
+
 SENSORS: Final = "sensors"
 FLOOD: Final = "flood"
 CORE: Final = "core"
 GYM: Final = "gym"
 NEURAL_FLY: Final = "neural-fly"
 OMAC: Final = "omac"
-FOLDERS: Final = {NEURAL_FLY: "data", OMAC: "code"}
+NANOBENCH: Final = "nanobench"
+CRAZYPAD: Final = "crazypad"
+FOLDERS: Final = {NEURAL_FLY: "data", NANOBENCH: "data", CRAZYPAD: "data", OMAC: "code"}
 """Option with the folder of others that a kind needs. Nothing is downloaded."""
-FIXED: Final = (CORE, GYM, NEURAL_FLY, OMAC)
+FIXED: Final = (CORE, GYM, NEURAL_FLY, OMAC, NANOBENCH, CRAZYPAD)
 """What always flies the same, or nothing."""
+AHEAD: Final = "predicted 0.16 s ahead"
 VEHICLES_MAX: Final = 64
 """Of --vehicles, unless given."""
 EXAMPLES: Final = """examples:
@@ -38,6 +45,8 @@ EXAMPLES: Final = """examples:
   dmrac bench gym
   dmrac bench neural-fly --data neural-fly/data
   dmrac bench omac --code Online-Meta-Adaptive-Control/quadsim --seconds 60
+  dmrac bench nanobench --data nanobench-iros2026
+  dmrac bench crazypad --data CrazyPAD/data --out crazypad.json
   dmrac bench figure8_wind --controller mrac --seconds 30 --out bench.json
 """
 
@@ -50,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
         "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; gym: the "
-        "Gymnasium environments; neural-fly, omac: the learner alone on the tasks of others",
+        "Gymnasium environments; neural-fly, omac, nanobench, crazypad: the learner on tasks and flights of others",
     )
     parser.add_argument(
         "--vehicles",
@@ -58,7 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"core: most vehicles in one process (default: {VEHICLES_MAX})",
     )
-    parser.add_argument("--data", type=Path, metavar="FOLDER", help="neural-fly: their folder `data`")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="FOLDER",
+        help="neural-fly, crazypad: their folder `data`; nanobench: their repository",
+    )
     parser.add_argument("--code", type=Path, metavar="FOLDER", help="omac: the folder with their `threedeequadsim`")
     parser.add_argument("--controller", help="another controller than the scenario's")
     parser.add_argument("--seconds", type=float, default=15.0, help="flight time to measure, 2 to 600 s")
@@ -73,13 +87,24 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
     if arguments.vehicles is not None and arguments.scenario != CORE:
         raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {CORE}")
-    for kind, option in FOLDERS.items():
-        if getattr(arguments, option) is not None and arguments.scenario != kind:
-            raise ConfigError(f"--{option} {getattr(arguments, option)}: only with dmrac bench {kind}")
+    for option in set(FOLDERS.values()):
+        if getattr(arguments, option) is not None and FOLDERS.get(arguments.scenario) != option:
+            kinds_with = ", ".join(kind for kind, needed in FOLDERS.items() if needed == option)
+            raise ConfigError(f"--{option} {getattr(arguments, option)}: only with dmrac bench {kinds_with}")
     if arguments.scenario in FIXED and (arguments.controller is not None or arguments.set):
         raise ConfigError(f"--controller, --set: not allowed with dmrac bench {arguments.scenario}")
-    kinds = {SENSORS: _sensors, FLOOD: _flood, CORE: _core, GYM: _gym, NEURAL_FLY: _neural_fly, OMAC: _omac}
-    report: Any = kinds.get(arguments.scenario, _times)(arguments)
+    kinds: dict[str, Callable[[argparse.Namespace], Any]] = {
+        SENSORS: _sensors,
+        FLOOD: _flood,
+        CORE: _core,
+        GYM: _gym,
+        NEURAL_FLY: _neural_fly,
+        OMAC: _omac,
+        NANOBENCH: _nanobench,
+        CRAZYPAD: _crazypad,
+    }
+    measure: Callable[[argparse.Namespace], Any] = kinds.get(arguments.scenario, _times)
+    report = measure(arguments)
     if arguments.json:
         print_json(report)
     if arguments.out is not None:
@@ -152,6 +177,60 @@ def _omac(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     for one in found:
         show(f"{one.controller:12} {one.position_m:9.3f} m {one.settled_m:10.3f} m")
     return as_json(found)
+
+
+def _nanobench(arguments: argparse.Namespace) -> dict[str, Any]:
+    from async_dmrac.benchmarks.nanobench import WHERE, learner_result
+    from async_dmrac.benchmarks.nanobench_estimates import by_speed, estimates
+
+    folder, show = _folder(arguments, WHERE), plain_console(arguments.json).print
+    learnt = learner_result(folder)
+    show(f"residual acceleration of held-out flights, m/s^2 rms, {AHEAD}; motor lag {learnt.motor_lag_s:.2f} s")
+    _show_left(learnt.flights, learnt.left_out, show)
+    found, left_out = estimates(folder)
+    means = by_speed(found)
+    show("\nvelocity against the motion capture, m/s rms, means over the trefoil flights of a speed; (attitude, deg)")
+    head = f"{'speed':8} {'flights':>7} {'published':>9} {'logged':>7}"
+    show(f"{head} {'their filter':>16} {'ours, 100 poses/s':>18} {'ours, 10 poses/s':>17}")
+    for one in means:
+        show(
+            f"{one.speed:8} {one.flights:7d} {one.published_m_s:9.3f} {one.logged_m_s:7.3f}"
+            f" {one.theirs_m_s:7.3f} ({one.theirs_deg:6.2f}) {one.ours_m_s:9.3f} ({one.ours_deg:6.2f})"
+            f" {one.sparse_m_s:8.3f} ({one.sparse_deg:6.2f})"
+        )
+    if left_out:
+        show(f"left out: {', '.join(left_out)}")
+    return {
+        "learner": asdict(learnt),
+        "estimator": [asdict(one) for one in found],
+        "estimator_by_speed": [asdict(one) for one in means],
+        "estimator_left_out": left_out,
+    }
+
+
+def _crazypad(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    from async_dmrac.benchmarks.crazypad import WHERE, results
+
+    found, show = results(_folder(arguments, WHERE)), plain_console(arguments.json).print
+    for one in found:
+        gains = ", ".join(f"{gain:.1f}" for gain in one.gains)
+        show(f"{one.kind}: residual of held-out flights, {one.unit} rms, {AHEAD}; gains {gains} {one.unit}")
+        _show_left(one.flights, one.left_out, show)
+    return [asdict(one) for one in found]
+
+
+def _show_left(flights: Sequence["Left"], left_out: Sequence[str], show: Callable[[str], None]) -> None:
+    """A row per flight, and the flights with too few samples."""
+    width = max(len(one.flight) for one in flights)
+    head = f"{'flight':{width}} {'samples':>8} {'no model':>9} {'bias':>7}"
+    show(f"{head} {'untrained':>9} {'trained, held':>13} {'trained, adapted':>16}")
+    for one in flights:
+        show(
+            f"{one.flight:{width}} {one.samples:8d} {one.zero:9.3f} {one.bias:7.3f} {one.untrained:9.3f}"
+            f" {one.held:13.3f} {one.adapted:16.3f}"
+        )
+    if left_out:
+        show(f"left out, too few samples in the air or another rate: {', '.join(left_out)}")
 
 
 def _folder(arguments: argparse.Namespace, where: str) -> Path:
