@@ -147,7 +147,7 @@ def test_the_rotors_and_the_body_drag_in_hover_as_ours_do(bench):
 def test_the_drag_of_the_rotors_ends_with_their_speed(bench):
     """The own drag has no such law: at rest its linear part remains."""
     sim = bench(DRAG | {"initial": {"position_ned_m": [0, 0, -400], "velocity_ned_m_s": [0.0, 0.0, 11.0]}})
-    run(sim, [0] * 4, 4.0)
+    run(sim, [0] * 4, 6.0)
     assert sim.state[5] == pytest.approx(sqrt(WEIGHT_N / QUADRATIC), rel=1e-5)
 
 
