@@ -40,6 +40,7 @@ RECEIVE_LIMIT: Final = Path("/proc/sys/net/core/rmem_max")
 PURPOSE: Final = {
     "sim": "compiles the simulated vehicle; without it a flight takes several times longer",
     "mujoco": "dmrac sim --physics mujoco",
+    "rotorpy": "dmrac sim --physics rotorpy, and a yardstick for dmrac bench core",
     "offboard": "the trainer",
     "experiments": "figures, reports, campaigns, tuning",
     "cluster": "campaigns on several machines",
@@ -48,7 +49,6 @@ PURPOSE: Final = {
     "completion": "dmrac completion",
     "gym": "the Gymnasium environments",
     "core": "a C compiler, where there is no other",
-    "peers": "another simulator, for dmrac bench core",
 }
 """What each extra is for."""
 

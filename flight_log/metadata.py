@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGES = ("async-dmrac", "numpy", "mcap", "torch", "numba", "mujoco-core")
+PACKAGES = ("async-dmrac", "numpy", "mcap", "torch", "numba", "mujoco-core", "rotorpy")
 
 
 def describe_process() -> dict[str, str]:

@@ -8,6 +8,7 @@ from runtime.errors import PlainError
 EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "sim": ("numba",),
     "mujoco": ("mujoco",),
+    "rotorpy": ("rotorpy",),
     "offboard": ("torch",),
     "experiments": ("matplotlib", "optuna", "pyarrow", "sklearn", "threadpoolctl"),
     "cluster": ("distributed",),
@@ -16,7 +17,6 @@ EXTRAS: Final[dict[str, tuple[str, ...]]] = {
     "completion": ("shtab",),
     "gym": ("gymnasium", "numba"),
     "core": ("ziglang",),
-    "peers": ("rotorpy",),
 }
 """The modules of each extra of pyproject.toml that this program imports itself."""
 

@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from configs.addresses import load_network, serial_line
-from configs.loader import ConfigError, load_section, read_tree
+from configs.loader import ConfigError, fill_section, load_section, merge, read_tree
 from flight_log.writer import FlightLogWriter
 from protocol.keys import load_key
 from runtime.errors import StartError
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--physics",
         choices=get_args(PhysicsName),
-        help="instead of the configuration's: own, or MuJoCo (extra `mujoco`)",
+        help="instead of the configuration's: own, MuJoCo (extra `mujoco`) or RotorPy (extra `rotorpy`)",
     )
     parser.add_argument("--onboard", metavar="HOST:PORT", help="onboard's address for the vehicle's MAVLink")
     parser.add_argument("--onboard-link", metavar="HOST:PORT", help="onboard's address for the radio")
@@ -65,9 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     stop = StopRequest()
     try:
         seed, duration_s = _seed_and_duration(arguments.config)
-        config = load_section(SimVehicleConfig, arguments.config, "vehicle")
-        if arguments.physics is not None:
-            config = config.model_copy(update={"physics": arguments.physics})
+        over = {} if arguments.physics is None else {"vehicle": {"physics": arguments.physics}}
+        tree = merge(read_tree(arguments.config), over)
+        config = fill_section(SimVehicleConfig, tree, str(arguments.config), "vehicle")
         radio_config = load_section(RadioConfig, arguments.config, "radio")
         network = load_network(arguments.config, _addresses(arguments))
         status = StatusLines("sim", arguments.json, network.insecure_links)

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Self, TypeAlias
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from configs.loader import ConfigRecord, fill, merge
 from configs.vehicle import read_vehicle
@@ -18,11 +18,13 @@ from sim_vehicle.physics.parameters import (
     LinkConfig,
     MotorConfig,
     NominalConfig,
+    RotorpyConfig,
     SensorsConfig,
 )
 from sim_vehicle.world.catalogue import AnyDisturbance
+from sim_vehicle.world.rotorpy_wind import RotorpyWind
 
-PhysicsName: TypeAlias = Literal["own", "mujoco"]
+PhysicsName: TypeAlias = Literal["own", "mujoco", "rotorpy"]
 
 
 class SimVehicleConfig(ConfigRecord):
@@ -30,7 +32,11 @@ class SimVehicleConfig(ConfigRecord):
 
     physics: PhysicsName = Field(
         default="own",
-        description="what integrates the rigid body and its contact with the floor; mujoco: MuJoCo (extra `mujoco`)",
+        description="what integrates the rigid body; mujoco: MuJoCo, with its own contact with the floor (extra "
+        "`mujoco`); rotorpy: RotorPy, with its own motors and air forces (extra `rotorpy`)",
+    )
+    rotorpy: RotorpyConfig | None = Field(
+        default=None, description="of physics rotorpy only; left out: the defaults of its keys"
     )
     body: BodyConfig
     motors: MotorConfig
@@ -48,6 +54,16 @@ class SimVehicleConfig(ConfigRecord):
     box_m: float = Field(
         default=10.0, gt=0.0, description="m; the vehicle is lost beyond this distance from the origin"
     )
+
+    @model_validator(mode="after")
+    def _uses_all(self) -> Self:
+        if self.physics != "rotorpy":
+            for k, one in enumerate(self.disturbances):
+                if isinstance(one, RotorpyWind):
+                    raise ValueError(f"disturbances.{k}: {one.kind} needs physics 'rotorpy', not {self.physics!r}")
+            if self.rotorpy is not None:
+                raise ValueError(f"rotorpy: its keys need physics 'rotorpy', not {self.physics!r}")
+        return self
 
 
 def load_vehicle(name: str | Path = "mambo", over: Mapping[str, Any] | None = None) -> SimVehicleConfig:

@@ -230,7 +230,7 @@ def initial_state(config: SimVehicleConfig) -> Array:
     state = np.zeros(at.STATE_SIZE)
     initial, floor = config.initial, config.floor
     weight_n = config.body.mass_kg * GRAVITY
-    sunk_m = weight_n / (4 * floor.stiffness_n_m) if config.physics == "own" else 0.0  # else it settles by itself
+    sunk_m = weight_n / (4 * floor.stiffness_n_m) if config.physics != "mujoco" else 0.0  # it settles by itself
     rest_d = sunk_m - floor.foot_drop_m
     state[: at.VELOCITY] = (0.0, 0.0, rest_d) if initial.position_ned_m is None else initial.position_ned_m
     state[at.VELOCITY : at.QUATERNION] = initial.velocity_ned_m_s

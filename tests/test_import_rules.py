@@ -22,7 +22,7 @@ PACKAGES = (
     "experiments",
 )
 HEAVY = {"torch", "numba", "mujoco", "matplotlib", "rerun", "pyarrow", "optuna", "sklearn", "distributed", "shtab"}
-HEAVY |= {"foxglove", "rosbags", "tensorboard", "gymnasium", "pandas"}
+HEAVY |= {"foxglove", "rosbags", "tensorboard", "gymnasium", "pandas", "rotorpy"}
 """What only extras install; the base install (onboard) must live without."""
 
 MAY_IMPORT: dict[str, tuple[str, ...]] = {
@@ -57,7 +57,7 @@ MAY_NOT_USE: dict[str, set[str]] = {
     "onboard": HEAVY,
     "mambo": HEAVY,
     "offboard": HEAVY - {"torch"},
-    "sim_vehicle": HEAVY - {"numba", "mujoco"},
+    "sim_vehicle": HEAVY - {"numba", "mujoco", "rotorpy"},
     "flight_log": HEAVY - {"matplotlib", "rerun", "pyarrow", "foxglove", "rosbags", "tensorboard"},
     "runtime": HEAVY,
     "experiments": set(),

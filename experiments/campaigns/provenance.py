@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_info
 from runtime.kernel import cores
 
 PACKAGES: Final = (
-    *("async-dmrac", "numpy", "scipy", "numba", "mujoco-core", "torch"),
+    *("async-dmrac", "numpy", "scipy", "numba", "mujoco-core", "rotorpy", "torch"),
     *("pyarrow", "scikit-learn", "matplotlib"),
 )
 _COMMIT: Final = "; commit "

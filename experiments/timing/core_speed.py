@@ -174,7 +174,7 @@ def lockstep_figures(seconds: float) -> list[Figure]:
         figures.append(Figure("RotorPy's own loop at 200 Hz", peer, "x real time"))
         figures.append(Figure(name, plain / peer, "", OVER_ROTORPY_MIN, at_most=False))
     else:
-        absent = "RotorPy is not installed: extra `peers`"
+        absent = "RotorPy is not installed: extra `rotorpy`"
         figures.append(Figure(name, None, "", OVER_ROTORPY_MIN, at_most=False, note=absent))
     with training_for(learner) as train:  # its process is ready before the second flight
         speed, alone = _best(lambda: lockstep_speed(learner, "c", train))

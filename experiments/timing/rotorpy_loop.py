@@ -13,7 +13,7 @@ RADIUS_M: Final = 1.0
 
 
 def is_installed() -> bool:
-    """Whether RotorPy can be imported (extra `peers`)."""
+    """Whether RotorPy can be imported (extra `rotorpy`)."""
     return find_spec("rotorpy") is not None
 
 

@@ -41,6 +41,8 @@ def vehicle_speeds(runs: int = 200) -> dict[str, float]:
     }
     if find_spec("mujoco") is not None:
         speeds["the same over MuJoCo"] = _best_rate(_whole_vehicle("mujoco"), 50, runs)
+    if find_spec("rotorpy") is not None:
+        speeds["the same over RotorPy"] = _best_rate(_whole_vehicle("rotorpy"), 5, runs)
     return speeds | {f"in a batch of {BATCH}": BATCH * _best_rate(step_batch, 2, runs)}
 
 

@@ -8,11 +8,28 @@ from math import pi, sqrt
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import Array
-from sim_vehicle.physics.compiled import compiled
+from sim_vehicle.physics.compiled import compiled, inlined
 
 TWO_PI = 2.0 * pi
 LEAST_THRUST = 1.0e-12
 """N; less becomes 0, because denormal numbers slow the processor down."""
+
+
+@inlined
+def turn_rotor(state: Array, i: int, speed: float, P: Array) -> None:
+    """Advance the phase of rotor i. speed: rad/s, of a rotor that needs the usual speed for its thrust."""
+    phase = state[at.ROTOR_PHASE + i] + speed * P[at.ROTOR_SPEED + i] * P[at.STEP]
+    state[at.ROTOR_PHASE + i] = phase - TWO_PI * int(phase / TWO_PI)
+
+
+@inlined
+def lag_nominal(state: Array, i: int, command: float, P: Array) -> None:
+    """Advance the thrust of motor i in the nominal model. command: fraction of full thrust."""
+    nominal = state[at.NOMINAL_THRUST + i]
+    wanted = command * P[at.NOMINAL_MAX_THRUST]
+    rest = at.NOMINAL_KEEP if wanted > nominal else at.NOMINAL_KEEP + 1
+    after = wanted + (nominal - wanted) * P[rest]
+    state[at.NOMINAL_THRUST + i] = after if after >= LEAST_THRUST else 0.0
 
 
 @compiled
@@ -40,14 +57,8 @@ def lag_motors(state: Array, commands: Array, P: Array, thrust: Array) -> None:
         thrust[1, i] = middle
         thrust[2, i] = end
         state[at.THRUST + i] = end
-        speed = sqrt(middle / P[at.THRUST_SLOPE]) * P[at.ROTOR_SPEED + i]
-        phase = state[at.ROTOR_PHASE + i] + speed * P[at.STEP]
-        state[at.ROTOR_PHASE + i] = phase - TWO_PI * int(phase / TWO_PI)
-        nominal = state[at.NOMINAL_THRUST + i]
-        target = commands[i] * P[at.NOMINAL_MAX_THRUST]
-        keep = at.NOMINAL_KEEP if target > nominal else at.NOMINAL_KEEP + 1
-        end = target + (nominal - target) * P[keep]
-        state[at.NOMINAL_THRUST + i] = end if end >= LEAST_THRUST else 0.0
+        turn_rotor(state, i, sqrt(middle / P[at.THRUST_SLOPE]), P)
+        lag_nominal(state, i, commands[i], P)
 
 
 @compiled

@@ -16,17 +16,15 @@ import sim_vehicle.physics.layout as at
 from configs.loader import ConfigError
 from protocol.conventions import Array
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.physics.advance import account, account_flow, account_tones, nominal_torque, watch_floor
+from sim_vehicle.physics.advance import nominal_torque
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.disturb import disturb, for_disturbances
 from sim_vehicle.physics.dynamics import airframe_drag, rotation, rotor_drag_torque, rotor_lift, to_world
 from sim_vehicle.physics.motors import drain_battery, lag_motors
 from sim_vehicle.physics.mujoco_model import YAW_ACTUATOR, mjcf
 from sim_vehicle.physics.packing import pack_parameters
+from sim_vehicle.physics.substep import BEFORE, EFFECT, MIDDLE, NOMINAL, THRUST_ROWS, account_substep, predict_middle
 
-THRUST_ROWS, BEFORE, MIDDLE, EFFECT, NOMINAL = 3, 3, 4, 5, 6
-"""Rows of the work array: thrusts in the first three, rigid body at the start of the sub-step and predicted for its
-middle, effect of the disturbances, thrust and torque of the nominal model."""
 MISSING = (
     "vehicle.physics: 'mujoco': the package mujoco is not installed; install the extra with "
     "pip install '.[mujoco]', or choose 'own'"
@@ -88,20 +86,6 @@ class MujocoPhysics:
         self._data = self._mujoco.MjData(self._model)
         self._arrays = (self._data.qpos, self._data.qvel, self._data.ctrl, self._data.qfrc_applied)
         self._modelled = P
-
-
-@compiled
-def predict_middle(state: Array, P: Array, middle: Array) -> None:
-    """Write the rigid body in the middle of the sub-step into middle[13], from its velocity, rates and acceleration."""
-    h = 0.5 * P[at.STEP]
-    for i in range(3):
-        middle[at.POSITION + i] = state[at.POSITION + i] + h * state[at.VELOCITY + i]
-        middle[at.VELOCITY + i] = state[at.VELOCITY + i] + h * state[at.ACCELERATION + i]
-        middle[at.RATES + i] = state[at.RATES + i]
-    w, x, y, z = state[6], state[7], state[8], state[9]
-    p, q, r = 0.5 * h * state[10], 0.5 * h * state[11], 0.5 * h * state[12]
-    middle[6], middle[7] = w - x * p - y * q - z * r, x + w * p + y * r - z * q
-    middle[8], middle[9] = y + w * q + z * p - x * r, z + w * r + x * q - y * p
 
 
 @compiled
@@ -177,9 +161,4 @@ def end_substep(state: Array, P: Array, sums: Array, work: Array, position: Arra
     w, x, y, z = position[3], position[4], position[5], position[6]
     scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
     state[6], state[7], state[8], state[9] = scale * w, scale * x, -scale * y, -scale * z
-    before = work[BEFORE]
-    middle = rotation(before[6] + state[6], before[7] + state[7], before[8] + state[8], before[9] + state[9])
-    account(state, before, middle, work[NOMINAL, :4], P, sums)
-    account_flow(state, middle, P, sums)
-    account_tones(state, P, sums)
-    watch_floor(state, before[at.VELOCITY + 2], middle, P, sums)
+    account_substep(state, P, sums, work)

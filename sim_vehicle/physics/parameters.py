@@ -63,6 +63,19 @@ class DragConfig(ConfigRecord):
     quadratic_n_s2_m2: float = Field(ge=0.0, description="N/(m/s)^2")
 
 
+class RotorpyConfig(ConfigRecord):
+    """What RotorPy's rotors have and ours do not, as ratios to their drag k_d, which `drag.linear_n_s_m` gives.
+
+    The defaults are those of RotorPy's Hummingbird; none of RotorPy's vehicles has a flapping moment.
+    """
+
+    inflow_ratio: float = Field(default=1.95, ge=0.0, description="k_z / k_d: loss of thrust by axial air velocity")
+    lift_s_m: float = Field(
+        default=0.0607, ge=0.0, description="s/m, k_h / (k_d hover speed): thrust by squared air velocity in the plane"
+    )
+    flapping_m: float = Field(default=0.0, description="m, k_flap / k_d: moment at the hub per rotor drag")
+
+
 class FloorConfig(ConfigRecord):
     """The floor at d = 0: contact at four feet and four rotor rims, and ground effect."""
 

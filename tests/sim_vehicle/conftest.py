@@ -19,6 +19,7 @@ from sim_vehicle.physics.advance import WORK_ROWS, advance
 from sim_vehicle.physics.packing import pack_parameters
 from sim_vehicle.vehicle import SimVehicle, initial_state
 
+TICK_NS = 5_000_000
 DOCUMENT = Path(__file__).parents[2] / "docs" / "vehicle.md"
 IDEAL: dict[str, Any] = {
     "battery": {"full_v": 3.7, "empty_v": 3.7, "resistance_ohm": 0.0, "polarisation_ohm": 0.0},
@@ -81,6 +82,29 @@ def motors() -> Callable[..., bytes]:
         return frame
 
     return make
+
+
+@pytest.fixture
+def open_loop(motors: Callable[..., bytes]) -> Callable[..., tuple[Array, list[bytes]]]:
+    """Flies with fixed commands. Returns the truths of all ticks of 5 ms, and all datagrams."""
+
+    def fly(
+        over: dict[str, Any],
+        seed: int,
+        seconds: float,
+        step_ns: int = TICK_NS,
+        commands: Any = (0.55, 0.52, 0.54, 0.51),
+    ) -> tuple[Array, list[bytes]]:
+        vehicle, truths, sent = SimVehicle(load_vehicle("mambo", over), seed), [], []
+        for k in range(round(seconds * 1e9 / TICK_NS)):
+            vehicle.receive(motors(commands), k * TICK_NS)
+            for now in range(k * TICK_NS + step_ns, (k + 1) * TICK_NS + 1, step_ns):
+                output = vehicle.step(now)
+                sent += output.to_onboard + output.to_motion_capture
+            truths.append(output.truth)
+        return np.array(truths), sent
+
+    return fly
 
 
 @pytest.fixture

@@ -58,7 +58,7 @@ def test_lockstep_and_the_absent_peer(monkeypatch: pytest.MonkeyPatch) -> None:
     figures = core_speed.lockstep_figures(5.0)
     assert [(one.value, one.met) for one in figures] == [(44.0, True), (5.5, None), (None, None), (7.5, True)]
     assert figures[0].note.startswith("50 by processor time")
-    assert figures[2].note == "RotorPy is not installed: extra `peers`"
+    assert figures[2].note == "RotorPy is not installed: extra `rotorpy`"
 
 
 def test_against_the_peer(monkeypatch: pytest.MonkeyPatch) -> None:

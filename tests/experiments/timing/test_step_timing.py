@@ -85,8 +85,8 @@ def test_quantiles_are_in_microseconds() -> None:
 
 def test_the_vehicle_is_timed_bare_whole_and_in_a_batch() -> None:
     rates = vehicle_speeds(runs=1)
-    over_mujoco = ["the"] if find_spec("mujoco") is not None else []
-    assert [name.split()[0] for name in rates] == ["rigid", "with", *over_mujoco, "in"]
+    over_others = ["the" for name in ("mujoco", "rotorpy") if find_spec(name) is not None]
+    assert [name.split()[0] for name in rates] == ["rigid", "with", *over_others, "in"]
     assert all(0.0 < rate < float("inf") for rate in rates.values())
 
 

@@ -14,14 +14,16 @@ from sim_vehicle.config import load_vehicle
 from sim_vehicle.physics.choice import advance_and_check, physics_of
 from sim_vehicle.vehicle import SimVehicle
 
-MISSING = (
-    "vehicle.physics: 'mujoco': the package mujoco is not installed; install the extra with pip install '.[mujoco]'"
-)
+MISSING = "vehicle.physics: '{0}': the package {0} is not installed; install the extra with pip install '.[{0}]'"
+OTHERS = ("mujoco", "rotorpy")
 
 
 @pytest.fixture
-def without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)  # any import of it now fails
+def without_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in OTHERS:
+        for module in [one for one in sys.modules if one.startswith(f"{name}.")]:
+            monkeypatch.delitem(sys.modules, module)
+        monkeypatch.setitem(sys.modules, name, None)  # any import of it now fails
 
 
 @pytest.fixture
@@ -37,9 +39,9 @@ def test_the_own_physics_is_the_default() -> None:
 
 
 def test_another_name_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"physics: 'bullet': .*'own' or 'mujoco'"):
+    with pytest.raises(ConfigError, match=r"physics: 'bullet': .*'own', 'mujoco' or 'rotorpy'"):
         load_vehicle("mambo", {"physics": "bullet"})
-    with pytest.raises(ConfigError, match=r"vehicle\.physics: 'bullet': .*'own' or 'mujoco'"):
+    with pytest.raises(ConfigError, match=r"vehicle\.physics: 'bullet': .*'own', 'mujoco' or 'rotorpy'"):
         resolve("hover", Choices(assignments=("vehicle.physics=bullet",)))
 
 
@@ -50,26 +52,42 @@ def test_another_name_on_the_command_line_is_refused(flight_file: Path, capsys: 
     assert "argument --physics: invalid choice: 'bullet'" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("without_mujoco")
-def test_a_missing_package_names_the_extra() -> None:
-    config = resolve("hover", Choices("pid", 1, 6.0, ("vehicle.physics=mujoco",)))  # it can be composed for elsewhere
+@pytest.mark.usefixtures("without_others")
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_missing_package_names_the_extra(name: str) -> None:
+    config = resolve("hover", Choices("pid", 1, 6.0, (f"vehicle.physics={name}",)))  # it can be composed for elsewhere
     with pytest.raises(ConfigError) as refused:
         fly_lockstep(config, with_offboard=False)
-    assert str(refused.value).startswith(MISSING)
+    assert str(refused.value).startswith(MISSING.format(name))
 
 
-@pytest.mark.usefixtures("without_mujoco")
+@pytest.mark.usefixtures("without_others")
+@pytest.mark.parametrize("name", OTHERS)
 def test_the_process_ends_with_one_line_if_the_package_is_missing(
-    flight_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    name: str, flight_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(["sim", "--config", str(flight_file), "--out", str(out), "--physics", "mujoco"]) == 2
+    assert main(["sim", "--config", str(flight_file), "--out", str(out), "--physics", name]) == 2
     [line] = capfd.readouterr().err.splitlines()
-    assert line.startswith(MISSING)
+    assert line.startswith(MISSING.format(name))
     assert not out.exists()
 
 
-@pytest.mark.parametrize(("words", "physics"), [([], "own"), (["--physics", "mujoco"], "mujoco")])
+def test_the_option_refuses_what_the_configuration_would_lose(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flight.yaml"
+    choices = Choices("pid", 1, 6.0, ("vehicle.physics=rotorpy", "vehicle.rotorpy.flapping_m=0.01"))
+    path.write_text(resolve("hover", choices).to_yaml(), encoding="utf-8")
+    assert main(["sim", "--config", str(path), "--out", str(tmp_path / "out"), "--physics", "own"]) == 2
+    [line] = capfd.readouterr().err.splitlines()
+    assert line == f"{path}: vehicle: rotorpy: its keys need physics 'rotorpy', not 'own'"
+
+
+@pytest.mark.parametrize(
+    ("words", "physics"),
+    [([], "own"), (["--physics", "mujoco"], "mujoco"), (["--physics", "rotorpy"], "rotorpy")],
+)
 def test_the_option_overrules_the_configuration(
     words: list[str],
     physics: str,
@@ -78,7 +96,8 @@ def test_the_option_overrules_the_configuration(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    pytest.importorskip("mujoco", reason="the mujoco extra is not installed")
+    if physics != "own":
+        pytest.importorskip(physics, reason=f"the {physics} extra is not installed")
     flown = []
 
     class Process:
@@ -103,6 +122,6 @@ def test_the_option_overrules_the_configuration(
     assert read_log_file(out / "sim_vehicle.mcap").metadata["physics"] == physics
 
 
-@pytest.mark.usefixtures("without_mujoco")
+@pytest.mark.usefixtures("without_others")
 def test_the_own_physics_does_not_need_the_package() -> None:
     SimVehicle(load_vehicle(), 1).step(20_000_000)

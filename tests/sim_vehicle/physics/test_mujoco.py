@@ -21,7 +21,6 @@ from sim_vehicle.vehicle import SimVehicle
 
 mujoco = pytest.importorskip("mujoco", reason="the mujoco extra is not installed")
 
-TICK = 5_000_000
 DRAG = {"drag": {"linear_n_s_m": 0.016, "quadratic_n_s2_m2": 4.7e-3}}
 FLIPPED = np.diag([1.0, -1.0, -1.0])
 STORM = {
@@ -169,21 +168,9 @@ def test_friction_holds_a_pushed_vehicle_until_it_slides(bench):
         assert north_m > 0.3 if slides else abs(north_m) < 0.01  # soft friction creeps a little
 
 
-def open_loop(over, seed, seconds, motors, step_ns=TICK):
-    """Fly with fixed commands. Returns the truths of all steps, and all datagrams."""
-    vehicle, truths, sent = SimVehicle(load_vehicle("mambo", over), seed), [], []
-    for k in range(round(seconds * 1e9 / TICK)):
-        vehicle.receive(motors((0.55, 0.52, 0.54, 0.51)), k * TICK)
-        for now in range(k * TICK + step_ns, (k + 1) * TICK + 1, step_ns):
-            output = vehicle.step(now)
-            sent += output.to_onboard + output.to_motion_capture
-        truths.append(output.truth)
-    return np.array(truths), sent
-
-
-def test_agrees_with_the_own_physics_through_all_disturbances(motors):
-    own, _ = open_loop(STORM, 3, 0.6, motors)
-    other, _ = open_loop(STORM | {"physics": "mujoco"}, 3, 0.6, motors)
+def test_agrees_with_the_own_physics_through_all_disturbances(open_loop):
+    own, _ = open_loop(STORM, 3, 0.6)
+    other, _ = open_loop(STORM | {"physics": "mujoco"}, 3, 0.6)
     column = {name: index for index, name in enumerate(TRUTH.names)}
     for name, tolerance in (("position_n", 1e-4), ("velocity_e", 1e-3), ("rate_p", 1e-2), ("quaternion_x", 1e-3)):
         np.testing.assert_allclose(other[:, column[name]], own[:, column[name]], atol=tolerance, err_msg=name)
@@ -195,20 +182,20 @@ def test_agrees_with_the_own_physics_through_all_disturbances(motors):
     assert not np.array_equal(own, other)
 
 
-def test_the_same_seed_gives_the_same_flight_however_often_it_is_stepped(motors):
+def test_the_same_seed_gives_the_same_flight_however_often_it_is_stepped(open_loop):
     flights = [
-        open_loop(STORM | {"physics": "mujoco"}, seed, 0.45, motors, step_ns)[1]
-        for seed, step_ns in ((5, TICK), (5, TICK), (5, 1_000_000), (6, TICK))
+        open_loop(STORM | {"physics": "mujoco"}, seed, 0.45, step_ns)[1]
+        for seed, step_ns in ((5, 5_000_000), (5, 5_000_000), (5, 1_000_000), (6, 5_000_000))
     ]
     assert flights[0] == flights[1] == flights[2]
     assert flights[0] != flights[3]
 
 
-def test_a_disturbance_of_the_users_own_acts(tether, motors):
+def test_a_disturbance_of_the_users_own_acts(tether, open_loop):
     """The tether pulls north with a force that its settings give; it changes little in 0.1 s."""
     over = {"initial": {"position_ned_m": [0.0, 0.0, -1.0], "hovering": True}, "physics": "mujoco"}
     pulled = {"disturbances": [tether | {"onset_s": 0.0}]}
-    north_m = [open_loop(over | more, 1, 0.1, motors)[0][-1, 0] for more in ({}, pulled)]
+    north_m = [open_loop(over | more, 1, 0.1)[0][-1, 0] for more in ({}, pulled)]
     force_n = tether["stiffness_n_m"] * (tether["anchor_ned_m"][0] - tether["length_m"])
     assert north_m[1] - north_m[0] == pytest.approx(0.5 * force_n / 0.063 * 0.1**2, rel=0.05)
 
