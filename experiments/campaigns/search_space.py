@@ -27,6 +27,8 @@ class Parameter(ConfigRecord):
     low: float
     high: float
     log: bool = False
+    whole: bool = False
+    """Whether the range is all that there is, as of a share: then a value at its end asks for no wider one."""
 
     @model_validator(mode="after")
     def _range(self) -> Self:
@@ -99,5 +101,7 @@ def values_at(space: Sequence[Parameter], point: Sequence[float]) -> dict[str, f
 
 
 def near_an_end(space: Sequence[Parameter], values: dict[str, float]) -> list[str]:
-    """Names of the parameters whose value lies within END_SHARE of an end of its range."""
-    return [one.name for one in space if not END_SHARE <= one.share(values[one.name]) <= 1.0 - END_SHARE]
+    """Names of the parameters whose value lies within END_SHARE of an end of a range that could be wider."""
+    return [
+        one.name for one in space if not one.whole and not END_SHARE <= one.share(values[one.name]) <= 1.0 - END_SHARE
+    ]

@@ -15,7 +15,11 @@ from experiments.margins.steepest_map import steepest_map_margins
 from sim_vehicle.config import SimVehicleConfig
 
 OMEGA: Final = 2.0 * np.pi * np.geomspace(0.05, 40.0, 300)
-"""rad/s: from far below the position loop to far above the attitude loop."""
+"""rad/s: from far below the position loop to far above the attitude loop. Margins are found here."""
+FROM_FAR_BELOW: Final = np.concatenate([2.0 * np.pi * np.geomspace(0.0005, 0.05, 60, endpoint=False), OMEGA])
+"""rad/s: from far below the slowest rate of a law as well, to count unstable poles."""
+BAND: Final = slice(len(FROM_FAR_BELOW) - len(OMEGA), None)
+"""Of FROM_FAR_BELOW, OMEGA."""
 LOOPS: Final = ((0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2))
 """Channel and axis."""
 UNSTABLE_MAX: Final = 3.0
@@ -42,15 +46,15 @@ class MarginRequirement(ConfigRecord):
         ValueError
             If the controller is not a cascade.
         """
-        model = LinearModel(config, OMEGA)
+        model = LinearModel(config, FROM_FAR_BELOW)
         return max(self.shortfall_of(model.loop(channel, axis)) for channel, axis in LOOPS)
 
     def shortfall_of(self, loop: PredictedLoop) -> float:
-        """The same for one loop.
+        """The same for one loop, at the frequencies FROM_FAR_BELOW.
 
         The margins of an unstable loop are how far it is from stability; with that, the shortfall grows above 1.
         """
-        shares = self._shares(margins(OMEGA, loop.L))
+        shares = self._shares(margins(OMEGA, loop.L[BAND]))
         if unstable_poles(loop.characteristic):
             return 1.0 + min(*shares[:2], UNSTABLE_MAX)
         return _missing(shares)

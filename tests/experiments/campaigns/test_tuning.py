@@ -13,7 +13,7 @@ import experiments.campaigns.tuning as tuning
 from configs.loader import CONFIG_DIRECTORY, ConfigError, parse_yaml, read_tree
 from experiments.campaigns.controller_file import tuned_text
 from experiments.campaigns.flight_row import empty_row
-from experiments.campaigns.search_space import near_an_end, present_values
+from experiments.campaigns.search_space import Parameter, near_an_end, present_values
 from experiments.campaigns.tuning import (
     Search,
     cost,
@@ -158,6 +158,12 @@ def test_shipped_gains_lie_inside_their_ranges() -> None:
     assert not any(ends.values()), ends
 
 
+def test_a_value_at_the_end_of_a_whole_range_asks_for_no_wider_one() -> None:
+    range_ = {"name": "share", "paths": ("settings.path_turn",), "low": 0.0, "high": 1.0}
+    assert near_an_end([Parameter(**range_)], {"share": 0.0}) == ["share"]
+    assert near_an_end([Parameter(**range_, whole=True)], {"share": 0.0}) == []
+
+
 @pytest.mark.parametrize("controller", sorted(load_tuning("tune")[0].own))
 def test_shipped_gains_have_the_predicted_margins(controller: str) -> None:
     one = Search(load_tuning("tune")[0], "tune", controller, 1)
@@ -170,7 +176,7 @@ def test_starts_without_the_margins_are_moved_to_gains_with_them(tmp_path: Path)
     """Whatever the margins do not depend on stays."""
     one = Search(load_tuning("tune")[0], "tune", "indi", 1)
     start = {"position_frequency": 6.0, "attitude_frequency": 15.0, "position_damping": 0.7, "attitude_damping": 1.5}
-    values = start | {"feed_forward_lead": 0.05, "position_filter": 0.05, "attitude_filter": 0.1}
+    values = start | {"feed_forward_lead": 0.05, "path_turn": 0.5, "position_filter": 0.05, "attitude_filter": 0.1}
     assert margin_shortfall(one, values) > 0.0
     moved = tuning.with_margins(one, values, np.random.default_rng(0))
     assert margin_shortfall(one, moved) == 0.0

@@ -7,9 +7,9 @@ from configs.flight_tree import Choices
 from configs.loader import ConfigError
 from experiments.flights.scenario import FlightConfig, resolve
 from experiments.margins.linear import PredictedLoop
-from experiments.margins.requirement import OMEGA, Corner, MarginRequirement
+from experiments.margins.requirement import FROM_FAR_BELOW, Corner, MarginRequirement
 
-S = 1j * OMEGA
+S = 1j * FROM_FAR_BELOW
 NEEDED = MarginRequirement(gain_margin_db=6.0, phase_margin_deg=30.0, delay_margin_ms=10.0)
 DELAY_S = "vehicle.motors.command_delay_s"
 
