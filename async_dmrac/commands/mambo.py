@@ -4,8 +4,9 @@ import argparse
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from configs.addresses import Addresses, network_of
 from configs.loader import ConfigError, read_tree
 from mambo.board import board_config
 from mambo.build import LIBRARY, build
@@ -132,10 +133,10 @@ def _config(arguments: argparse.Namespace) -> int:
     cleared = _cleared(arguments, board)
     tree = read_tree(arguments.flight)
     onboard = fill_process(OnboardConfig, tree, str(arguments.flight), "onboard")
-    network = tree.get("network") or {}
-    if not isinstance(network, Mapping):
-        raise ConfigError(f"{arguments.flight}: network: {network!r}, expected a mapping of keys")
-    key, ground_key = load_key(network.get("key_file")), load_key(network.get("ground_key_file"))
+    if not isinstance(tree.get("network", {}), Mapping):
+        raise ConfigError(f"{arguments.flight}: network: {tree['network']!r}, expected a mapping of keys")
+    network = network_of(tree, str(arguments.flight), {})
+    key, ground_key = load_key(network.key_file), load_key(network.ground_key_file)
     data = image(library_config(board, onboard, cleared), onboard, key, ground_key)
     write_image(arguments.out, data)
     with_key = "with" if key else "WITHOUT"
@@ -145,14 +146,14 @@ def _config(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _link_lines(link: BoardLink, network: Mapping[str, Any], flight: Path) -> list[str]:
+def _link_lines(link: BoardLink, network: Addresses, flight: Path) -> list[str]:
     """Where the library sends, and what offboard's addresses in the flight's `network` have instead."""
     offboard, ground = (".".join(map(str, one)) for one in (link.offboard, link.ground))
     station = f"ground station {ground}:{link.ground_port}" if link.ground_port else "no ground station"
     lines = [f"link: from port {link.own_port} to offboard {offboard}:{link.offboard_port}, {station}"]
     ends = {"radio_onboard": f"{offboard}:{link.offboard_port}", "radio_offboard": f":{link.own_port}"}
     for name, end in ends.items():
-        there = str(network.get(name, end))
+        there: str = getattr(network, name)
         if not there.endswith(end):
             lines.append(f"NOTE  {flight}: network.{name} is {there}, the image has {end}: change it, or --set link")
     return lines
