@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from mambo.build import LIBRARY
 from mambo.drone_access import DroneError, Files, Say, Shell, keep
-from mambo.image import HEADER_BYTES, MAGIC
+from mambo.image import DIGEST_BYTES, HEADER_BYTES, MAGIC, digest
 from protocol.session import session_number
 
 IMAGE: Final = "dmrac.bin"
@@ -39,10 +39,13 @@ def check_library(path: Path) -> bytes:
 
 
 def check_image(path: Path) -> bytes:
-    """The content of a configuration image. Raises DroneError for another file."""
+    """The content of a configuration image. Raises DroneError for another file and for a damaged one."""
     content = path.read_bytes()
-    if content[:4] != MAGIC or int.from_bytes(content[8:12], "little") != len(content) or len(content) < HEADER_BYTES:
+    header, rest = content[:HEADER_BYTES], content[HEADER_BYTES:]
+    if header[:4] != MAGIC or len(rest) < DIGEST_BYTES:
         raise DroneError(f"{path}: is not a configuration image; make it with dmrac mambo config")
+    if digest(header, rest[DIGEST_BYTES:]) != rest[:DIGEST_BYTES]:
+        raise DroneError(f"{path}: the image is damaged; make it again with dmrac mambo config")
     return content
 
 

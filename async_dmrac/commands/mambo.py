@@ -2,15 +2,25 @@
 
 import argparse
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
+from configs.addresses import Addresses, network_of
 from configs.loader import ConfigError, read_tree
 from mambo.board import board_config
 from mambo.build import LIBRARY, build
-from mambo.check import MOTIONS, MOTORS, SLOT_S, faults_of, motor_faults, require_certificate, write_certificate
-from mambo.config import BoardConfig, library_config
+from mambo.check import (
+    MOTIONS,
+    MOTORS,
+    SLOT_S,
+    Fault,
+    faults_of,
+    motor_faults,
+    require_certificate,
+    write_certificate,
+)
+from mambo.config import BoardConfig, BoardLink, library_config
 from mambo.drone_access import FTP_PORT, TELNET_PORT, USB_HOST
 from mambo.image import image, write_image
 from mambo.install import RECORDING, Access, fetch, install, restore, start
@@ -123,13 +133,30 @@ def _config(arguments: argparse.Namespace) -> int:
     cleared = _cleared(arguments, board)
     tree = read_tree(arguments.flight)
     onboard = fill_process(OnboardConfig, tree, str(arguments.flight), "onboard")
-    network = tree.get("network", {})
-    key, ground_key = load_key(network.get("key_file")), load_key(network.get("ground_key_file"))
+    if not isinstance(tree.get("network", {}), Mapping):
+        raise ConfigError(f"{arguments.flight}: network: {tree['network']!r}, expected a mapping of keys")
+    network = network_of(tree, str(arguments.flight), {})
+    key, ground_key = load_key(network.key_file), load_key(network.ground_key_file)
     data = image(library_config(board, onboard, cleared), onboard, key, ground_key)
     write_image(arguments.out, data)
     with_key = "with" if key else "WITHOUT"
     _say(f"{arguments.out}: {len(data)} bytes, mode {board.mode}, {with_key} key, mode of the file 0600")
+    for line in _link_lines(board.link, network, arguments.flight):
+        _say(line)
     return 0
+
+
+def _link_lines(link: BoardLink, network: Addresses, flight: Path) -> list[str]:
+    """Where the library sends, and what offboard's addresses in the flight's `network` have instead."""
+    offboard, ground = (".".join(map(str, one)) for one in (link.offboard, link.ground))
+    station = f"ground station {ground}:{link.ground_port}" if link.ground_port else "no ground station"
+    lines = [f"link: from port {link.own_port} to offboard {offboard}:{link.offboard_port}, {station}"]
+    ends = {"radio_onboard": f"{offboard}:{link.offboard_port}", "radio_offboard": f":{link.own_port}"}
+    for name, end in ends.items():
+        there: str = getattr(network, name)
+        if not there.endswith(end):
+            lines.append(f"NOTE  {flight}: network.{name} is {there}, the image has {end}: change it, or --set link")
+    return lines
 
 
 def _cleared(arguments: argparse.Namespace, board: BoardConfig) -> bool:
@@ -150,19 +177,26 @@ def _check(arguments: argparse.Namespace) -> int:
         for index, motion in enumerate(MOTIONS):
             _say(f"{index * SLOT_S:5.0f} s  {motion}")
         return 0
-    board = _board(arguments)
-    faults = faults_of(read_recording(arguments.recording), board)
-    if arguments.motors is None:
-        raise ConfigError(f"--motors: which motors turned in mode bench, in their order, of {', '.join(MOTORS)}")
-    answers = [one.strip() for one in arguments.motors.split(",")]
-    if len(answers) != len(MOTORS):
-        raise ConfigError(f"--motors {arguments.motors}: {len(answers)} places, expected 4 of {', '.join(MOTORS)}")
-    faults += motor_faults(answers)
+    board, places, recording = _board(arguments), ", ".join(MOTORS), read_recording(arguments.recording)
+    answers = None if arguments.motors is None else [one.strip() for one in arguments.motors.split(",")]
+    if answers is not None and (len(answers) != len(MOTORS) or set(answers) - {*MOTORS, ""}):
+        raise ConfigError(f"--motors {arguments.motors}: expected 4 of {places}, or nothing for one that stood still")
+    faults = faults_of(recording, board)
+    if answers is not None:
+        faults += motor_faults(answers)
     for fault in faults:
         _say(f"FAULT  {fault.what}: {fault.text}")
+    if answers is None:
+        _say(f"sensors: {_verdict(faults)}; nothing written, the motors are missing")
+        _say(f"next: an image of mode bench, then --motors with the motors as they turned, of {places}")
+        return 1
     write_certificate(arguments.out, board, faults, arguments.recording)
-    _say(f"{arguments.out}: {'passed' if not faults else f'{len(faults)} faults'}")
+    _say(f"{arguments.out}: {_verdict(faults)}")
     return int(bool(faults))
+
+
+def _verdict(faults: list[Fault]) -> str:
+    return f"{len(faults)} fault{'s' if len(faults) > 1 else ''}" if faults else "passed"
 
 
 def _access(arguments: argparse.Namespace) -> Access:

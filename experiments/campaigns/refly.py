@@ -15,6 +15,7 @@ from configs.named_class import UntrustedClassError
 from experiments.campaigns.campaign import Seeds
 from experiments.campaigns.flight_row import Row
 from experiments.campaigns.flown import FlownCampaign
+from experiments.campaigns.provenance import commits_of
 from experiments.campaigns.runner import CampaignRun, Progress, open_store, run_campaign
 from experiments.campaigns.store import read_table
 from experiments.campaigns.worker_pools import Workers
@@ -97,7 +98,9 @@ def pick(flown: FlownCampaign, sample: int | None, seed: int, controllers: Seque
     ConfigError
         If the settings have changed, so that the flights cannot be repeated, or if there is no flight of a controller.
     """
-    flown.about.check_settings(flown.config, str(flown.place), "the flights cannot be repeated with these")
+    commits = [one for one in commits_of(flown.about.flown_on) if not one.endswith("-dirty")]
+    advice = f"; check out commit {' or '.join(commits)}, which flew them" if commits else ""
+    flown.about.check_settings(flown.config, str(flown.place), f"the flights cannot be repeated with these{advice}")
     keys: dict[str, list[str]] = {}
     for row in flown.table.select(["key", "controller", "error"]).sort_by("key").to_pylist():
         if not row["error"] and (controllers is None or row["controller"] in controllers):

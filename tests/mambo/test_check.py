@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from async_dmrac.command_line import main
 from configs.loader import ConfigError
 from flight_log.reader import open_flight
 from mambo.board import board_config
 from mambo.build import Built
-from mambo.check import Fault, faults_of, motor_faults, require_certificate, write_certificate
+from mambo.check import MOTORS, Fault, faults_of, motor_faults, require_certificate, write_certificate
 from mambo.fake.wire import Sensors
 from mambo.recording import Recording, in_body_axes, read_recording
 from mambo.recording_log import write_flight_log
@@ -20,8 +21,13 @@ Spoiled = Callable[[Sensors], Sensors]
 
 
 @pytest.fixture(scope="module")
-def good(native: Built, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return read_recording(record(native, tmp_path_factory.mktemp("good")))
+def good_file(native: Built, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(native, tmp_path_factory.mktemp("good"))
+
+
+@pytest.fixture(scope="module")
+def good(good_file: Path) -> Recording:
+    return read_recording(good_file)
 
 
 def changed(recording: Recording, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
@@ -162,6 +168,29 @@ def test_only_a_passed_check_of_the_same_settings_clears(tmp_path: Path) -> None
     path.write_text("[]")
     with pytest.raises(ConfigError, match="is not a result"):
         require_certificate(path, board)
+
+
+def test_the_command_checks_the_sensors_before_the_motors(
+    good_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without `--motors` it says what the sensors have, and writes nothing that could clear a vehicle."""
+    out = tmp_path / "check.json"
+
+    def check(*words: str) -> int:
+        return main(["mambo", "check", str(good_file), "--out", str(out), *words])
+
+    assert check() == 1
+    assert "sensors: passed; nothing written" in capsys.readouterr().out
+    assert check("--set", "sensors.accelerometer_axes=[-1, 2, 3]") == 1
+    shown = capsys.readouterr().out
+    assert "FAULT  accelerometer: nose down: wrong sign of body x" in shown
+    assert "sensors: 1 fault; nothing written" in shown
+    assert not out.exists()
+    for answers in ("front left, front right", "front left, front right, rear right, left rear"):
+        assert check("--motors", answers) == 2
+        assert "expected 4 of front left" in capsys.readouterr().err
+    assert check("--motors", ", ".join(MOTORS)) == 0
+    require_certificate(out, board_config())
 
 
 def test_a_damaged_recording_is_named(tmp_path: Path) -> None:

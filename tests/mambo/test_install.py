@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from mambo.drone_access import DroneError
+from mambo.image import DIGEST_BYTES, HEADER_BYTES, digest
 from mambo.install import Access, fetch, install, restore, start
 from protocol.session import session_start_ns
 from tests.mambo.fake_drone import FakeDrone, fake_drone
@@ -15,7 +16,9 @@ THEIRS, OURS, NEWER = b"the drone's own library", ELF + b"ours", ELF + b"newer"
 
 
 def image_of(size: int) -> bytes:
-    return b"DMRM" + (1).to_bytes(4, "little") + size.to_bytes(4, "little") + bytes(size - 12)
+    header = b"DMRM" + (1).to_bytes(4, "little") + size.to_bytes(4, "little") + bytes(HEADER_BYTES - 12)
+    payload = bytes(size - HEADER_BYTES - DIGEST_BYTES)
+    return header + digest(header, payload) + payload
 
 
 @pytest.fixture
@@ -102,9 +105,13 @@ def test_wrong_files_are_refused_before_the_drone_is_touched(files: tuple[Path, 
     with pytest.raises(DroneError, match="not a library for the drone's processor"):
         install(nowhere, library, image, saved, print)
     library.write_bytes(OURS)
-    image.write_bytes(image_of(100)[:-1])
+    image.write_bytes(b"DMRM")
     with pytest.raises(DroneError, match="not a configuration image"):
         install(nowhere, library, image, saved, print)
+    for damaged in (image_of(100)[:-1], image_of(100)[:-1] + b"x", image_of(100) + b"x"):
+        image.write_bytes(damaged)
+        with pytest.raises(DroneError, match="the image is damaged"):
+            install(nowhere, library, image, saved, print)
 
 
 def test_no_drone_is_named(files: tuple[Path, Path, Path]) -> None:

@@ -5,6 +5,7 @@ import stat
 from pathlib import Path
 
 import pytest
+import yaml
 
 from async_dmrac import command_line
 from mambo.board import board_config
@@ -30,6 +31,30 @@ def test_the_default_mode_never_runs_the_motors(flight: Path, capsys: pytest.Cap
     path = flight.with_name("dmrac.bin")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert bytes.fromhex(flight.with_name("flight.key").read_text()) in path.read_bytes()
+
+
+def test_an_image_says_where_the_library_sends(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its addresses are those of configs/mambo.yaml; another one of offboard's in the flight is noted."""
+    addresses = {"radio_onboard": "192.168.3.2:14573", "radio_offboard": "192.168.3.1:14571"}
+    words = ["config", "hover", "--controller", "pid", "--out", "flight.yaml", "--set", "network.key_file=flight.key"]
+    same = [word for name, address in addresses.items() for word in ("--set", f"network.{name}={address}")]
+    assert command_line.main([*words, *same]) == 0
+    assert config() == 0
+    shown = capsys.readouterr().out
+    assert "link: from port 14571 to offboard 192.168.3.2:14573, ground station 192.168.3.2:14550" in shown
+    assert "NOTE" not in shown
+    assert config("--set", "link.offboard=[192, 168, 3, 7]") == 0
+    shown = capsys.readouterr().out
+    assert "network.radio_onboard is 192.168.3.2:14573, the image has 192.168.3.7:14573" in shown
+    assert "network.radio_offboard" not in shown
+    assert config("--set", "link.own_port=14577") == 0
+    assert "network.radio_offboard is 192.168.3.1:14571, the image has :14577" in capsys.readouterr().out
+
+
+def test_a_network_that_is_no_mapping_is_named(flight: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight.write_text(yaml.safe_dump({**yaml.safe_load(flight.read_text()), "network": 5}))
+    assert config() == 2
+    assert "flight.yaml: network: 5, expected a mapping of keys" in capsys.readouterr().err
 
 
 def test_an_image_that_flies_needs_a_check_of_the_same_settings(

@@ -195,6 +195,10 @@ def test_flights_of_other_settings_are_not_compared(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(flown_module, "fingerprint", lambda tree, core: "another")
     with pytest.raises(ConfigError, match=r"flown: its flights were made with other settings.*cannot be repeated"):
         pick(campaign, None, 0)
+    places = ("one machine; commit abc1234, abc1235-dirty", "another; commit def5678")
+    published = replace(campaign, about=campaign.about.model_copy(update={"flown_on": places}))
+    with pytest.raises(ConfigError, match=r"these; check out commit abc1234 or def5678, which flew them$"):
+        pick(published, None, 0)
 
 
 def test_nothing_is_flown_if_one_place_is_bad(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
