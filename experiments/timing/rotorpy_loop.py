@@ -7,6 +7,8 @@ import time
 from importlib.util import find_spec
 from typing import Final
 
+import numpy as np
+
 RATE_HZ: Final = 200
 """Of the loop, as onboard's."""
 RADIUS_M: Final = 1.0
@@ -27,14 +29,14 @@ def rotorpy_speed(seconds: float) -> float:
     """
     from rotorpy.controllers.quadrotor_control import SE3Control
     from rotorpy.environments import Environment
-    from rotorpy.trajectories.circular_traj import CircularTraj
+    from rotorpy.trajectories.circular_traj import ThreeDCircularTraj
     from rotorpy.vehicles.crazyflie_params import quad_params
     from rotorpy.vehicles.multirotor import Multirotor
 
     environment = Environment(
         vehicle=Multirotor(quad_params),
         controller=SE3Control(quad_params),
-        trajectory=CircularTraj(radius=RADIUS_M),
+        trajectory=ThreeDCircularTraj(radius=np.array([RADIUS_M, RADIUS_M, 0.0])),
         sim_rate=RATE_HZ,
     )
     start = time.perf_counter()
