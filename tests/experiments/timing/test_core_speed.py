@@ -70,7 +70,6 @@ def test_against_the_peer(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_rotorpys_own_loop_flies_in_rotorpy() -> None:
     pytest.importorskip("rotorpy", reason="the rotorpy extra is not installed")
     assert rotorpy_loop.rotorpy_speed(1.0) > 0.0
-    assert ran[1] == 7.0
 
 
 def test_vehicles_take_turns_in_one_process() -> None:
