@@ -43,4 +43,7 @@ def _settings(job: FlightJob) -> object:
         raise
     except ConfigError:
         return [job.scenario, job.controller, job.duration_s, job.assignments]
-    return flight.model_dump(mode="json", by_alias=True, exclude=CHANGES_NO_FLIGHT)
+    settings: dict[str, Any] = flight.model_dump(mode="json", by_alias=True, exclude=CHANGES_NO_FLIGHT)
+    if flight.vehicle.physics != "rotorpy":
+        del settings["vehicle"]["rotorpy"]  # then it is None; rows of before it was a key keep their fingerprint
+    return settings
