@@ -37,7 +37,7 @@ def test_the_same_flights_have_the_same_fingerprint(other: CampaignConfig) -> No
         campaign({"set": {"vehicle.drag.linear_n_s_m": 0.021}}),
         campaign({"set": {"vehicle.drag.no_such_key": 1}}),
         campaign({"set": {"vehicle.physics": "rotorpy"}}),
-        campaign({"set": {"vehicle.physics": "rotorpy", "vehicle.rotorpy": {"k_flap": 0.1}}}),
+        campaign({"set": {"vehicle.physics": "rotorpy", "vehicle.rotorpy": {"flapping_m": 0.01}}}),
         campaign({"draws": [{"path": "vehicle.body.mass_kg", "uniform": [0.06, 0.07]}]}),
         campaign(sweeps=[{"name": "mass", "path": "vehicle.body.mass_kg", "values": [0.06]}]),
     ],
