@@ -18,7 +18,8 @@ bool core_init(Core *self, const CoreConfig *config, const ChannelFeatures *star
                int32_t key_size) {
     memset(self, 0, sizeof *self);
     self->airframe = config->airframe;
-    self->dt = self->period_s = (real)((double)config->period_ns * 1e-9);
+    self->whole_period_s = (double)config->period_ns * 1e-9;
+    self->dt = self->period_s = (real)self->whole_period_s;
     estimator_init(&self->estimator, &config->estimator);
     supervisor_init(&self->supervisor, &config->supervisor);
     guidance_init(&self->guidance, &config->guidance, config->lissajous);
@@ -133,7 +134,7 @@ static void guide(Core *self, FlightMode mode) {
         guidance_rest(&self->guidance, state->position);
     }
     bool run = mode == MODE_TAKE_OFF || mode == MODE_FLYING;
-    guidance_step(&self->guidance, run, mode == MODE_LANDING, self->dt, mode == MODE_TAKE_OFF, &self->target);
+    guidance_step(&self->guidance, run, mode == MODE_LANDING, self->whole_dt, mode == MODE_TAKE_OFF, &self->target);
     if (mode == MODE_HOLD_LEVEL) { /* the vehicle drifts: a landing that follows begins where the vehicle is then */
         guidance_place(&self->guidance, state->position);
     }
@@ -271,6 +272,7 @@ void core_tick(Core *self, const CoreInputs *inputs, CoreOutput *output) {
     int32_t missed = (int32_t)(skipped < CATCH_UP_MAX ? skipped : CATCH_UP_MAX);
     self->missed_ticks = inputs->missed_ticks;
     self->dt = (real)(1 + missed) * self->period_s;
+    self->whole_dt = (double)(1 + missed) * self->whole_period_s;
     output->link_event_count = offboard_link_take_events(&self->offboard, output->link_events);
     output->estimator_event_count = estimator_take_events(&self->estimator, output->estimator_events);
     FlightMode mode = supervise(self, inputs, output);

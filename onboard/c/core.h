@@ -54,6 +54,8 @@ typedef struct {
 typedef struct {
     AirframeConfig airframe;
     real period_s;
+    double whole_period_s; /* not rounded to a float, as whole_dt: path time adds it up */
+    double whole_dt;
     real dt; /* s since the last tick */
     Estimator estimator;
     Supervisor supervisor;

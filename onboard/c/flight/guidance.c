@@ -100,10 +100,11 @@ static real return_rate(Guidance *self, real dt) {
 }
 
 /* Guidance.step */
-void guidance_step(Guidance *self, bool run, bool landing, real dt, bool climbing, Target *out) {
+void guidance_step(Guidance *self, bool run, bool landing, double seconds, bool climbing, Target *out) {
+    real dt = (real)seconds;
     const GuidanceConfig *config = &self->config;
     bool waits = climbing && self->clock.time_s >= self->path.start_s - (double)self->clock.stop_s;
-    path_clock_step(&self->clock, run && !landing && !waits, dt);
+    path_clock_step(&self->clock, run && !landing && !waits, seconds);
     real speed = config->trajectory.landing_speed_m_s; /* reached within a second, and left as fast */
     real change = landing ? dt * speed : -dt * speed;
     self->descent_speed = real_min(real_max(self->descent_speed + change, REAL(0.0)), speed);

@@ -39,6 +39,6 @@ void guidance_rest(Guidance *self, const real position[3]);
 
 /* Target of this tick. `run`: path time advances; `landing`: the target descends from where it is; `climbing`: the vehicle
  * has not reached its height, and the path does not begin before. */
-void guidance_step(Guidance *self, bool run, bool landing, real dt, bool climbing, Target *out);
+void guidance_step(Guidance *self, bool run, bool landing, double seconds, bool climbing, Target *out);
 
 #endif

@@ -254,15 +254,15 @@ void path_clock_init(PathClock *self) {
 }
 
 /* PathClock.step */
-void path_clock_step(PathClock *self, bool run, real dt) {
+void path_clock_step(PathClock *self, bool run, double dt) {
     real target = run ? REAL(1.0) : REAL(0.0);
-    real move = dt / self->ease_s, step[3];
+    real move = (real)dt / self->ease_s, step[3];
     self->x = target > self->x ? real_min(self->x + move, target) : real_max(self->x - move, target);
     smooth_step(self->x, step);
     bool moving = self->x != target;
     self->rate = step[0];
     self->rate_change = moving ? step[1] / self->ease_s * (run ? REAL(1.0) : REAL(-1.0)) : REAL(0.0);
-    self->time_s += (double)(step[0] * dt);
+    self->time_s += (double)step[0] * dt;
 }
 
 /* PathClock.steady */

@@ -66,7 +66,7 @@ typedef struct {
 void path_clock_init(PathClock *self);
 
 /* Advance by dt [s]; `run`: whether path time runs. */
-void path_clock_step(PathClock *self, bool run, real dt);
+void path_clock_step(PathClock *self, bool run, double dt);
 
 /* Whether path time runs like real time. */
 bool path_clock_steady(const PathClock *self);
