@@ -16,14 +16,13 @@ import sim_vehicle.physics.layout as at
 from configs.loader import ConfigError
 from protocol.conventions import Array
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.physics.advance import nominal_torque
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.disturb import disturb, for_disturbances
 from sim_vehicle.physics.dynamics import airframe_drag, rotation, rotor_drag_torque, rotor_lift, to_world
 from sim_vehicle.physics.motors import drain_battery, lag_motors
 from sim_vehicle.physics.mujoco_model import YAW_ACTUATOR, mjcf
 from sim_vehicle.physics.packing import pack_parameters
-from sim_vehicle.physics.substep import BEFORE, EFFECT, MIDDLE, NOMINAL, THRUST_ROWS, account_substep, predict_middle
+from sim_vehicle.physics.substep import EFFECT, MIDDLE, THRUST_ROWS, account_substep, note_start, predict_middle
 
 MISSING = (
     "vehicle.physics: 'mujoco': the package mujoco is not installed; install the extra with "
@@ -116,11 +115,7 @@ def begin_substep(
     disturb(state, rows, memories, now_s, P, noise, effect)
     lag_motors(state, commands, P, thrust)
     sums[at.CURRENT] = drain_battery(state, effect[at.VOLTAGE_DROP], P)
-    nominal = nominal_torque(state, P)
-    for i in range(4):
-        work[NOMINAL, i] = nominal[i]
-    for i in range(at.RIGID):
-        work[BEFORE, i] = state[i]
+    note_start(state, P, work)
     middle = work[MIDDLE]
     predict_middle(state, P, middle)
     R = rotation(middle[6], middle[7], middle[8], middle[9])

@@ -21,8 +21,8 @@ import numpy as np
 import sim_vehicle.physics.layout as at
 from configs.loader import ConfigError
 from protocol.conventions import GRAVITY, Array
+from protocol.geometry import Vector3
 from sim_vehicle.config import SimVehicleConfig
-from sim_vehicle.physics.advance import nominal_torque
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.disturb import disturb, for_disturbances
 from sim_vehicle.physics.dynamics import (
@@ -40,7 +40,7 @@ from sim_vehicle.physics.motors import LEAST_THRUST, drain_battery, lag_nominal,
 from sim_vehicle.physics.packing import pack_parameters
 from sim_vehicle.physics.parameters import RotorpyConfig
 from sim_vehicle.physics.rotorpy_model import hover_speed, motor_lag, quad_params
-from sim_vehicle.physics.substep import BEFORE, EFFECT, MIDDLE, NOMINAL, account_substep, predict_middle
+from sim_vehicle.physics.substep import EFFECT, MIDDLE, account_substep, note_start, predict_middle
 from sim_vehicle.world.rotorpy_wind import RotorpyWind
 
 MISSING: Final = (
@@ -209,11 +209,7 @@ def begin_substep(
         F = (F[0] + floor[0], F[1] + floor[1], F[2] + floor[2])
         tau = (tau[0] + floor[3], tau[1] + floor[4], tau[2] + floor[5])
     moment = cross((P[at.CENTRE], P[at.CENTRE + 1], P[at.CENTRE + 2]), F)
-    nominal = nominal_torque(state, P)
-    for i in range(4):
-        work[NOMINAL, i] = nominal[i]
-    for i in range(at.RIGID):
-        work[BEFORE, i] = state[i]
+    note_start(state, P, work)
     for i in range(3):
         sign = 1.0 if i == 0 else -1.0
         load[i] = sign * F[i]
@@ -223,12 +219,18 @@ def begin_substep(
 
 
 @compiled
-def place(state: Array, P: Array, body: Array) -> None:
-    """Write position, velocity, quaternion and rates into RotorPy's state, body[ROTORPY_SIZE]."""
+def centre_of_mass(state: Array, P: Array) -> tuple[Vector3, Vector3]:
+    """Place, m, and velocity, m/s, of the centre of mass from the reference point, world NED."""
     R = rotation(state[6], state[7], state[8], state[9])
     centre = (P[at.CENTRE], P[at.CENTRE + 1], P[at.CENTRE + 2])
     swing = cross((state[10], state[11], state[12]), centre)
-    away, moving = to_world(R, centre[0], centre[1], centre[2]), to_world(R, swing[0], swing[1], swing[2])
+    return to_world(R, centre[0], centre[1], centre[2]), to_world(R, swing[0], swing[1], swing[2])
+
+
+@compiled
+def place(state: Array, P: Array, body: Array) -> None:
+    """Write position, velocity, quaternion and rates into RotorPy's state, body[ROTORPY_SIZE]."""
+    away, moving = centre_of_mass(state, P)
     for i in range(3):
         sign = 1.0 if i == 0 else -1.0
         body[BODY + i] = sign * (state[at.POSITION + i] + away[i])
@@ -249,10 +251,7 @@ def end_substep(state: Array, P: Array, sums: Array, work: Array, body: Array) -
         state[at.QUATERNION + 1 + i] = sign * body[QUATERNION + i]
         state[at.RATES + i] = sign * body[RATES + i]
     state[at.QUATERNION] = body[QUATERNION + 3]
-    R = rotation(state[6], state[7], state[8], state[9])
-    centre = (P[at.CENTRE], P[at.CENTRE + 1], P[at.CENTRE + 2])
-    swing = cross((state[10], state[11], state[12]), centre)
-    away, moving = to_world(R, centre[0], centre[1], centre[2]), to_world(R, swing[0], swing[1], swing[2])
+    away, moving = centre_of_mass(state, P)
     for i in range(3):
         sign = 1.0 if i == 0 else -1.0
         state[at.POSITION + i] = sign * body[BODY + i] - away[i]

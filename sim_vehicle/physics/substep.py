@@ -2,7 +2,7 @@
 
 import sim_vehicle.physics.layout as at
 from protocol.conventions import Array
-from sim_vehicle.physics.advance import account, account_flow, account_tones, watch_floor
+from sim_vehicle.physics.advance import account, account_flow, account_tones, nominal_torque, watch_floor
 from sim_vehicle.physics.compiled import compiled
 from sim_vehicle.physics.dynamics import rotation
 
@@ -23,6 +23,16 @@ def predict_middle(state: Array, P: Array, middle: Array) -> None:
     p, q, r = 0.5 * h * state[10], 0.5 * h * state[11], 0.5 * h * state[12]
     middle[6], middle[7] = w - x * p - y * q - z * r, x + w * p + y * r - z * q
     middle[8], middle[9] = y + w * q + z * p - x * r, z + w * r + x * q - y * p
+
+
+@compiled
+def note_start(state: Array, P: Array, work: Array) -> None:
+    """Write the rows NOMINAL, of the nominal thrusts as they are now, and BEFORE, of the rigid body as it is now."""
+    nominal = nominal_torque(state, P)
+    for i in range(4):
+        work[NOMINAL, i] = nominal[i]
+    for i in range(at.RIGID):
+        work[BEFORE, i] = state[i]
 
 
 @compiled

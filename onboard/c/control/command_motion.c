@@ -6,13 +6,6 @@
 #include "numerics/elementary.h"
 #include "protocol/geometry.h"
 
-void turn_between(const real from[4], const real to[4], real out[3]) {
-    real inverse[4], turn[4];
-    quaternion_conjugate(from, inverse);
-    quaternion_multiply(inverse, to, turn);
-    quaternion_to_rotation_vector(turn, out);
-}
-
 /* CommandMotion.__init__ */
 void command_motion_init(CommandMotion *self, real filter_s, real path_turn) {
     memset(self, 0, sizeof *self);
@@ -33,11 +26,8 @@ static void find_path_turn(CommandMotion *self, const ControlInputs *inputs) {
     for (int i = 0; i < 9; i++) {
         R[i] = self->share * inputs->state->rotation[i];
     }
-    for (int i = 0; i < 3; i++) {
-        const real *a = turn->acceleration;
-        self->omega_d[i] = R[i] * turn->rate[0] + R[3 + i] * turn->rate[1] + R[6 + i] * turn->rate[2];
-        self->alpha_d[i] = R[i] * a[0] + R[3 + i] * a[1] + R[6 + i] * a[2];
-    }
+    matrix_transposed_times(R, turn->rate, self->omega_d);
+    matrix_transposed_times(R, turn->acceleration, self->alpha_d);
 }
 
 /* CommandMotion.step */

@@ -21,7 +21,4 @@ void command_motion_init(CommandMotion *self, real filter_s, real path_turn);
 /* Update with the attitude commanded in this tick. */
 void command_motion_step(CommandMotion *self, const real commanded[4], const ControlInputs *inputs);
 
-/* out = from^-1 to, as a rotation vector, rad */
-void turn_between(const real from[4], const real to[4], real out[3]);
-
 #endif

@@ -126,10 +126,8 @@ static real attitude_bound(TrackingBounds *self, const ControlInputs *inputs, co
                            const CommandMotion *motion, bool restart) {
     const ChannelMeasurement *measured = inputs->attitude;
     const real *omega_d = motion->omega_d, *alpha_d = motion->alpha_d;
-    real inverse[4], difference[4], e[3], squared = REAL(0.0);
-    quaternion_conjugate(inputs->state->quaternion, inverse);
-    quaternion_multiply(inverse, commanded, difference);
-    quaternion_to_rotation_vector(difference, e);
+    real e[3], squared = REAL(0.0);
+    turn_between(inputs->state->quaternion, commanded, e);
     for (int i = 0; i < 3; i++) {
         AxisBound *axis = self->attitude + i;
         real rate = inputs->state->rates[i], bound;

@@ -61,6 +61,12 @@ void matrix_times(const real R[9], const real v[3], real out[3]) {
     out[2] = R[6] * x + R[7] * y + R[8] * z;
 }
 
+void matrix_transposed_times(const real R[9], const real v[3], real out[3]) {
+    for (int i = 0; i < 3; i++) {
+        out[i] = R[i] * v[0] + R[3 + i] * v[1] + R[6 + i] * v[2];
+    }
+}
+
 /* quaternion_multiply */
 void quaternion_multiply(const real a[4], const real b[4], real out[4]) {
     real aw = a[0], ax = a[1], ay = a[2], az = a[3];
@@ -100,6 +106,13 @@ void quaternion_to_rotation_vector(const real q[4], real out[3]) {
     out[0] = x * scale;
     out[1] = y * scale;
     out[2] = z * scale;
+}
+
+void turn_between(const real from[4], const real to[4], real out[3]) {
+    real inverse[4], turn[4];
+    quaternion_conjugate(from, inverse);
+    quaternion_multiply(inverse, to, turn);
+    quaternion_to_rotation_vector(turn, out);
 }
 
 /* attitude_for_thrust: b3 = down; b2 = b3 x [cos yaw, sin yaw, 0] normalised; b1 = b2 x b3 */

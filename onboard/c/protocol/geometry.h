@@ -18,6 +18,8 @@ real vector_squared_length(const real v[3]);
 real vector_length(const real v[3]);
 /* out = R v. */
 void matrix_times(const real R[9], const real v[3], real out[3]);
+/* out = R' v; not in place. */
+void matrix_transposed_times(const real R[9], const real v[3], real out[3]);
 
 /* Hamilton product a b. */
 void quaternion_multiply(const real a[4], const real b[4], real out[4]);
@@ -27,6 +29,8 @@ void quaternion_conjugate(const real q[4], real out[4]);
 void rotate(const real q[4], const real v[3], real out[3]);
 /* Axis times angle [rad], the shorter way round. */
 void quaternion_to_rotation_vector(const real q[4], real out[3]);
+/* out = from^-1 to, as a rotation vector, rad. */
+void turn_between(const real from[4], const real to[4], real out[3]);
 /* The attitude whose body down axis is `down` (unit vector, world NED) at the given yaw. `down` must not be horizontal
  * along the yaw direction. */
 void attitude_for_thrust(const real down[3], real yaw_rad, real out[4]);

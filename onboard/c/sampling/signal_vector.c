@@ -11,15 +11,11 @@ void signal_vector_init(SignalVector *self, real period_s) {
 /* SignalVector.step */
 void signal_vector_step(SignalVector *self, const VehicleState *state, const real motor_thrusts[4], real battery_v) {
     real *v = self->values;
-    const real *R = state->rotation;
     vector_copy(state->position, v + SIGNAL_POSITION_N);
     vector_copy(state->velocity, v + SIGNAL_VELOCITY_N);
     vector_copy(state->euler, v + SIGNAL_ROLL);
     vector_copy(state->rates, v + SIGNAL_RATE_P);
-    for (int i = 0; i < 3; i++) { /* R^T velocity */
-        v[SIGNAL_BODY_VELOCITY_X + i] =
-            state->velocity[0] * R[i] + state->velocity[1] * R[3 + i] + state->velocity[2] * R[6 + i];
-    }
+    matrix_transposed_times(state->rotation, state->velocity, v + SIGNAL_BODY_VELOCITY_X);
     for (int i = 0; i < 4; i++) {
         real *thrust = v + SIGNAL_MOTOR_THRUST_1 + i;
         *thrust += self->share * (motor_thrusts[i] - *thrust);
