@@ -32,7 +32,8 @@ CAMPAIGNS: Final = (
         "rotor_chip",
         "steady_wind",
     ),
-    *("cloth_circle", "survival", "second_vehicle", "third_vehicle", "sim_to_real", "features", "dropouts"),
+    *("cloth_circle", "survival", "second_vehicle", "third_vehicle", "adaptive_quad_cases"),
+    *("sim_to_real", "features", "dropouts"),
     *("shared_trainer", "paper_preset", "ablations"),
 )
 """In the order of docs/results.md."""

@@ -176,8 +176,8 @@ def test_the_disturbance_is_zero_for_the_nominal_vehicle(vehicle, motors):
     assert np.linalg.norm(named(truth, "rate", "pqr")) > 0.3
 
 
-def test_disturbance_of_a_payload_drag_and_chip(vehicle, motors):
-    """Weight of the payload, drag at the air speed, thrust and torque lost by the chip."""
+def test_disturbance_of_a_payload_drag_chip_and_wrench(vehicle, motors):
+    """Weight of the payload, drag at the air speed, thrust and torque lost by the chip, a wrench as it is set."""
     base = {
         "battery": {"full_v": 3.7, "empty_v": 3.7, "resistance_ohm": 0.0, "polarisation_ohm": 0.0},
         "floor": {"ground_effect": 0.0},
@@ -203,6 +203,10 @@ def test_disturbance_of_a_payload_drag_and_chip(vehicle, motors):
     T = truth[COLUMN["motor_thrust_2"]]
     assert force[2] == pytest.approx(0.2 * T, rel=0.02)
     np.testing.assert_allclose(torque, [0.2 * T * 0.0441, -0.2 * T * 0.0441, -0.3 * T * 0.002414], rtol=0.01)
+    wrench = {"force_ned_n": [0.01, -0.02, 0.03], "torque_frd_nm": [1e-4, -2e-4, 3e-5]}
+    force, torque, _ = flown({"kind": "wrench", **wrench}, still)
+    np.testing.assert_allclose(force, wrench["force_ned_n"], atol=1e-9)
+    np.testing.assert_allclose(torque, wrench["torque_frd_nm"], atol=1e-9)
 
 
 def test_acceleration_is_the_velocity_gained(vehicle, motors):

@@ -98,7 +98,7 @@ def test_the_resolved_configuration_holds_it(tether):
         ({"kind": "math:pi"}, r"0\.kind: 'math:pi': expected a subclass of .*Disturbance"),
         ({"kind": "bad:Lazy"}, r"0\.kind: 'bad:Lazy': has neither of the methods act and change"),
         ({"kind": "bad:Short"}, r"0\.kind: 'bad:Short': its act is act\(v, state, effect\), expected act\(v, memory, "),
-        ({"kind": "tether"}, r"0\.kind: 'tether': unknown kind; allowed are battery_sag, .*wind, or module:Class"),
+        ({"kind": "tether"}, r"0\.kind: 'tether': unknown kind; allowed are battery_sag, .*wrench, or module:Class"),
         ({"kind": None}, r"0\.kind: None: missing; allowed are battery_sag"),
         ({"length": 1.0}, r"0\.length: 1\.0: unknown key; my_tether:Tether allows anchor_ned_m, .*length_m"),
         ({"length_m": -1.0}, r"0\.length_m: -1\.0: Input should be greater than 0"),

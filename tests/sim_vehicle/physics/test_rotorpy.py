@@ -44,6 +44,7 @@ LOADS = NO_AIR_AND_FAST_MOTORS | {
         {"kind": "wind", "velocity_ned_m_s": [1.0, -2.0, 0.1]},
         {"kind": "gusts", "sigma_m_s": 0.5, "length_scale_m": 0.5},
         {"kind": "cloth"},
+        {"kind": "wrench", "force_ned_n": [0.02, -0.03, 0.01], "torque_frd_nm": [2e-4, -3e-4, 1e-4]},
         {"kind": "battery_sag"},
         {"kind": "payload", "mass_kg": 0.006, "offset_m": [0.02, 0.01, 0.03], "onset_s": 0.1, "end_s": 0.3},
         {"kind": "rotor_chip", "rotor": 2, "thrust_factor": 0.9, "onset_s": 0.2},
