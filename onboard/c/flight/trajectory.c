@@ -207,7 +207,8 @@ real path_lap_phase(const Path *self, double t) {
         return REAL(-1.0);
     }
     double laps = since / lap_s;
-    return (real)(laps - (double)(int64_t)laps);
+    real phase = (real)(laps - (double)(int64_t)laps);
+    return phase < REAL(1.0) ? phase : REAL_BELOW_ONE; /* a float rounds the last moment of a lap to 1 */
 }
 
 /* Path._rise */

@@ -195,6 +195,21 @@ def test_a_memory_is_in_every_round() -> None:
     assert learner._contest.refitted is not None
 
 
+def test_a_refusal_ends_the_memorys_part() -> None:
+    """What the vehicle refused would come again with the next refit: the flight's own networks go on alone."""
+    learner = recalling(100)
+    learner.refuse(0)  # none was refused
+    before = learner.job(0)
+    assert before is not None
+    assert before.prior is not None
+    learner.refuse(2)
+    for batch in FLIGHT.batches()[100:110]:
+        learner.receive(batch)
+    after = learner.job(0)
+    assert after is not None
+    assert after.prior is None
+
+
 def test_a_memory_that_has_not_learnt_changes_nothing() -> None:
     learner = VehicleLearner(offboard_config())
     learner.recall(memory(learnt=0))

@@ -83,6 +83,17 @@ def test_path(core: Core, name: str, t: float, ramp_s: float) -> None:
     assert core.path_lap_phase(ours, t) == pytest.approx(theirs.lap_phase(t), abs=1e-12)
 
 
+def test_the_last_moment_of_a_lap_is_in_that_lap(core: Core, core32: Core) -> None:
+    """A float rounds such a phase to 1, which is the place where the next lap begins."""
+    config = trajectory("figure8")
+    for one in (core, core32):
+        ours = one.Path()
+        one.path_init(ours, configured(one, config), drawn(one, config))
+        end_s = Path(config).laps_from_s() + 6.0
+        assert 0.999999 < one.path_lap_phase(ours, end_s - 1e-9) < 1.0
+        assert one.path_lap_phase(ours, end_s) == 0.0
+
+
 def test_a_long_flight_in_float_keeps_its_place(core32: Core) -> None:
     """An hour on the figure-8: the phase is not lost, since path time is a double."""
     config = trajectory("figure8")
