@@ -18,8 +18,8 @@ typedef struct {
     real yaw_rad;
     PathPoint path; /* the path itself: `now` without the way back to the path after a jump of the position estimate */
     PathTurn turn;  /* how the thrust of the path turns t_ff ahead */
-    real lap_phase; /* share of the lap flown, in [0, 1); negative while the path does not repeat */
-    real lap_s;     /* duration of a lap, s; 0 for a path without laps */
+    double lap_phase; /* share of the lap flown, in [0, 1); negative while the path does not repeat */
+    real lap_s;       /* duration of a lap, s; 0 for a path without laps */
 } Target;
 
 /* What the actuators do in one channel, and what they do not explain; m/s^2 (world NED) or rad/s^2 (body FRD). */

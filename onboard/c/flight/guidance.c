@@ -128,6 +128,6 @@ void guidance_step(Guidance *self, bool run, bool landing, double seconds, bool 
     out->yaw_rad = config->trajectory.yaw_rad;
     /* On a hold or landing the target no longer moves as in the laps before. */
     bool steady = path_clock_steady(&self->clock);
-    out->lap_phase = steady ? path_lap_phase(&self->path, self->clock.time_s) : REAL(-1.0);
+    out->lap_phase = steady ? path_lap_phase(&self->path, self->clock.time_s) : -1.0;
     out->lap_s = path_lap_s(&self->path);
 }

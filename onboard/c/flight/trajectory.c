@@ -201,14 +201,13 @@ real path_lap_s(const Path *self) {
 }
 
 /* Path.lap_phase */
-real path_lap_phase(const Path *self, double t) {
+double path_lap_phase(const Path *self, double t) {
     double since = t - path_laps_from_s(self), lap_s = (double)path_lap_s(self);
     if (!(lap_s > 0.0 && since >= 0.0)) {
-        return REAL(-1.0);
+        return -1.0;
     }
     double laps = since / lap_s;
-    real phase = (real)(laps - (double)(int64_t)laps);
-    return phase < REAL(1.0) ? phase : REAL_BELOW_ONE; /* a float rounds the last moment of a lap to 1 */
+    return laps - (double)(int64_t)laps;
 }
 
 /* Path._rise */

@@ -48,7 +48,7 @@ double path_laps_from_s(const Path *self);
 real path_lap_s(const Path *self);
 
 /* Share of the lap flown at path time t, in [0, 1); -1 before the first full lap and on a path without laps. */
-real path_lap_phase(const Path *self, double t);
+double path_lap_phase(const Path *self, double t);
 
 /* Target at path time t [s], relative to the take-off point on the floor. */
 void path_at(const Path *self, double t, PathPoint *out);

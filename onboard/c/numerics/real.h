@@ -4,10 +4,8 @@
 
 #ifdef DMRAC_FLOAT
 typedef float real;
-#define REAL_BELOW_ONE 0.99999994f /* the largest number below 1 */
 #else
 typedef double real;
-#define REAL_BELOW_ONE 0.99999999999999989
 #endif
 
 /* A constant of the type `real`; it is rounded once, by the compiler. */

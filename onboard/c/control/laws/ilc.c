@@ -19,7 +19,7 @@ void ilc_init(IterativeLearning *self, const IterativeLearningConfig *config, co
     gains_stiffness(gains, self->K_1);
     gains_rate_gain(gains, self->K_2);
     lap_table_init(&self->table, config->bins, config->filter_s);
-    self->last_phase = REAL(-1.0);
+    self->last_phase = -1.0;
     incremental_init(&self->rest, config->filter_s, config->limit);
     for (int32_t k = 0; k < config->bins; k++) {
         real angle = REAL(2.0) * REAL_PI * (real)k / (real)config->bins;
@@ -102,15 +102,15 @@ static bool is_complete(const IterativeLearning *self) {
 
 /* IterativeLearning._record: add the tracking error to its bin; learn when a lap is complete, discard a lap with a gap */
 static void record(IterativeLearning *self, const ChannelState *channel) {
-    real phase = channel->lap_phase;
+    double phase = channel->lap_phase;
     if (phase < self->last_phase) {
-        if (phase >= REAL(0.0) && is_complete(self)) {
+        if (phase >= 0.0 && is_complete(self)) {
             learn(self, channel->lap_s);
         }
         forget_lap(self);
     }
     self->last_phase = phase;
-    if (phase >= REAL(0.0)) {
+    if (phase >= 0.0) {
         int32_t at = lap_table_bin(&self->table, phase);
         vector_add(self->sums + 3 * at, channel->tracking_error, self->sums + 3 * at);
         self->counts[at]++;
@@ -137,7 +137,7 @@ void ilc_step(IterativeLearning *self, const ChannelState *channel, ChannelTelem
 void ilc_reset(IterativeLearning *self) {
     lap_table_reset(&self->table);
     forget_lap(self);
-    self->last_phase = REAL(-1.0);
+    self->last_phase = -1.0;
     incremental_reset(&self->rest);
     vector_zero(self->nu);
 }

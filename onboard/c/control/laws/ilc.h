@@ -22,7 +22,7 @@ typedef struct {
     int32_t laps; /* that the table has learnt from */
     real sums[BINS_MAX * 3];
     int32_t counts[BINS_MAX];
-    real last_phase;
+    double last_phase;
     IncrementalFilter rest;
     real nu[3];
     real cosine[BINS_MAX]; /* of 2 pi k / bins */

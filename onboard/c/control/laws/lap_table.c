@@ -12,16 +12,17 @@ void lap_table_init(LapTable *self, int32_t bins, real fade_s) {
 }
 
 /* LapTable.bin */
-int32_t lap_table_bin(const LapTable *self, real phase) {
-    int32_t bin = (int32_t)((phase - real_floor(phase)) * (real)self->bins);
+int32_t lap_table_bin(const LapTable *self, double phase) {
+    double share = phase - (double)(int32_t)phase;
+    int32_t bin = (int32_t)((share < 0.0 ? share + 1.0 : share) * (double)self->bins);
     return bin < self->bins ? bin : self->bins - 1; /* the rest of a tiny negative phase is rounded to 1 */
 }
 
 /* LapTable.follow */
-void lap_table_follow(LapTable *self, real phase, real dt) {
-    bool repeats = phase >= REAL(0.0);
+void lap_table_follow(LapTable *self, double phase, real dt) {
+    bool repeats = phase >= 0.0;
     if (repeats) {
-        self->phase = phase;
+        self->phase = (real)phase;
     }
     real target = repeats ? REAL(1.0) : REAL(0.0);
     self->share += (REAL(1.0) - real_exp(-dt / self->fade_s)) * (target - self->share);

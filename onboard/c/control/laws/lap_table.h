@@ -18,11 +18,12 @@ typedef struct {
 /* fade_s: time constant with which the table's share follows whether the path repeats. */
 void lap_table_init(LapTable *self, int32_t bins, real fade_s);
 
-/* Index of the bin that holds a lap phase, of any lap. */
-int32_t lap_table_bin(const LapTable *self, real phase);
+/* Index of the bin that holds a lap phase, of any lap. A phase is a double: ticks lie on the edges of the bins, and a float
+ * would put some of them into the next one. */
+int32_t lap_table_bin(const LapTable *self, double phase);
 
 /* Remember the lap phase; while it is negative, the table's share fades at the last known phase. */
-void lap_table_follow(LapTable *self, real phase, real dt);
+void lap_table_follow(LapTable *self, double phase, real dt);
 
 /* nu_ad of the table, `lead` of a lap after the present phase, times the table's share. */
 void lap_table_ahead(const LapTable *self, real lead, real nu_ad[3]);

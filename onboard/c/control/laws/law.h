@@ -17,7 +17,7 @@ typedef struct {
     real rate[3];                     /* second half of x: velocity [m/s] or body rates [rad/s] */
     real u_hat[3];                    /* what the actuators deliver: m/s^2 or rad/s^2 */
     real residual[3];                 /* x_dot - A x - B u_hat, unfiltered */
-    real lap_phase;                   /* share of the lap flown, in [0, 1); negative while the path does not repeat */
+    double lap_phase;                 /* share of the lap flown, in [0, 1); negative while the path does not repeat */
     real lap_s;                       /* duration of a lap, s */
     real signals[SIGNAL_COUNT];       /* at the present */
     real signals_ahead[SIGNAL_COUNT]; /* predicted for t_ahead later; of a law that reads its map on the path, there */

@@ -43,11 +43,11 @@ static void learn(Repetitive *self, const ChannelState *channel) {
     for (int i = 0; i < 3; i++) {
         self->Delta_hat[i] = self->Delta_hat[i] + share * (channel->residual[i] - self->Delta_hat[i]);
     }
-    if (channel->lap_phase < REAL(0.0)) {
+    if (channel->lap_phase < 0.0) {
         begin(self, NO_BIN);
         return;
     }
-    int32_t measured = lap_table_bin(&self->table, channel->lap_phase - filter_s / channel->lap_s);
+    int32_t measured = lap_table_bin(&self->table, channel->lap_phase - (double)(filter_s / channel->lap_s));
     if (measured != self->bin) {
         store(self);
         begin(self, measured);
