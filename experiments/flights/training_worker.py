@@ -4,28 +4,41 @@ The flight stays the same to the bit: a round gets copies of its samples, and it
 on, whenever it was really there. If it is not there by then, the flight waits.
 """
 
+import contextlib
 import multiprocessing
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from experiments.flights.scenario import FlightConfig
 from offboard.training.job import TrainingJob, TrainingResult
 from runtime.kernel import cores
 from sim_vehicle.lockstep import Training, train_at_once
 
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
 
 class TrainingWorker:
-    """One process that trains. A context manager; call it to start a round."""
+    """One process that trains. A context manager; call it to start a round.
+
+    Not a ProcessPoolExecutor: until Python 3.11.5 that waits for ever if its process dies while a job is being sent.
+    """
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, context, initializer=_prepare)
+        self._pipe, theirs = context.Pipe()
+        self.process: Final = context.Process(target=_train, args=(theirs,), daemon=True)
+        with _without_main():
+            self.process.start()
+        theirs.close()  # so that the end of the process ends the pipe
+        self._under_way: deque[_Round] = deque()
+        """In the order in which their results come."""
 
     def __call__(self, job: Any) -> Callable[[], TrainingResult]:
         """Start a round; what is returned waits for its result.
@@ -34,25 +47,45 @@ class TrainingWorker:
         """
         if not isinstance(job, TrainingJob):
             return train_at_once(job)
+        while self._under_way:  # two large messages that meet would block each other
+            self._receive()
+        one = _Round(job)
         try:
-            with _without_main():
-                future = self._pool.submit(job.run)
-        except BrokenProcessPool:
+            self._pipe.send(job)
+        except OSError:
             return train_at_once(job)
-        return lambda: _result(future, job)
+        self._under_way.append(one)
+        return lambda: self._result(one)
 
     def __enter__(self) -> "TrainingWorker":
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._pipe.close()  # the process ends when it next looks
+        self.process.join()
+
+    def _result(self, one: "_Round") -> TrainingResult:
+        while one.result is None:
+            self._receive()
+        if isinstance(one.result, Exception):
+            raise one.result
+        return one.result
+
+    def _receive(self) -> None:
+        """The next result, computed here if the process has ended."""
+        one = self._under_way.popleft()
+        try:
+            one.result = self._pipe.recv()
+        except (EOFError, OSError):
+            one.result = one.job.run()
 
 
-def _result(future: "Future[TrainingResult]", job: TrainingJob) -> TrainingResult:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return job.run()
+@dataclass
+class _Round:
+    """A round under way."""
+
+    job: TrainingJob
+    result: TrainingResult | Exception | None = None
 
 
 @contextmanager
@@ -70,10 +103,19 @@ def _without_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _prepare() -> None:
-    """Leave Ctrl-C to the parent, and load torch before the first round."""
+def _train(pipe: "Connection[Any, Any]") -> None:
+    """The worker's process: run the jobs that come. Ctrl-C is left to the parent; torch is loaded before the first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     import offboard.training.round  # noqa: F401
+
+    with contextlib.suppress(EOFError, OSError):  # the parent has ended
+        while True:
+            job = pipe.recv()
+            try:
+                result = job.run()
+            except Exception as fault:
+                result = fault
+            pipe.send(result)
 
 
 @contextmanager

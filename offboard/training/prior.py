@@ -89,9 +89,7 @@ def with_contest(job: "TrainingJob", result: "TrainingResult") -> "TrainingResul
     else:
         contest = job.contest.continued(job.newest)
     leading = [_leading(contest, at, refitted, trained) for at in range(len(CHANNELS))]
-    candidate = trained
-    if not all(contest.trained_leads):
-        candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
+    candidate = _without_losses(job, replace(trained, position=leading[0], attitude=leading[1]))
     contest = replace(contest, made_ns=int(known.time_ns.max(initial=0)), refitted=refitted, trained=trained)
     evidence = evidence_of(job, candidate, result.evidence.numpy_difference)
     diverged = not np.isfinite(result.evidence.candidate_errors).all()

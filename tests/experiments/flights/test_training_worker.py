@@ -56,9 +56,8 @@ def test_the_rounds_of_a_worker_that_dies_are_run_here(at_once: LockstepOutcome)
             nonlocal rounds
             rounds += 1
             if rounds == 3:
-                for process in worker._pool._processes.values():
-                    assert process.pid is not None
-                    os.kill(process.pid, signal.SIGKILL)
+                assert worker.process.pid is not None
+                os.kill(worker.process.pid, signal.SIGKILL)
             return worker(job)
 
         outcome = fly_lockstep(CONFIG, train=killing)
@@ -112,8 +111,7 @@ print("running", __name__)
 choices = Choices("dmrac", seed=4, duration_s=11.0, assignments=("offboard.trainer.minimum_samples=60",))
 with TrainingWorker() as worker:
     fly_lockstep(resolve("figure8_wind", choices), train=worker)
-    [process] = worker._pool._processes.values()
-print("trained in", process.name, process.exitcode)
+print("trained in", worker.process.name, worker.process.exitcode)
 """
     (tmp_path / "program.py").write_text(program, encoding="utf-8")
     done = subprocess.run([sys.executable, tmp_path / "program.py"], capture_output=True, text=True, check=False)
