@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from onboard.c.library import Core
 from onboard.estimation.state import VehicleState
 from onboard.flight.guidance import Guidance, GuidanceConfig
-from onboard.flight.path_turn import STEP_S
+from onboard.flight.path_turn import STEP_S, path_turn
 from onboard.flight.trajectory import (
     Circle,
     Figure8,
@@ -120,6 +120,15 @@ def test_path_clock(core: Core, runs: list[tuple[bool, int]], seed: int) -> None
     c_point = filled(core.PathPoint, point)
     core.path_clock_ahead(ours, c_point)
     same_point(c_point, theirs.ahead(point))
+
+
+@SETTINGS
+@given(before=vectors(3, 8.0), now=vectors(3, 8.0), after=vectors(3, 8.0))
+def test_path_turn(core: Core, before: list[float], now: list[float], after: list[float]) -> None:
+    turn, expected = core.PathTurn(), path_turn((*before,), (*now,), (*after,))
+    core.path_turn(array(core, before), array(core, now), array(core, after), turn)
+    same(turn.rate, expected.rate, scale=1.0 / STEP_S)
+    same(turn.acceleration, expected.acceleration, scale=1.0 / STEP_S**2)
 
 
 def guidance_config(name: str) -> GuidanceConfig:
