@@ -8,7 +8,6 @@ import contextlib
 import multiprocessing
 import signal
 import sys
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,13 +31,10 @@ class TrainingWorker:
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self.process: Final = context.Process(target=_train, args=(theirs,), daemon=True)
-        with _without_main():
-            self.process.start()
-        theirs.close()  # so that the end of the process ends the pipe
-        self._under_way: deque[_Round] = deque()
-        """In the order in which their results come."""
+        self._pipe, self._theirs = context.Pipe()
+        self.process: Final = context.Process(target=_train, args=(self._theirs,), daemon=True)
+        """Started with the first round."""
+        self._under_way: _Round | None = None
 
     def __call__(self, job: Any) -> Callable[[], TrainingResult]:
         """Start a round; what is returned waits for its result.
@@ -47,14 +43,15 @@ class TrainingWorker:
         """
         if not isinstance(job, TrainingJob):
             return train_at_once(job)
-        while self._under_way:  # two large messages that meet would block each other
-            self._receive()
+        if self.process.pid is None:
+            self._start()
+        self._receive()  # two large messages that meet would block each other
         one = _Round(job)
         try:
             self._pipe.send(job)
         except OSError:
             return train_at_once(job)
-        self._under_way.append(one)
+        self._under_way = one
         return lambda: self._result(one)
 
     def __enter__(self) -> "TrainingWorker":
@@ -62,30 +59,39 @@ class TrainingWorker:
 
     def __exit__(self, *exception: object) -> None:
         self._pipe.close()  # the process ends when it next looks
-        self.process.join()
+        self._theirs.close()
+        if self.process.pid is not None:
+            self.process.join()
+
+    def _start(self) -> None:
+        with _without_main():
+            self.process.start()
+        self._theirs.close()  # so that the end of the process ends the pipe
 
     def _result(self, one: "_Round") -> TrainingResult:
-        while one.result is None:
+        if one is self._under_way:
             self._receive()
+        if one.result is None:  # the process has ended
+            return one.job.run()
         if isinstance(one.result, Exception):
             raise one.result
         return one.result
 
     def _receive(self) -> None:
-        """The next result, computed here if the process has ended."""
-        one = self._under_way.popleft()
-        try:
-            one.result = self._pipe.recv()
-        except (EOFError, OSError):
-            one.result = one.job.run()
+        """Wait for the result of the round under way, if there is one."""
+        one, self._under_way = self._under_way, None
+        if one is not None:
+            with contextlib.suppress(EOFError, OSError):
+                one.result = self._pipe.recv()
 
 
 @dataclass
 class _Round:
-    """A round under way."""
+    """A round that was sent to the process."""
 
     job: TrainingJob
     result: TrainingResult | Exception | None = None
+    """None: not received, now or, if the process has ended, ever."""
 
 
 @contextmanager

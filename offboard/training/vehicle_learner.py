@@ -52,8 +52,7 @@ class VehicleLearner:
         self._buffer = NoveltyBuffer(config.buffer, networks, self._feature_function(self._state.network))
         self._newest = NewestRing(config.buffer.newest)
         self._memory: Memory | None = None
-        self._refused = False
-        """The vehicle has refused a version: the memory enters no further round."""
+        """What the rounds start from; None from the first refusal on."""
         self._contest = NO_CONTEST
         self._recorder = FlightRecorder()
         self._gate = Gate(config.gate, networks)
@@ -150,7 +149,7 @@ class VehicleLearner:
             version=self.version + 1,
             samples_seen=self.labelled,
             wire_dtype=self._config.transfer.dtype,
-            prior=None if self._memory is None or self._refused else self._memory.prior,
+            prior=None if self._memory is None else self._memory.prior,
             contest=self._contest,
             vehicle=self._config.vehicle_id,
         )
@@ -179,7 +178,8 @@ class VehicleLearner:
         layers would be much the same, and refused as well.
         """
         self._issued.pop(version, None)
-        self._refused = self._refused or version > 0
+        if version:
+            self._memory = None
         if version and self.latest is not None and self.latest.version == version:
             self.latest = self._issued[max(self._issued)] if self._issued else None
 

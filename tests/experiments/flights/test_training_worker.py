@@ -16,6 +16,7 @@ from experiments.flights.lockstep_flight import LockstepOutcome, fly_lockstep
 from experiments.flights.scenario import Choices, resolve
 from experiments.flights.training_worker import TrainingWorker, training_for
 from offboard.training.fleet import Fleet, FleetJob
+from offboard.training.job import TrainingJob
 from sim_vehicle.lockstep import train_at_once
 
 AT_ONCE = ("offboard.trainer.minimum_samples=60",)
@@ -63,6 +64,22 @@ def test_the_rounds_of_a_worker_that_dies_are_run_here(at_once: LockstepOutcome)
         outcome = fly_lockstep(CONFIG, train=killing)
     assert rounds > 3
     assert_same(at_once, outcome)
+
+
+def test_the_results_of_two_rounds_are_told_apart() -> None:
+    """Also if the one that was started later is asked for first."""
+    jobs: list[TrainingJob] = []
+
+    def noting(job: Any) -> Any:
+        jobs.append(job)
+        return train_at_once(job)
+
+    fly_lockstep(CONFIG, train=noting)
+    with TrainingWorker() as worker:
+        first, second = worker(jobs[0]), worker(jobs[1])
+        results = second(), first()
+    for job, result in zip((jobs[1], jobs[0]), results, strict=True):
+        np.testing.assert_array_equal(result.epoch_losses, job.run().epoch_losses)
 
 
 def test_a_fleets_job_is_run_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
