@@ -46,6 +46,9 @@ from protocol.session import session_start_ns
 ZERO: Final[Shares] = (0.0, 0.0, 0.0, 0.0)
 ADAPT_HEIGHT_M: Final = 0.2
 """No adaptation below this height: ground effect and contact are not disturbances to learn."""
+ADAPT_CLIMB_M: Final = 0.05
+"""A take-off adapts from this height above where the vehicle stood. It has no contact any more and soon leaves the
+ground effect; the torque of a wind or of unequal rotors would turn it by up to 28 degrees meanwhile."""
 VELOCITY_AID_MAX_S: Final = 0.3
 """No adaptation when velocity has had no aid for longer than this."""
 ARMED, TAKE_OFF, FLYING, HOLD_LEVEL, LANDING, LANDED = (
@@ -120,6 +123,7 @@ class OnboardCore:
         self._command: Shares = ZERO
         self._saturated = self._land_requested = self._posed = False
         self._ticks, self._missed_ticks, self._tracking_error_m = 0, 0, 0.0
+        self._stood_at_d = 0.0
 
     def tick(
         self,
@@ -258,6 +262,7 @@ class OnboardCore:
         if mode is TAKE_OFF and self._mode is not TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
+            self._stood_at_d = float(state.position[2])
         self._estimator.set_on_ground(mode not in AIRBORNE, mode in RESTING)
         self._mode = mode
         return mode
@@ -300,7 +305,9 @@ class OnboardCore:
     def _may_adapt(self, state: VehicleState, mode: FlightMode, now_ns: int) -> bool:
         """Whether what is measured now may be learnt from."""
         aided = (now_ns - state.last_velocity_aid_ns) * 1e-9 < VELOCITY_AID_MAX_S
-        return mode in AIRBORNE and -float(state.position[2]) > ADAPT_HEIGHT_M and aided
+        down = float(state.position[2])
+        clear = self._stood_at_d - down > ADAPT_CLIMB_M if mode is TAKE_OFF else -down > ADAPT_HEIGHT_M
+        return mode in AIRBORNE and clear and aided
 
     def _swap_features(self, now_ns: int) -> tuple[int, float]:
         """Offer a complete feature version to the controller; returns the version in use and its age, s."""

@@ -120,6 +120,7 @@ static FlightMode supervise(Core *self, const CoreInputs *inputs, CoreOutput *ou
     if (mode == MODE_TAKE_OFF && self->mode != MODE_TAKE_OFF) {
         guidance_start(&self->guidance, state);
         self->land_requested = false;
+        self->stood_at_d = state->position[2];
     }
     estimator_set_on_ground(&self->estimator, !is_in(mode, MODES_AIRBORNE), is_in(mode, MODES_RESTING));
     self->mode = mode;
@@ -144,7 +145,9 @@ static void guide(Core *self, FlightMode mode) {
 static bool may_adapt(const Core *self, FlightMode mode, int64_t now_ns) {
     const VehicleState *state = &self->estimator.state;
     bool aided = seconds_since(now_ns, state->last_velocity_aid_ns) < VELOCITY_AID_MAX_S;
-    return is_in(mode, MODES_AIRBORNE) && -state->position[2] > ADAPT_HEIGHT_M && aided;
+    real down = state->position[2];
+    bool clear = mode == MODE_TAKE_OFF ? self->stood_at_d - down > ADAPT_CLIMB_M : -down > ADAPT_HEIGHT_M;
+    return is_in(mode, MODES_AIRBORNE) && clear && aided;
 }
 
 /* The actuator model, u_hat and the residual up to now; fills what the controller sees of them. */

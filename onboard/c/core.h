@@ -76,7 +76,8 @@ typedef struct {
     real command[4]; /* of the last tick, shares */
     bool saturated;
     bool land_requested;
-    bool posed; /* a pose has been used */
+    real stood_at_d; /* where the vehicle stood before this take-off, m, down */
+    bool posed;      /* a pose has been used */
     int64_t ticks;
     int64_t missed_ticks;
     real tracking_error_m; /* distance from the path, of the last tick */

@@ -15,6 +15,7 @@
 #define NAME_MAX_BYTES 32 /* protocol.feature_codec */
 #define CATCH_UP_MAX 20 /* onboard.control.actuators */
 #define ADAPT_HEIGHT_M REAL(0.2) /* onboard.core */
+#define ADAPT_CLIMB_M REAL(0.05) /* onboard.core */
 #define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.core */
 #define YAW_ERROR_MAX_RAD REAL(0.5) /* onboard.control.cascade */
 #define MODEL_ERROR_MAX_RAD REAL(0.6) /* onboard.control.cascade */

@@ -136,15 +136,15 @@ def test_the_tilt_is_limited() -> None:
 
 SHORT_OF_THRUST = (
     "vehicle.motors.gain=[0.70, 0.70, 0.70, 0.70]",
-    "vehicle.body.mass_kg=0.0744",
+    "vehicle.body.mass_kg=0.080",
     "onboard.controller.settings.limits.lack_filter_s=",
 )
-"""Full thrust is 1.26 times the weight at the rated voltage."""
+"""Full thrust is 1.17 times the weight at the rated voltage."""
 
 
 @pytest.mark.parametrize("controller", ["l1", "pid"])
-def test_a_vehicle_with_a_quarter_of_thrust_to_spare_takes_off_and_hovers(controller: str) -> None:
-    """The ablation: if the lack is measured too slowly to matter, it stays on the floor."""
+def test_a_vehicle_with_a_sixth_of_thrust_to_spare_takes_off_and_hovers(controller: str) -> None:
+    """The ablation: if the lack is measured too slowly to matter, it hardly leaves the floor."""
     heights = []
     for filter_s in ("0.2", "10"):
         assignments = (*SHORT_OF_THRUST[:2], SHORT_OF_THRUST[2] + filter_s)
@@ -152,7 +152,7 @@ def test_a_vehicle_with_a_quarter_of_thrust_to_spare_takes_off_and_hovers(contro
         assert not flight.crash_reason
         heights.append(-float(flight.trace.truth["position_d"].min()))
     assert heights[0] == pytest.approx(1.0, abs=0.15)
-    assert heights[1] < 0.3
+    assert heights[1] < 0.5
 
 
 WEAK = (
