@@ -28,7 +28,7 @@ from protocol.arrival import Arrival
 from protocol.endpoint import DATAGRAMS_PER_STEP_MAX
 from protocol.mavlink.signing import holds_key
 from runtime.intake import Intake
-from runtime.kernel import resident_mb
+from runtime.kernel import own_use, resident_mb
 from runtime.pace import DurationStatistics, PaceKeeper
 from runtime.serial_port import SerialPort
 from runtime.signals import StopRequest
@@ -49,7 +49,12 @@ FINAL_SAFE_COMMANDS: Final = 3
 
 LOOP: Final = RecordType(
     "onboard/loop",
-    (("lateness", "us"), ("tick", "us"), ("missed", ""), ("computed", "us, of all threads since the tick before")),
+    (
+        *(("lateness", "us"), ("tick", "us"), ("missed", "")),
+        ("computed", "us, of all threads since the tick before"),
+        ("own", "us, of the loop's thread alone"),
+        ("faults", "page faults of the loop's thread"),
+    ),
     "float32",
 )
 
@@ -119,7 +124,7 @@ class OnboardProcess:
             Intake("ground", sockets.ground, GROUND_FEW, GROUND_KIND_MAX, ground, holds_key),
         )
         self._last_vehicle_ns = 0
-        self._used_ns = time.process_time_ns()
+        self._used = (time.process_time_ns(), *own_use())
         self._stopping = False
         self._land_pending = False
         self._latest_report = ""
@@ -200,9 +205,11 @@ class OnboardProcess:
         record[0] = self._pace.lateness_ns * 1e-3
         record[1] = duration_ns * 1e-3
         record[2] = self._pace.missed
-        used_ns = time.process_time_ns()
-        record[3] = (used_ns - self._used_ns) * 1e-3
-        self._used_ns = used_ns
+        all_ns, own_ns, faults = self._used
+        self._used = (time.process_time_ns(), *own_use())
+        record[3] = (self._used[0] - all_ns) * 1e-3
+        record[4] = (self._used[1] - own_ns) * 1e-3
+        record[5] = self._used[2] - faults
         self._log.write(LOOP, now, record)
 
     def _answer_escape(self, now: int) -> OnboardOutput | None:

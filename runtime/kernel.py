@@ -8,8 +8,10 @@ lateness of the 200 Hz loop.
 import ctypes
 import gc
 import os
+import resource
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -66,6 +68,12 @@ def resident_mb(process: int | str = "self") -> float:
     """Resident memory of a process, MB (10^6 bytes). Raises OSError if there is none of this number."""
     pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def own_use() -> tuple[int, int]:
+    """What the calling thread has used so far: ns of a processor, and page faults (of the process, where not Linux)."""
+    used = resource.getrusage(getattr(resource, "RUSAGE_THREAD", resource.RUSAGE_SELF))
+    return time.thread_time_ns(), used.ru_minflt + used.ru_majflt
 
 
 def _timer_slack() -> Grant:

@@ -74,12 +74,12 @@ def html(run: SoakRun, verdict: Verdict) -> str:
 MEMORY_HEAD: Final = ("process", "lives", "longest", "first MB", "last MB", "MB/min")
 
 
-GAP_HEAD: Final = ("flight time", "missed", "gap", "no processor for", "explanation")
+GAP_HEAD: Final = ("flight time", "missed", "gap", "no processor for", "loop computed", "page faults", "explanation")
 
 
 def _gap_row(one: TickGap) -> tuple[str, ...]:
-    times = f"{one.gap_ms:.1f} ms", f"{one.waited_ms:.1f} ms"
-    return f"{one.at_s:.2f} s", str(one.missed), *times, one.why
+    times = (f"{ms:.1f} ms" for ms in (one.gap_ms, one.waited_ms, one.own_ms))
+    return f"{one.at_s:.2f} s", str(one.missed), *times, str(one.page_faults), one.why
 
 
 def result_rows(run: SoakRun, verdict: Verdict) -> list[tuple[str, str]]:

@@ -60,6 +60,10 @@ class TickGap:
     """Between the two ticks."""
     waited_ms: float
     """For which onboard had no processor: its threads waited for one, or the gap is longer than they computed."""
+    own_ms: float
+    """For which the loop's own thread computed, in the two ticks."""
+    page_faults: int
+    """Of the loop's own thread, in the two ticks."""
     why: str
     """STOPPED, WAITED, SWAPPED or UNEXPLAINED."""
 
@@ -157,13 +161,17 @@ def gaps_of(
     computed_ns = 1e3 * (loop["computed"][at] + loop["computed"][at + 1])
     idle_ns = ends_ns - begins_ns - np.maximum(computed_ns, period_ns)
     waited_ns = np.maximum(run.waits.between(begins_ns - period_ns, ends_ns), idle_ns)
+    own_us, faults = (loop[name][at] + loop[name][at + 1] for name in ("own", "faults"))
     found = []
-    for count, begin, end, waited in zip(new[at], begins_ns, ends_ns, waited_ns, strict=True):
+    for count, begin, end, waited, own, faulted in zip(
+        new[at], begins_ns, ends_ns, waited_ns, 1e-3 * own_us, faults, strict=True
+    ):
         why = SWAPPED if np.isin(begin, swaps_ns) else UNEXPLAINED
         why = WAITED if waited >= WAITED_SHARE * count * period_ns else why
         why = STOPPED if _stopped(run, begin, end) else why
         begin_s = (begin - run.begin_ns) * 1e-9
-        found.append(TickGap(float(begin_s), int(count), float((end - begin) * 1e-6), float(waited * 1e-6), why))
+        times_ms = float((end - begin) * 1e-6), float(waited * 1e-6), float(own)
+        found.append(TickGap(float(begin_s), int(count), *times_ms, int(faulted), why))
     return found
 
 

@@ -44,9 +44,10 @@ def loop(*late_ms: tuple[int, float], computing: bool = True) -> Table:
         now += (1 + gap) * TICK_NS
         times.append(now)
         missed.append(float(count))
-    names = ("lateness", "tick", "missed", "computed")
+    names = ("lateness", "tick", "missed", "computed", "own", "faults")
     took = np.array([2000.0 + 1e3 * late.get(number + 1, 0.0) for number in range(3000)])
-    values = np.column_stack([np.zeros(3000), took, missed, took if computing else np.full(3000, 2000.0)])
+    computed = took if computing else np.full(3000, 2000.0)
+    values = np.column_stack([np.zeros(3000), took, missed, computed, computed - 500.0, np.full(3000, 3.0)])
     return Table("onboard/loop", names, dict.fromkeys(names, ""), np.array(times), values)
 
 
@@ -71,6 +72,11 @@ def test_a_tick_that_computes_long_is_the_swaps_or_nobodys() -> None:
     ticks = loop((200, 10.0))
     assert missed_ticks(run([], waits({})), ticks, [int(ticks.time_ns[199])]) == {SWAPPED: 2}
     assert missed_ticks(run([], waits({})), ticks, [int(ticks.time_ns[150])]) == {UNEXPLAINED: 2}
+
+
+def test_a_gap_says_what_the_loops_own_thread_computed_and_how_often_a_page_was_missing() -> None:
+    [gap] = gaps_of(run([], waits({})), loop((200, 10.0)))
+    assert (gap.own_ms, gap.page_faults) == (pytest.approx(2.0 + 10.0 + 2.0 - 1.0), 6)
 
 
 def test_a_stop_of_another_process_explains_nothing() -> None:
@@ -119,7 +125,7 @@ def verdict(**values: Any) -> Verdict:
         "alive": True,
         "why_lost": "",
         "ticks": 100,
-        "gaps": [TickGap(1.0, 5, 30.0, 25.0, WAITED)],
+        "gaps": [TickGap(1.0, 5, 30.0, 25.0, 5.0, 0, WAITED)],
         "faults": [],
         "escapes": {"onboard": 0},
         "memory": memories(run([], waits({}), [life(0.0, 600.0)])),
@@ -134,7 +140,7 @@ def test_every_promise_can_fail() -> None:
     assert verdict().failures == []
     for values, words in (
         ({"alive": False, "why_lost": "hit the floor"}, "vehicle lost: hit the floor"),
-        ({"gaps": [TickGap(1.0, 2, 15.0, 0.0, UNEXPLAINED)]}, "2 missed ticks without explanation"),
+        ({"gaps": [TickGap(1.0, 2, 15.0, 0.0, 14.0, 3, UNEXPLAINED)]}, "2 missed ticks without explanation"),
         ({"escapes": {"onboard": 0, "offboard": 1}}, "1 escapes in offboard"),
         ({"memory": memories(run([], waits({}), [life(1.3, 600.0)]))}, "memory of sim grows by 1.3"),
         ({"faults": ["onboard: the flight log stopped"]}, "the flight log stopped"),
