@@ -1,5 +1,7 @@
 """A stand-in with a scripted vehicle: acquisitions without a simulator."""
 
+import os
+import socket
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,27 @@ PERIOD_NS = 5_000_000
 GRAVITY = 9.80665
 
 
+def _free_ports(count: int) -> tuple[int, ...]:
+    """UDP ports that nobody has, other ones in each process of the tests: two tests may run at the same time."""
+    found: list[int] = []
+    for port in range(20000 + 3 * (os.getpid() % 4000), 32768):  # below those that the kernel hands out
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                continue
+        found.append(port)
+        if len(found) == count:
+            return tuple(found)
+    raise RuntimeError("no free port below 32768")
+
+
+OWN_PORT, GROUND_OWN_PORT = _free_ports(2)
+"""The library's ports, towards offboard and towards the ground station."""
+
+
 def board(mode: str = "fly", **values: Any) -> BoardConfig:
-    link = {"offboard": (127, 0, 0, 1), "own_port": 24571, "ground_port": 0}
+    link = {"offboard": (127, 0, 0, 1), "own_port": OWN_PORT, "ground_port": 0}
     return board_config(values={"mode": mode, "link": link, **values})
 
 

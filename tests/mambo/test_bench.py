@@ -9,7 +9,7 @@ import pytest
 
 from mambo.build import Built
 from mambo.fake.wire import Answer, Calls
-from tests.mambo.rig import PERIOD_NS, Rig, board, write
+from tests.mambo.rig import OWN_PORT, PERIOD_NS, Rig, board, write
 
 START, STOP, RUN = 1, 2, 3
 COMMAND, TURN_S, PAUSE_S = 75, 0.25, 0.125
@@ -83,7 +83,7 @@ def test_without_calls_the_turn_passes(make: Make) -> None:
 def test_no_port_is_opened(make: Make, mode: str) -> None:
     make(mode).run(3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 24571))
+        probe.bind(("127.0.0.1", OWN_PORT))
 
 
 def test_in_mode_record_no_motor_turns(make: Make) -> None:

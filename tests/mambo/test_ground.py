@@ -15,7 +15,7 @@ from onboard.flight.modes import FlightMode
 from protocol.mavlink.frames import Frame, FrameReader, FrameWriter, Message
 from protocol.mavlink.signing import SigningClock
 from protocol.mavlink.vehicle import HEARTBEAT, SYSTEM_STATUS, encode_heartbeat
-from tests.mambo.rig import Rig, board
+from tests.mambo.rig import GROUND_OWN_PORT, OWN_PORT, Rig, board
 
 KEY = bytes(range(1, 33))
 ATTITUDE, POSITION = mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
@@ -37,8 +37,8 @@ class Station:
             "offboard": (127, 0, 0, 1),
             "ground": (127, 0, 0, 1),
             "ground_port": self.socket.getsockname()[1],
-            "own_port": 24573,
-            "ground_own_port": 24574,
+            "own_port": OWN_PORT,
+            "ground_own_port": GROUND_OWN_PORT,
         }
         onboard = resolve("hover").onboard
         settings = library_config(board(link=link), onboard, cleared=True)
@@ -55,7 +55,7 @@ class Station:
         return frame
 
     def send_bytes(self, frame: bytes) -> None:
-        self.socket.sendto(frame, ("127.0.0.1", 24574))
+        self.socket.sendto(frame, ("127.0.0.1", GROUND_OWN_PORT))
 
     def run(self, calls: int) -> FlightMode:
         answer = None

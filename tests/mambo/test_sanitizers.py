@@ -9,7 +9,7 @@ import pytest
 from mambo.build import build, compile_inside, native_target
 from mambo.fake.firmware_process import FirmwareProcess
 from onboard.c.compile import BuildError
-from tests.mambo.rig import Rig, board, write
+from tests.mambo.rig import OWN_PORT, Rig, board, write
 
 OPTIONS = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
@@ -31,6 +31,6 @@ def test_a_run_with_bad_datagrams_finds_nothing(tmp_path: Path) -> None:
     with rig.process, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
         peer.bind(("127.0.0.1", 14573))
         for _ in range(3000):
-            peer.sendto(rng.bytes(int(rng.integers(0, 1400))), ("127.0.0.1", 24571))
+            peer.sendto(rng.bytes(int(rng.integers(0, 1400))), ("127.0.0.1", OWN_PORT))
             answer = rig.call()
         assert answer.view["rejected_version"] + answer.view["rejected_length"] > 1000
