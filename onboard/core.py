@@ -23,6 +23,7 @@ from onboard.control.thrust_scale import ThrustScale
 from onboard.control.uncertainty import UncertaintyMeasurement
 from onboard.estimation.estimator import Estimator
 from onboard.estimation.state import VehicleState
+from onboard.flight.adaptation_gate import AdaptationGate
 from onboard.flight.arming import ArmingChecks
 from onboard.flight.guidance import Guidance
 from onboard.flight.modes import AIRBORNE, RESTING, SPINNING, Command, FlightMode
@@ -44,13 +45,6 @@ from protocol.messages import FeatureChunk
 from protocol.session import session_start_ns
 
 ZERO: Final[Shares] = (0.0, 0.0, 0.0, 0.0)
-ADAPT_HEIGHT_M: Final = 0.2
-"""No adaptation below this height: ground effect and contact are not disturbances to learn."""
-ADAPT_CLIMB_M: Final = 0.05
-"""A take-off adapts from this height above where the vehicle stood. It has no contact any more and soon leaves the
-ground effect; the torque of a wind or of unequal rotors would turn it by up to 28 degrees meanwhile."""
-VELOCITY_AID_MAX_S: Final = 0.3
-"""No adaptation when velocity has had no aid for longer than this."""
 ARMED, TAKE_OFF, FLYING, HOLD_LEVEL, LANDING, LANDED = (
     FlightMode[name] for name in ("ARMED", "TAKE_OFF", "FLYING", "HOLD_LEVEL", "LANDING", "LANDED")
 )
@@ -109,6 +103,7 @@ class OnboardCore:
         self._supervisor = Supervisor(config.supervisor)
         self._arming = ArmingChecks(config, clearance)
         self._guidance = Guidance(config.guidance)
+        self._adaptation = AdaptationGate()
         self._actuators = ActuatorModel(config.airframe, self._dt)
         self._thrust_scale = ThrustScale(config.thrust_scale, config.airframe, self._dt)
         self._uncertainty = UncertaintyMeasurement(config.airframe, self._dt)
@@ -123,7 +118,6 @@ class OnboardCore:
         self._command: Shares = ZERO
         self._saturated = self._land_requested = self._posed = False
         self._ticks, self._missed_ticks, self._tracking_error_m = 0, 0, 0.0
-        self._stood_at_d = 0.0
 
     def tick(
         self,
@@ -160,7 +154,7 @@ class OnboardCore:
         self._estimator.expect_turn(measured[1].u_hat, measured[1].residual, self._dt)
         coming = self._uncertainty.coming(state, delivered, self._actuators.ahead(self._command))
         signals = self._signals.step(state, delivered.thrusts_n, self._battery.voltage_v)
-        adapt = self._may_adapt(state, mode, now_ns)
+        adapt = self._adaptation.allows(state, mode, now_ns)
         self._thrust_scale.step(float(state.specific_force[2]), delivered.thrust_n, adapt)
         version, feature_age_s = self._swap_features(now_ns)
         control_inputs = ControlInputs(
@@ -262,7 +256,7 @@ class OnboardCore:
         if mode is TAKE_OFF and self._mode is not TAKE_OFF:
             self._guidance.start(state)
             self._land_requested = False
-            self._stood_at_d = float(state.position[2])
+            self._adaptation.take_off(state)
         self._estimator.set_on_ground(mode not in AIRBORNE, mode in RESTING)
         self._mode = mode
         return mode
@@ -301,13 +295,6 @@ class OnboardCore:
         if mode is HOLD_LEVEL:  # the vehicle drifts: a landing that follows begins where the vehicle is then
             self._guidance.place(vector(state.position.tolist()))
         return target
-
-    def _may_adapt(self, state: VehicleState, mode: FlightMode, now_ns: int) -> bool:
-        """Whether what is measured now may be learnt from."""
-        aided = (now_ns - state.last_velocity_aid_ns) * 1e-9 < VELOCITY_AID_MAX_S
-        down = float(state.position[2])
-        clear = self._stood_at_d - down > ADAPT_CLIMB_M if mode is TAKE_OFF else -down > ADAPT_HEIGHT_M
-        return mode in AIRBORNE and clear and aided
 
     def _swap_features(self, now_ns: int) -> tuple[int, float]:
         """Offer a complete feature version to the controller; returns the version in use and its age, s."""

@@ -20,7 +20,7 @@ CONSTANTS: Final[dict[str, tuple[str, ...]]] = {
     "protocol.feature_set": ("LAYERS_MAX", "WIDTH_MAX"),
     "protocol.feature_codec": ("FEATURE_SET_MAX_BYTES", "FORMAT=FEATURE_SET_FORMAT", "_NAME_MAX_BYTES"),
     "onboard.control.actuators": ("CATCH_UP_MAX",),
-    "onboard.core": ("ADAPT_HEIGHT_M", "ADAPT_CLIMB_M", "VELOCITY_AID_MAX_S"),
+    "onboard.flight.adaptation_gate": ("ADAPT_HEIGHT_M", "ADAPT_CLIMB_M", "VELOCITY_AID_MAX_S"),
     "onboard.control.cascade": (*("YAW_ERROR_MAX_RAD", "MODEL_ERROR_MAX_RAD", "MODEL_GAP_MAX_S"),),
     "onboard.control.command_motion": ("COMMAND_JUMP_RAD",),
     "onboard.control.demand_limits": ("FALL_MIN_M_S2", "ASTRAY_COSINE", "UPRIGHT_MIN"),

@@ -141,7 +141,7 @@ static void guide(Core *self, FlightMode mode) {
     }
 }
 
-/* OnboardCore._may_adapt: whether what is measured now may be learnt from */
+/* AdaptationGate.allows: whether what is measured now may be learnt from */
 static bool may_adapt(const Core *self, FlightMode mode, int64_t now_ns) {
     const VehicleState *state = &self->estimator.state;
     bool aided = seconds_since(now_ns, state->last_velocity_aid_ns) < VELOCITY_AID_MAX_S;

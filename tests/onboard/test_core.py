@@ -1,14 +1,12 @@
 """Stories of the onboard core in virtual time: alone; with a peer that misbehaves, restarts, comes late, teaches."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from onboard.core import ADAPT_CLIMB_M, ADAPT_HEIGHT_M
+from onboard.flight.adaptation_gate import ADAPT_CLIMB_M
 from onboard.flight.supervisor import FlightMode
 from protocol.arrival import Arrival
 from protocol.messages import Pose
@@ -314,21 +312,6 @@ def test_nothing_is_learnt_on_the_ground():
     assert adapting[climbed > ADAPT_CLIMB_M + 0.01].all()
     on_ground = adapting == 0
     assert loop.column("position_weight_norm")[on_ground].max() == 0.0
-
-
-@pytest.mark.parametrize("stood_at_m", [0.0, 0.5])
-def test_a_take_off_adapts_once_it_is_clear_of_where_it_stood_and_a_landing_above_the_ground_effect(stood_at_m):
-    core = in_flight("mrac").core
-    core._stood_at_d = -stood_at_m
-
-    def adapts(height_m, mode):
-        state = replace(core._estimator.state, position=np.array([0.0, 0.0, -height_m]))
-        return core._may_adapt(state, mode, state.last_velocity_aid_ns)
-
-    for climbed_m in (0.04, 0.06):
-        assert adapts(stood_at_m + climbed_m, FlightMode.TAKE_OFF) is (climbed_m > ADAPT_CLIMB_M)
-    for height_m in (0.19, 0.21):
-        assert adapts(height_m, FlightMode.LANDING) is (height_m > ADAPT_HEIGHT_M)
 
 
 def test_the_actuator_model_keeps_step_with_the_vehicle():

@@ -14,9 +14,9 @@
 #define FEATURE_SET_FORMAT 1 /* protocol.feature_codec */
 #define NAME_MAX_BYTES 32 /* protocol.feature_codec */
 #define CATCH_UP_MAX 20 /* onboard.control.actuators */
-#define ADAPT_HEIGHT_M REAL(0.2) /* onboard.core */
-#define ADAPT_CLIMB_M REAL(0.05) /* onboard.core */
-#define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.core */
+#define ADAPT_HEIGHT_M REAL(0.2) /* onboard.flight.adaptation_gate */
+#define ADAPT_CLIMB_M REAL(0.05) /* onboard.flight.adaptation_gate */
+#define VELOCITY_AID_MAX_S REAL(0.3) /* onboard.flight.adaptation_gate */
 #define YAW_ERROR_MAX_RAD REAL(0.5) /* onboard.control.cascade */
 #define MODEL_ERROR_MAX_RAD REAL(0.6) /* onboard.control.cascade */
 #define MODEL_GAP_MAX_S REAL(0.02) /* onboard.control.cascade */
