@@ -192,7 +192,8 @@ class OffboardCore:
         if version is not None:
             self._send_version(version, now_ns)
         sent = 0 if version is None else version.version
-        self._out.records += training_records(result, verdict, sent, flying, learner.buffered, learner.labelled, now_ns)
+        counts = learner.buffered, learner.labelled, learner.newest_trained_ns
+        self._out.records += training_records(result, verdict, sent, flying, *counts, now_ns)
 
     def training_failed(self, now_ns: int) -> None:
         """The outstanding job raised: continue without its result."""

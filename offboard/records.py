@@ -32,6 +32,7 @@ TRAINING: Final = RecordType(
         ("validation_samples", ""),
         ("buffer_samples", ""),
         ("samples_seen", ""),
+        ("newest_sample", "s, onboard's clock, of the newest sample trained on"),
         *_LOSSES,
         *_per_channel("flying_loss"),
         *_per_channel("label_power"),
@@ -68,6 +69,7 @@ def training_records(
     flying_version: int,
     buffered: int,
     labelled: int,
+    newest_ns: int,
     now_ns: int,
 ) -> list[Logged]:
     """The TRAINING record of a round, and an EPOCH record for each of its epochs."""
@@ -77,7 +79,7 @@ def training_records(
     training = np.concatenate(
         [
             [rounds, sent_version, flying_version, verdict],
-            [result.training_samples, held_out, buffered, labelled],
+            [result.training_samples, held_out, buffered, labelled, newest_ns * 1e-9],
             losses[-1].ravel(),
             [_mean_of_known(errors) for errors in evidence.flying_errors.T],
             evidence.label_power,

@@ -1,8 +1,9 @@
 """`dmrac bench`: times the onboard step, the loop, the simulated vehicle, the trainer and lockstep.
 
 `dmrac bench sensors` compares the noise of the simulated sensors with real flight logs instead; `dmrac bench flood`
-flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's; `dmrac bench gym` counts the
-steps per second of the Gymnasium environments; `dmrac bench neural-fly`, `omac`, `nanobench` and `crazypad` run the
+flies while ports are flooded; `dmrac bench core` measures the core in C beside numpy's; `dmrac bench fleet` how soon a
+sample flies as weights with many vehicles on one trainer; `dmrac bench gym` counts the steps per second of the
+Gymnasium environments; `dmrac bench neural-fly`, `omac`, `nanobench` and `crazypad` run the
 learner, and on `nanobench` the estimator, on tasks and flights of others.
 """
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 SENSORS: Final = "sensors"
 FLOOD: Final = "flood"
 CORE: Final = "core"
+FLEET: Final = "fleet"
 GYM: Final = "gym"
 NEURAL_FLY: Final = "neural-fly"
 OMAC: Final = "omac"
@@ -32,16 +34,17 @@ NANOBENCH: Final = "nanobench"
 CRAZYPAD: Final = "crazypad"
 FOLDERS: Final = {NEURAL_FLY: "data", NANOBENCH: "data", CRAZYPAD: "data", OMAC: "code"}
 """Option with the folder of others that a kind needs. Nothing is downloaded."""
-FIXED: Final = (CORE, GYM, NEURAL_FLY, OMAC, NANOBENCH, CRAZYPAD)
+FIXED: Final = (CORE, FLEET, GYM, NEURAL_FLY, OMAC, NANOBENCH, CRAZYPAD)
 """What always flies the same, or nothing."""
 AHEAD: Final = "predicted 0.16 s ahead"
-VEHICLES_MAX: Final = 64
-"""Of --vehicles, unless given."""
+VEHICLES: Final = {CORE: 64, FLEET: 16}
+"""Most vehicles, unless given."""
 EXAMPLES: Final = """examples:
   dmrac bench
   dmrac bench sensors --set vehicle.sensors.imu.noise=white
   dmrac bench flood --controller mrac --seconds 12
   dmrac bench core --seconds 20 --vehicles 64
+  dmrac bench fleet --seconds 40
   dmrac bench gym
   dmrac bench neural-fly --data neural-fly/data
   dmrac bench omac --code Online-Meta-Adaptive-Control/quadsim --seconds 60
@@ -58,14 +61,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         default=DEFAULT_SCENARIO,
         help="scenario to fly (default: %(default)s); sensors: compare the sensors' noise with real flight logs; "
-        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; gym: the "
-        "Gymnasium environments; neural-fly, omac, nanobench, crazypad: the learner on tasks and flights of others",
+        "flood: fly with flooded ports (needs root); core: the core in C beside numpy's; fleet: many vehicles on one "
+        "trainer; gym: the Gymnasium environments; neural-fly, omac, nanobench, crazypad: the learner on tasks and "
+        "flights of others",
     )
     parser.add_argument(
         "--vehicles",
         type=positive,
         metavar="N",
-        help=f"core: most vehicles in one process (default: {VEHICLES_MAX})",
+        help="most vehicles (default: " + ", ".join(f"{name} {most}" for name, most in VEHICLES.items()) + ")",
     )
     parser.add_argument(
         "--data",
@@ -85,8 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and print; return 0. Raises ConfigError for bad options."""
     if not 2.0 <= arguments.seconds <= 600.0:
         raise ConfigError(f"--seconds {arguments.seconds:g}: allowed are 2 to 600")
-    if arguments.vehicles is not None and arguments.scenario != CORE:
-        raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {CORE}")
+    if arguments.vehicles is not None and arguments.scenario not in VEHICLES:
+        raise ConfigError(f"--vehicles {arguments.vehicles}: only with dmrac bench {', '.join(VEHICLES)}")
     for option in set(FOLDERS.values()):
         if getattr(arguments, option) is not None and FOLDERS.get(arguments.scenario) != option:
             kinds_with = ", ".join(kind for kind, needed in FOLDERS.items() if needed == option)
@@ -97,6 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         SENSORS: _sensors,
         FLOOD: _flood,
         CORE: _core,
+        FLEET: _fleet,
         GYM: _gym,
         NEURAL_FLY: _neural_fly,
         OMAC: _omac,
@@ -125,8 +130,16 @@ def _core(arguments: argparse.Namespace) -> dict[str, Any]:
 
     show, place = plain_console(arguments.json).print, here()
     show(place)
-    figures = measure(max(arguments.seconds, 5.0), arguments.vehicles or VEHICLES_MAX, show)
+    figures = measure(max(arguments.seconds, 5.0), arguments.vehicles or VEHICLES[CORE], show)
     return {"machine": place, "figures": [one.as_json() for one in figures]}
+
+
+def _fleet(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    from experiments.timing.fleet_latency import as_json, measure
+
+    return as_json(
+        measure(arguments.vehicles or VEHICLES[FLEET], arguments.seconds, plain_console(arguments.json).print)
+    )
 
 
 def _flood(arguments: argparse.Namespace) -> list[dict[str, Any]]:

@@ -66,6 +66,8 @@ class VehicleLearner:
         self.verdicts: Counter[str] = Counter()
         self.validation_losses: dict[str, float | None] = {f"validation_loss_{channel}": None for channel in CHANNELS}
         """Of the last round, (m/s^2)^2 and (rad/s^2)^2; None where the channel has no held-out sample."""
+        self.newest_trained_ns = 0
+        """When the newest sample of the last job was taken, onboard's clock."""
         self._labelled_at_last_job = 0
         self._training_samples = 0
         self._condition = 0
@@ -136,6 +138,7 @@ class VehicleLearner:
         if not enough or self.labelled == self._labelled_at_last_job:
             return None
         self._labelled_at_last_job = self.labelled
+        self.newest_trained_ns = self._last_time_ns - (self._time_shift_ns or 0)
         before_ns = self._last_time_ns - round(self._config.buffer.release_s * 1e9)
         return TrainingJob(
             network_config=self._config.features.trained,
