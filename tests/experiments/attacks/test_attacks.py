@@ -44,14 +44,14 @@ def test_without_the_guard_cliffs_cost_the_vehicle():
 
 
 @pytest.mark.parametrize("seed", [2, 6])
-def test_room_and_test_are_needed_against_cliffs(seed):
+def test_room_probation_and_test_are_needed_against_cliffs(seed):
     """Nothing; the room alone; room and probation; all."""
     parts = (OFF, OFF[1:], (OFF[1], *OFF[3:]), ())
     flights = [fly_attack("steep_again", seed, duration_s=20.0, assignments=(*STEEP, *off)) for off in parts]
     _, room, probation, all_on = flights
-    assert [bool(flight.lost) for flight in flights] == [True, False, False, False]
-    assert min(room.swaps, probation.swaps) > all_on.swaps == 0, "the test refuses them"
-    assert all_on.error_m < ERROR_MAX_M
+    assert [bool(flight.lost) for flight in flights] == [True, True, False, False]
+    assert min(room.swaps, probation.swaps) > all_on.swaps, "the test refuses them"
+    assert all_on.error_m < ERROR_MAX_M < probation.error_m
 
 
 def test_probation_is_needed_against_a_wrong_map():
@@ -64,10 +64,10 @@ def test_probation_is_needed_against_a_wrong_map():
 
 
 def test_a_cliff_that_is_out_of_reach_on_arrival_is_found_before_it_is_reached():
-    """While the version is prepared it comes into reach, and the test refuses it."""
+    """While such a version is prepared it comes into reach, and the test refuses it."""
     outcome = fly_attack("far_cliff", 2, assignments=JET)
     assert not outcome.lost
-    assert outcome.refused[1] == "reach"
+    assert "reach" in outcome.refused.values()
     assert outcome.error_m < ERROR_MAX_M
 
 
